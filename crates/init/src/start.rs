@@ -1,28 +1,28 @@
-//! What all initialisers share: from centres and scales to a cloud of unconstrained columns.
+//! Shared part of all initialisers: from centres and scales to a cloud of unconstrained columns.
 
 use pwrfgs_core::{
     GaussianCloud, Real, logit, neighbours,
     rng::{self, Rng},
 };
 
-/// Smallest squared scale, m², as released: duplicates have no distance, and a logarithm follows.
+/// Smallest squared scale, m², as released: duplicate points have no distance, and its logarithm must be finite.
 const LEAST_SQUARE: Real = 1e-7;
 /// Scale of a Gaussian without neighbours, m.
 const LONELY: Real = 1.0;
-/// Largest distance, scale and signal: the products of squared ones stay finite in single precision.
+/// Largest distance, scale and signal: products of their squares stay finite in single precision.
 const LARGEST: Real = 1e6;
-/// Most Gaussians that can be asked for: more is a slip of the pen, and would exhaust the memory.
+/// Maximum number of Gaussians; larger numbers are rejected as typing errors, because they would exhaust the memory.
 const MOST: usize = 10_000_000;
 
-/// Scale of each Gaussian, `[N]`, metres: root of the mean squared distance to its `nearest` neighbours, at least
-/// sqrt(1e-7) m; 1 m where there is no neighbour.
+/// Returns the scale of each Gaussian, `[N]`, metres: root mean squared distance to its `nearest` neighbours, at least
+/// sqrt(1e-7) m; 1 m without neighbours.
 pub(crate) fn scales_from_neighbours(means: &[[Real; 3]], nearest: usize) -> Vec<Real> {
     let squares = neighbours::mean_of_k_nearest_squared(means, nearest);
     squares.into_iter().map(|s| if s.is_finite() { s.max(LEAST_SQUARE).sqrt() } else { LONELY }).collect()
 }
 
-/// Isotropic Gaussians `[N]`, not rotated, all of one opacity, the two channels of each signal uniform between
-/// −`signal_scale`/2 and `signal_scale`/2.
+/// Creates isotropic Gaussians `[N]` without rotation and of equal opacity. Both channels of each signal are uniform
+/// between −`signal_scale`/2 and `signal_scale`/2.
 pub(crate) fn cloud(
     means: Vec<[Real; 3]>,
     scales: &[Real],
@@ -42,16 +42,16 @@ pub(crate) fn cloud(
     }
 }
 
-/// Refuses an opacity or signal scale that cannot be learned from.
+/// Rejects an opacity or signal scale that cannot be trained.
 pub(crate) fn check(opacity: Real, signal_scale: Real) -> Result<(), String> {
-    // The ends of the interval are left out, but also what rounds to them as a logit.
+    // Excludes the ends of the interval, and values whose logit rounds to infinity.
     if !(1e-6..=1.0 - 1e-6).contains(&opacity) {
         return Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"));
     }
     positive("signal_scale", signal_scale, "at 0 the magnitude of a signal has no derivative")
 }
 
-/// Refuses what is not positive, and what no computation in single precision survives.
+/// Rejects values that are not positive or overflow single precision.
 pub(crate) fn positive(field: &str, value: Real, why: &str) -> Result<(), String> {
     if value > 0.0 && value <= LARGEST {
         return Ok(());
@@ -59,7 +59,7 @@ pub(crate) fn positive(field: &str, value: Real, why: &str) -> Result<(), String
     Err(format!("`{field}` is {value:?}; give a number above 0 and at most {LARGEST:e}: {why}"))
 }
 
-/// Refuses no Gaussians and absurdly many.
+/// Rejects 0 and excessive numbers of Gaussians.
 pub(crate) fn check_count(field: &str, count: usize) -> Result<(), String> {
     if (1..=MOST).contains(&count) {
         return Ok(());
@@ -67,7 +67,7 @@ pub(crate) fn check_count(field: &str, count: usize) -> Result<(), String> {
     Err(format!("`{field}` is {count}; give a number between 1 and {MOST}"))
 }
 
-/// Refuses a scale rule that asks for no neighbour.
+/// Rejects a scale rule without neighbours.
 pub(crate) fn check_nearest(nearest: usize) -> Result<(), String> {
     if (1..=1000).contains(&nearest) {
         return Ok(());

@@ -1,16 +1,16 @@
 //! Dense products and elementwise passes on chunks of Gaussians: the arithmetic of every layer.
 //!
-//! A chunk of R Gaussians with F features is feature-major, `[F, R]`: the Gaussians lie next to each other. So a
-//! weight `[out, in]` multiplies from the left without being transposed first (row-major chunks would need that for
-//! every chunk: 54 against 115 GFLOP/s at 40 rows and width 256), a bias is one number a row, and every elementwise
-//! pass runs along the SIMD lanes.
+//! A chunk of R Gaussians with F features is feature-major, `[F, R]`: the Gaussians are contiguous. A weight `[out,
+//! in]` therefore multiplies from the left without a transposition (row-major chunks need one per chunk: 54 instead of
+//! 115 GFLOP/s at 40 rows and width 256). A bias is one number per row, and every elementwise pass runs along the SIMD
+//! lanes.
 #![allow(unsafe_code)] // the one call into `gemm`, which takes raw pointers
 
 use pwrfgs_core::Real;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// A matrix inside a slice: element (i, j) lies at `i · strides.0 + j · strides.1`.
+/// Matrix inside a slice: element (i, j) has index `i · strides.0 + j · strides.1`.
 #[derive(Clone, Copy, Debug)]
 pub struct Matrix<'a> {
     data: &'a [Real],
@@ -18,7 +18,7 @@ pub struct Matrix<'a> {
     strides: (usize, usize),
 }
 
-/// A [`Matrix`] to be written.
+/// Mutable [`Matrix`].
 #[derive(Debug)]
 pub struct MatrixMut<'a> {
     data: &'a mut [Real],
@@ -26,30 +26,30 @@ pub struct MatrixMut<'a> {
     strides: (usize, usize),
 }
 
-/// Whether the last element of a matrix lies inside its slice; strides whose products overflow do not fit.
+/// Returns whether the last element of a matrix is inside its slice; strides whose products overflow do not fit.
 fn fits(len: usize, (rows, columns): (usize, usize), (down, right): (usize, usize)) -> bool {
     let last = || (rows - 1).checked_mul(down)?.checked_add((columns - 1).checked_mul(right)?);
     rows == 0 || columns == 0 || last().is_some_and(|last| last < len)
 }
 
 impl<'a> Matrix<'a> {
-    /// `rows` by `columns`, row by row.
+    /// Creates a `rows` × `columns` matrix, row-major.
     pub fn new(data: &'a [Real], rows: usize, columns: usize) -> Self {
         Self::strided(data, (rows, columns), (columns, 1))
     }
 
-    /// Any strides.
+    /// Creates a matrix with any strides.
     pub fn strided(data: &'a [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
         assert!(fits(data.len(), shape, strides), "a matrix lies inside its slice");
         Self { data, shape, strides }
     }
 
-    /// Rows and columns exchanged.
+    /// Returns the transpose.
     pub fn t(self) -> Self {
         Self { shape: (self.shape.1, self.shape.0), strides: (self.strides.1, self.strides.0), ..self }
     }
 
-    /// The columns of `range`.
+    /// Returns the columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
         let data = &self.data[range.start.saturating_mul(self.strides.1).min(self.data.len())..];
@@ -58,44 +58,44 @@ impl<'a> Matrix<'a> {
 }
 
 impl<'a> MatrixMut<'a> {
-    /// `rows` by `columns`, row by row.
+    /// Creates a `rows` × `columns` matrix, row-major.
     pub fn new(data: &'a mut [Real], rows: usize, columns: usize) -> Self {
         Self::strided(data, (rows, columns), (columns, 1))
     }
 
-    /// Any strides.
+    /// Creates a matrix with any strides.
     pub fn strided(data: &'a mut [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
         assert!(fits(data.len(), shape, strides), "a matrix lies inside its slice");
         Self { data, shape, strides }
     }
 
-    /// The columns of `range`.
+    /// Returns the columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
         let start = range.start.saturating_mul(self.strides.1).min(self.data.len());
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
     }
 
-    /// The same, lent.
+    /// Reborrows the matrix.
     fn lent(&mut self) -> MatrixMut<'_> {
         MatrixMut { data: self.data, shape: self.shape, strides: self.strides }
     }
 }
 
-/// What becomes of the numbers that were in the destination.
+/// Treatment of previous values in the destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Store {
-    /// They are overwritten.
+    /// Values are overwritten.
     Set,
-    /// The product is added to them.
+    /// The product is added.
     Add,
 }
 
-/// `c = a·b` or `c += a·b`, on the calling thread: the chunks are the parallelism.
+/// Computes `c = a·b` or `c += a·b` on the calling thread; parallelism is over chunks.
 ///
-/// With AVX-512 `gemm` takes 64 columns at a time (four vectors, six rows of `a` each), and is half as fast on 16 that
-/// are left over, with too few sums on their way to fill the pipeline: the last 80 are taken as 48 and 32. Elsewhere that
-/// does no harm.
+/// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
+/// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into
+/// 48 and 32. On other processors this has no disadvantage.
 pub fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
@@ -107,7 +107,7 @@ pub fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>)
     }
 }
 
-/// One call of `gemm`.
+/// Calls `gemm` once.
 #[allow(clippy::needless_pass_by_value)] // a mutable borrow ends here; by reference every call would need `&mut`
 fn multiply(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     let ((m, n), k) = (c.shape, a.shape.1);
@@ -115,10 +115,10 @@ fn multiply(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     if m == 0 || n == 0 || (k == 0 && add) {
         return;
     }
-    // SAFETY: the constructors checked that element (m-1, n-1) of `c`, and likewise the last ones of `a` and `b`, lie
-    // inside their slices, and strides are not negative, so every element touched does; `product` checked that the
-    // sizes agree. `c` is borrowed mutably and cannot overlap `a` or `b`. Slices are shorter than `isize::MAX`, so the
-    // strides that matter fit an `isize`.
+    // SAFETY: the constructors checked that element (m-1, n-1) of `c`, and likewise the last ones of `a` and `b`, are
+    // inside their slices, and strides are not negative, so every accessed element is inside; `product` checked that
+    // the sizes agree. `c` is borrowed mutably and cannot overlap `a` or `b`. Slices are shorter than `isize::MAX`, so
+    // the relevant strides fit an `isize`.
     unsafe {
         gemm::gemm(
             m,
@@ -144,7 +144,7 @@ fn multiply(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     }
 }
 
-/// Adds `bias[f]` to feature f and clips at zero. NaN stays NaN: it must reach the loss, where it is reported.
+/// Adds `bias[f]` to feature f and clips at zero. NaN stays NaN, so that the loss reports it.
 pub fn bias_relu(h: &mut [Real], bias: &[Real]) {
     let rows = h.len() / bias.len().max(1);
     pulp::Arch::new().dispatch(
@@ -170,8 +170,8 @@ pub fn add_bias(h: &mut [Real], bias: &[Real]) {
     }
 }
 
-/// The vjp of [`bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the Gaussians is added
-/// to `d_bias`.
+/// Backward pass of [`bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the Gaussians is
+/// added to `d_bias`.
 pub fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     pulp::Arch::new().dispatch(
@@ -187,7 +187,7 @@ pub fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     );
 }
 
-/// The vjp of [`add_bias`]: sums over the Gaussians, added to `d_bias`.
+/// Backward pass of [`add_bias`]: adds sums over the Gaussians to `d_bias`.
 pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     for (d, sum) in d.chunks_exact(rows).zip(d_bias) {
@@ -195,7 +195,7 @@ pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     }
 }
 
-/// A sum in 16 fixed lanes: one order of additions on every machine, and a vectorised one.
+/// Sums in 16 fixed lanes: one order of additions on every machine, and vectorised.
 #[inline(always)]
 fn lane_sum(values: &[Real]) -> Real {
     let mut lanes: [Real; 16] = [0.0; 16];
@@ -211,7 +211,7 @@ fn lane_sum(values: &[Real]) -> Real {
     lanes.iter().sum()
 }
 
-/// `a += b`.
+/// Computes `a += b`.
 pub fn add(a: &mut [Real], b: &[Real]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -219,7 +219,7 @@ pub fn add(a: &mut [Real], b: &[Real]) {
     );
 }
 
-/// Adds all `sums` to `total`, for each number in the order of the list.
+/// Adds all `sums` to `total`, in the order of the list.
 pub fn add_in_order(total: &mut [Real], sums: &[&[Real]]) {
     const PIECE: usize = 8192;
     total.par_chunks_mut(PIECE).enumerate().for_each(|(k, total)| {
@@ -267,7 +267,7 @@ mod tests {
             let b: Vec<Real> = (0..k * n).map(|_| rng::normal(&mut random)).collect();
             let mut c = vec![1.0; m * n];
             product(MatrixMut::new(&mut c, m, n), Store::Add, Matrix::new(&a, m, k), Matrix::new(&b, k, n));
-            // Column by column, from the transposed matrices: never cut.
+            // Computed column by column from the transposed matrices, without a split.
             let turned: Vec<Real> = (0..n * k).map(|i| b[i % k * n + i / k]).collect();
             for j in 0..n {
                 let mut column = vec![1.0; m];

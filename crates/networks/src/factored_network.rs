@@ -1,12 +1,12 @@
-//! Forward and backward of [`super::Factored`].
+//! Forward and backward pass of [`super::Factored`].
 //!
 //! ```text
 //! (features of the data → tx.white →)
 //! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T → branchᵀ → v ─┐ (once a transmitter)
 //! φ(μ) ─────────────────────────────────────────────────────────┴→ s = v·φ + v₀ (once a Gaussian)
 //! ```
-//! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T): what the transmitter says of the waves is worked
-//! out once, and a Gaussian costs two products of as many numbers as it has waves, however wide the stack is.
+//! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T). The product branchᵀ·T is computed once per
+//! transmitter. A Gaussian then costs two products with one number per wave, however wide the stack is.
 
 use crate::dense::{self, Matrix, MatrixMut, Store, product};
 use crate::encoding::{Encoder, Pseudo};
@@ -18,42 +18,44 @@ use std::ops::Range;
 /// Mean magnitude of a sine.
 pub(super) const WAVE_MEAN: f64 = std::f64::consts::FRAC_2_PI;
 
-/// Transmitters that share one pass of the derivative. Depends on nothing, so that threads do not show in the bits.
+/// Number of transmitters that share one backward pass. It is constant, so that results do not depend on the number of
+/// threads.
 const GROUP: usize = 32;
 
-/// The layers in the flat weight vector.
+/// Layers in the flat weight vector.
 pub(super) struct Network {
     pub(super) tx_encoding: Encoder,
     pub(super) position_encoding: Encoder,
-    /// Makes a position of features of the data, where that is asked for.
+    /// Layer that maps features of the data to a pseudo-position, if requested.
     pub(super) pseudo: Option<Pseudo>,
-    /// Makes features of the data uncorrelated; nothing of a position.
+    /// Layer that decorrelates features of the data; `None` for positions.
     pub(super) white: Option<Linear>,
     pub(super) stack: Vec<Linear>,
     pub(super) branch: Linear,
-    /// Numbers of T.
+    /// Number of features T.
     pub(super) features: usize,
-    /// Of these the last ones, which are the transmitter's own numbers; none of a position.
+    /// Number of direct features at the end of T, which are the inputs of the transmitter; 0 for positions.
     pub(super) direct: usize,
 }
 
-/// Gaussians that a kernel takes side by side.
+/// Number of Gaussians that a kernel processes together.
 const LANES: usize = 64;
 
-/// Tiles of [`LANES`] Gaussians that one task takes. Depends on nothing, so that threads do not show in the bits.
+/// Number of tiles of [`LANES`] Gaussians per task. It is constant, so that results do not depend on the number of
+/// threads.
 const TILES: usize = 8;
 
-/// The Gaussians' side: φ(μ), scaled (see [`Network::wave_scale`]), in tiles of [`LANES`] Gaussians, `[tiles, waves]` rows of
-/// lanes. Lanes of the last tile that belong to nobody are 0.
+/// Encoded centres φ(μ), scaled (see [`Network::wave_scale`]), in tiles of [`LANES`] Gaussians, `[tiles, waves]` rows
+/// of lanes. Unused lanes of the last tile are 0.
 pub(super) struct Basis {
     lanes: Vec<[Real; LANES]>,
     n: usize,
 }
 
-/// Which of the tasks it is, its tiles, and the derivatives of their centres, where they are wanted.
+/// Index of the task, its tiles, and the derivatives of their centres if requested.
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
 
-/// What transmitters say of the waves, of each channel `[waves, B]`, and of none, `[B]`.
+/// Coefficients of the waves per transmitter: per channel `[waves, B]`, and the constant terms `[B]`.
 struct Mixed {
     waves: [Vec<Real>; 2],
     base: [Vec<Real>; 2],
@@ -86,7 +88,8 @@ impl Network {
         Basis { lanes, n }
     }
 
-    /// The direct part: T's last numbers are the transmitter's own, and a Gaussian's factors for them linear in its waves.
+    /// Returns the direct part: the last features of T are the inputs of the transmitter, and the factors of a Gaussian
+    /// for them are linear in its waves.
     pub(super) fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Option<LinearPart> {
         let (inputs, n, rows) = (self.direct, means.len(), txs.len());
         if inputs == 0 || n == 0 || rows == 0 {
@@ -103,13 +106,13 @@ impl Network {
         Some(LinearPart { inputs, values, functions, basis, cleared, first: [at(0), at(1)] })
     }
 
-    /// The magnitudes of a Gaussian's waves sum to 1: a step of Adam on `branch` then moves factors as far as a step on
-    /// the stack moves weights, and not many times as far.
+    /// Returns a scale with which the magnitudes of the waves of a Gaussian sum to 1. A step of Adam on `branch` then
+    /// changes factors as much as a step on the stack changes weights.
     fn wave_scale(&self) -> Real {
         (1.0 / (WAVE_MEAN * self.branch.inputs as f64)) as Real
     }
 
-    /// γ(p) and every layer's output, feature-major `[·, B]`; the last is T.
+    /// Returns γ(p) and the output of every layer, feature-major `[·, B]`; the last is T.
     fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
         match &self.pseudo {
@@ -135,18 +138,18 @@ impl Network {
         layers
     }
 
-    /// The rows of `branch` that make channel `c`'s factors, and then its constants.
+    /// Returns the rows of `branch` that produce the factors of channel `c`, and then its constants.
     fn rows(&self, c: usize) -> Range<usize> {
         c * (self.features + 1)..(c + 1) * (self.features + 1)
     }
 
-    /// T `[F, B]`, the last of the layers, as seen by the waves.
+    /// Returns the coefficients of the waves from T `[F, B]`, the last of the layers.
     fn mixed(&self, weights: &[Real], t: &[Real]) -> Mixed {
         let (waves, batch) = (self.branch.inputs, t.len() / self.features);
         let mut mixed = Mixed::zeros(waves, batch);
         let features = Matrix::new(t, self.features, batch);
         for c in 0..2 {
-            // The row of constants is what the sums begin with.
+            // Sums start with the row of constants.
             let (factors, constant) = self.branch.rows(weights, self.rows(c)).split_at(self.features * waves);
             let (biases, last) = self.branch.bias(weights)[self.rows(c)].split_at(self.features);
             for (row, constant) in mixed.waves[c].chunks_exact_mut(batch).zip(constant) {
@@ -161,7 +164,7 @@ impl Network {
         mixed
     }
 
-    /// One transmitter at a time: a batch then gives the bits of single calls.
+    /// Runs one transmitter at a time, so that batches are bit-identical to single calls.
     pub(super) fn forward(&self, weights: &[Real], basis: &Basis, txs: Conditions<'_>) -> Deltas {
         let n = basis.n;
         let mut signals = vec![[0.0; 2]; txs.len() * n];
@@ -173,7 +176,7 @@ impl Network {
             self.mixed(weights, &layers[self.stack.len()])
         };
         let mixed: Vec<Mixed> = (0..txs.len()).into_par_iter().map(one).collect();
-        // Of each task's Gaussians, the signals of every transmitter.
+        // Signals of every transmitter for the Gaussians of each task.
         let tasks = basis.lanes.par_chunks(TILES * self.branch.inputs);
         let mut parts: Vec<Vec<&mut [[Real; 2]]>> = tasks.clone().map(|_| Vec::new()).collect();
         for own in signals.chunks_exact_mut(n) {
@@ -210,7 +213,8 @@ impl Network {
         dense::add_in_order(d_weights, &sums.iter().map(Vec::as_slice).collect::<Vec<_>>());
     }
 
-    /// Derivatives of what each group's transmitters say of the waves; of the centres they are added to `d_means`.
+    /// Returns the derivatives of the wave coefficients of each group of transmitters; adds those of the centres to
+    /// `d_means`.
     fn tiles_vjp(
         &self,
         basis: &Basis,
@@ -235,7 +239,7 @@ impl Network {
         };
         let of_tasks: Vec<Vec<Mixed>> =
             basis.lanes.par_chunks(TILES * waves).zip(parts).enumerate().map(task).collect();
-        // In the order of the tasks, whatever thread had which.
+        // Sums in the order of the tasks, independent of the threads.
         let mut of_tasks = of_tasks.into_iter();
         let mut sums = of_tasks.next().expect("a Gaussian or more");
         for own in of_tasks {
@@ -244,7 +248,7 @@ impl Network {
         sums
     }
 
-    /// The Gaussians `own` of one tile: adds to `sums`, and to the derivatives of their centres.
+    /// Backward pass of the Gaussians `own` of one tile: adds to `sums`, and to the derivatives of their centres.
     #[allow(clippy::too_many_arguments)] // the tile, and both ends of the derivative
     fn tile_vjp(
         &self,
@@ -262,7 +266,7 @@ impl Network {
         for ((some, mixed), sum) in groups.iter().zip(mixed).zip(sums) {
             let batch = some.len();
             for c in 0..2 {
-                // Signals of one channel: element (i, b) lies at 2(bN + i) + c.
+                // Signals of one channel: element (i, b) has index 2(bN + i) + c.
                 let first = 2 * (some.start * all + own.start) + c;
                 let d_s = Matrix::strided(&d.signals.as_flattened()[first..], (r, batch), (2, 2 * all));
                 product(MatrixMut::new(&mut sum.waves[c], waves, batch), Store::Add, phi, d_s);
@@ -276,7 +280,7 @@ impl Network {
             }
         }
         if let Some(d_means) = d_means {
-            // Waves were scaled: so are their slopes, and the encoding's own derivative wants neither.
+            // Waves were scaled, and so are their slopes; the derivative of the encoding uses unscaled values.
             let scale = self.wave_scale();
             let unscaled: Vec<Real> = tile.iter().flat_map(|row| &row[..r]).map(|w| w / scale).collect();
             d_phi.iter_mut().for_each(|d| *d *= scale);
@@ -284,7 +288,7 @@ impl Network {
         }
     }
 
-    /// Derivatives of the weights, from some transmitters.
+    /// Returns the derivatives of the weights from some transmitters.
     fn group_vjp(&self, weights: &[Real], txs: Conditions<'_>, layers: &[Vec<Real>], d: &Mixed) -> Vec<Real> {
         let (batch, width, waves) = (txs.len(), self.features, self.branch.inputs);
         let mut d_weights = vec![0.0; weights.len()];
@@ -333,7 +337,7 @@ impl Network {
     }
 }
 
-/// Signals of one transmitter and the Gaussians of some tiles: s = v·φ + v₀, each summed in the order of the waves alone.
+/// Signals of one transmitter for the Gaussians of some tiles: s = v·φ + v₀, each summed in the order of the waves.
 struct Speak<'a> {
     tiles: &'a [[Real; LANES]],
     waves: usize,

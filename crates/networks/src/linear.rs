@@ -1,69 +1,69 @@
-//! `Linear`: one layer inside the flat weight vector, and its products with chunks. `Plan`: where the layers lie in that
-//! vector. Chunks divide the work over threads.
+//! `Linear`: one layer inside the flat weight vector, and its products with chunks. `Plan`: the layout of the layers in
+//! that vector. Chunks distribute the work over threads.
 
 use crate::dense::{Matrix, MatrixMut, Store, product};
 use pwrfgs_core::{Layout, Real, WeightSpec};
 use std::ops::Range;
 
-/// The largest number of units of a layer.
+/// Maximum number of units per layer.
 pub(crate) const WIDEST: usize = 8192;
 
-/// A linear layer y = W·x + b: `W` `[outputs, inputs]` row-major and `b` `[outputs]` inside a flat vector.
+/// Linear layer y = W·x + b: `W` `[outputs, inputs]` row-major and `b` `[outputs]` inside a flat vector.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// Numbers of x.
+    /// Number of components of x.
     pub inputs: usize,
-    /// Numbers of y.
+    /// Number of components of y.
     pub outputs: usize,
-    /// Where `W` starts.
+    /// Offset of `W` in the flat vector.
     pub weight: usize,
-    /// Where `b` starts.
+    /// Offset of `b` in the flat vector.
     pub bias: usize,
 }
 
 impl Linear {
-    /// W in the flat vector.
+    /// Returns W in the flat vector.
     pub fn weight<'a>(&self, flat: &'a [Real]) -> Matrix<'a> {
         Matrix::new(&flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
     }
 
-    /// W in the flat vector, to be written.
+    /// Returns W in the flat vector, mutable.
     pub fn weight_mut<'a>(&self, flat: &'a mut [Real]) -> MatrixMut<'a> {
         MatrixMut::new(&mut flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
     }
 
-    /// Some rows of `W`.
+    /// Returns some rows of `W`.
     pub fn rows<'a>(&self, flat: &'a [Real], rows: Range<usize>) -> &'a [Real] {
         &flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
     }
 
-    /// Some rows of `W`, to be written.
+    /// Returns some rows of `W`, mutable.
     pub fn rows_mut<'a>(&self, flat: &'a mut [Real], rows: Range<usize>) -> &'a mut [Real] {
         &mut flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
     }
 
-    /// b in the flat vector.
+    /// Returns b in the flat vector.
     pub fn bias<'a>(&self, flat: &'a [Real]) -> &'a [Real] {
         &flat[self.bias..][..self.outputs]
     }
 
-    /// b in the flat vector, to be written.
+    /// Returns b in the flat vector, mutable.
     pub fn bias_mut<'a>(&self, flat: &'a mut [Real]) -> &'a mut [Real] {
         &mut flat[self.bias..][..self.outputs]
     }
 
-    /// The columns of W that see one of several inputs.
+    /// Returns the columns of W that multiply one of several inputs.
     pub fn part(&self, columns: Range<usize>) -> Part {
         Part { layer: *self, columns }
     }
 
-    /// All columns of W.
+    /// Returns all columns of W.
     pub fn whole(&self) -> Part {
         self.part(0..self.inputs)
     }
 }
 
-/// Some columns of a layer's W, acting on chunks: x `[columns, R]`, y `[outputs, R]`.
+/// Some columns of W of a layer, acting on chunks: x `[columns, R]`, y `[outputs, R]`.
 #[derive(Clone, Debug)]
 pub struct Part {
     layer: Linear,
@@ -71,7 +71,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// `y = W·x` or `y += W·x`.
+    /// Computes `y = W·x` or `y += W·x`.
     pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: Store) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = y.len() / outputs;
@@ -79,7 +79,7 @@ impl Part {
         product(MatrixMut::new(y, outputs, rows), store, w, Matrix::new(x, features, rows));
     }
 
-    /// Adds the derivative along W to `d_weights`.
+    /// Adds the derivative with respect to W to `d_weights`.
     pub fn weight_vjp(&self, d_weights: &mut [Real], x: &[Real], d_y: &[Real]) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
@@ -87,7 +87,7 @@ impl Part {
         product(d_w, Store::Add, Matrix::new(d_y, outputs, rows), Matrix::new(x, features, rows).t());
     }
 
-    /// `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`.
+    /// Computes `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`.
     pub fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: Store) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
@@ -96,7 +96,7 @@ impl Part {
     }
 }
 
-/// The tensors of a network, in order, while its layers are laid out.
+/// Tensors of a network, in order, during the layout of its layers.
 #[derive(Debug, Default)]
 pub struct Plan {
     tensors: Vec<WeightSpec>,
@@ -112,27 +112,27 @@ impl Plan {
         start
     }
 
-    /// A layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.
+    /// Adds a layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.
     pub fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
         self.heads(&[(name, outputs)], inputs, 1.0)
     }
 
-    /// A layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. What goes in and
-    /// what comes out are then of one size, however deep the stack. Dropout may silence its outputs.
+    /// Adds a layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. The
+    /// magnitude of activations is then constant for any depth of the stack. Dropout applies to its outputs.
     pub fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
         let layer = self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt());
         self.tensors.iter_mut().rev().take(2).for_each(|spec| spec.hidden = true);
         layer
     }
 
-    /// A layer with weights uniform within ±`bound` and biases 0.
+    /// Adds a layer with weights uniform within ±`bound` and biases 0.
     pub fn unbiased(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
         let weight = self.push(format!("{name}.weight"), vec![outputs, inputs], bound);
         let bias = self.push(format!("{name}.bias"), vec![outputs], 0.0);
         Linear { inputs, outputs, weight, bias }
     }
 
-    /// Layers that share their input, stored weights first and then biases, so that they act as one layer. Their
+    /// Adds layers that share their input, stored weights first and then biases, so that they act as one layer. Their
     /// initial values are multiplied by `scale`.
     pub fn heads(&mut self, heads: &[(&str, usize)], inputs: usize, scale: f64) -> Linear {
         let bound = scale / (inputs as f64).sqrt();
@@ -147,51 +147,51 @@ impl Plan {
         Linear { inputs, outputs, weight, bias }
     }
 
-    /// Numbers in the flat vector.
+    /// Returns the length of the flat vector.
     pub fn numbers(&self) -> usize {
         self.len
     }
 
-    /// All tensors.
+    /// Returns all tensors.
     pub fn layout(self) -> Layout {
         Layout { weights: self.tensors, constants: Vec::new() }
     }
 }
 
-/// The network that `build` lays out, and the plan of it.
+/// Returns the network that `build` lays out, and its plan.
 pub fn planned<N>(build: impl FnOnce(&mut Plan) -> N) -> (N, Plan) {
     let mut plan = Plan::default();
     (build(&mut plan), plan)
 }
 
-/// The network that `build` lays out, for weights of the length it says.
+/// Returns the network that `build` lays out, for a weight vector of matching length.
 pub fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut Plan) -> N) -> N {
     let (network, plan) = planned(build);
     assert_eq!(weights.len(), plan.numbers(), "as many weights as the layout says");
     network
 }
 
-/// A piece of work: these Gaussians for these transmitters.
+/// Work item: some Gaussians for some transmitters.
 #[derive(Clone, Debug)]
 pub struct Item {
-    /// Of the points.
+    /// Range of the points.
     pub rows: Range<usize>,
-    /// Of the batch.
+    /// Range of the transmitters in the batch.
     pub txs: Range<usize>,
 }
 
-/// Gaussians a chunk. Depends on nothing but N and the width, so that neither the number of threads nor the size of
-/// the batch shows in the bits. At most 192 (two activations of width 256 then stay in 1 MiB of second-level cache,
-/// and a stride of 256 or 512 floats, where gemm loses half its speed to cache conflicts, never occurs); fewer for
-/// small N, in an even number of chunks, so that two threads share N = 157.
+/// Returns the number of Gaussians per chunk. It depends only on N and the width, so that results do not depend on the
+/// number of threads or the batch size. The maximum is 192: two activations of width 256 then fit 1 MiB of second-level
+/// cache. A stride of 256 or 512 floats, at which gemm loses half its speed to cache conflicts, never occurs. For small
+/// N there are fewer, in an even number of chunks, so that two threads share N = 157.
 pub fn rows_per_chunk(n: usize, width: usize) -> usize {
     let most = (192 * 256 / width.max(1) / 16 * 16).clamp(48, 192);
     let chunks = n.div_ceil(most).max((n / 64).min(24)).next_multiple_of(2);
     n.div_ceil(chunks.max(1)).next_multiple_of(16).clamp(16, most)
 }
 
-/// All work for N Gaussians and B transmitters: chunk by chunk, the batch divided only where chunks alone are too few
-/// to keep a machine busy. Groups of transmitters outside, chunks inside.
+/// Returns all work items for N Gaussians and B transmitters: chunk by chunk; the batch is divided only if there are
+/// too few chunks to use all threads. Groups of transmitters are the outer loop, chunks the inner one.
 pub fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
     let rows = rows_per_chunk(n, width);
     let chunks = n.div_ceil(rows);
@@ -206,8 +206,8 @@ pub fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
         .collect()
 }
 
-/// How many items one weight-gradient accumulator takes, in their order. The number of accumulators is a power of two
-/// up to 16 and does not depend on the threads: each is summed in order, then they are added in order.
+/// Returns the number of items per weight-gradient accumulator, in order. The number of accumulators is a power of two
+/// up to 16, independent of the threads: each is summed in order, then they are added in order.
 pub fn items_per_sum(items: usize) -> usize {
     let half = (items / 2).max(1);
     let sums = (1 << half.ilog2()).clamp(2, 16);

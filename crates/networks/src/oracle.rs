@@ -1,4 +1,4 @@
-//! The reference renders of WRF-GS: network inputs, weights, outputs and derivatives in double precision.
+//! Reference data of WRF-GS: network inputs, weights, outputs and derivatives in double precision.
 
 use super::Wrfgs;
 use crate::linear::Plan;
@@ -15,7 +15,7 @@ fn rows(values: &[Real]) -> Vec<[Real; 3]> {
     values.as_chunks().0.to_vec()
 }
 
-/// The largest difference, as a share of the largest number.
+/// Returns the largest difference, relative to the largest number.
 fn error(found: &[Real], expected: &[Real]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let largest = expected.iter().fold(0.0, |m: Real, e| m.max(e.abs())).max(1e-300 as Real);
@@ -24,7 +24,7 @@ fn error(found: &[Real], expected: &[Real]) -> f64 {
 
 #[test]
 fn wrfgs_reproduces_the_reference_signals_and_derivatives() {
-    // In single precision a coordinate of 40 m is known to 2e-6 m, so an angle of 2⁹·x to 1e-3 rad.
+    // In single precision a coordinate of 40 m has a resolution of 2e-6 m, and an angle of 2⁹·x one of 1e-3 rad.
     let (signal_tolerance, derivative_tolerance) = if size_of::<Real>() == 8 { (1e-12, 1e-10) } else { (2e-3, 2e-2) };
     for name in ["n8", "n64", "n64_mask"] {
         let Some(folder) = shared(&format!("oracle/{name}")) else { continue };

@@ -1,4 +1,5 @@
-//! What every deformation owes: derivatives, the same bits at any thread count and in any batch, honest sizes.
+//! Tests of every deformation: derivatives, bit-identical results for any number of threads and any batch, correct
+//! sizes.
 
 use super::{Encoding, Factored, Fixed, Mlp, Outputs, Wrfgs};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
@@ -10,12 +11,12 @@ fn points(n: usize, name: &str) -> Vec<[Real; 3]> {
     (0..n).map(|_| std::array::from_fn(|_| rng::normal(&mut random))).collect()
 }
 
-/// All outputs in one vector.
+/// Concatenates all outputs into one vector.
 fn flat(deltas: &Deltas) -> Vec<Real> {
     [deltas.quats.as_flattened(), deltas.scales.as_flattened(), deltas.signals.as_flattened()].concat()
 }
 
-/// The reverse of [`flat`], with the shape of `like`.
+/// Inverse of [`flat`], with the shape of `like`.
 fn deltas_like(like: &Deltas, values: &[Real]) -> Deltas {
     let (quats, rest) = values.split_at(4 * like.quats.len());
     let (scales, signals) = rest.split_at(3 * like.scales.len());
@@ -26,14 +27,14 @@ fn deltas_like(like: &Deltas, values: &[Real]) -> Deltas {
     }
 }
 
-/// A cotangent for the output of `forward`.
+/// Creates a cotangent for the output of `forward`.
 fn cotangent(like: &Deltas) -> Deltas {
     let mut random = rng::stream(5, "cotangent", 0);
     let values: Vec<Real> = flat(like).iter().map(|_| rng::normal(&mut random)).collect();
     deltas_like(like, &values)
 }
 
-/// Central differences along every weight, and along every centre where the deformation differentiates them.
+/// Compares with central differences along every weight, and along every centre if the deformation differentiates them.
 fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: usize, along_means: bool) {
     deformation.check().unwrap();
     let weights = deformation.layout().init(&mut rng::stream(2, name, 0));
@@ -52,7 +53,7 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
         let (w, means) = split(x);
         let inputs = DeformationInputs::new(&w, &means, &txs, &POSE);
         let d = deltas_like(&deformation.forward(&inputs, &None), d);
-        // Starting from ones shows that derivatives are added.
+        // Starts from ones to show that derivatives are added.
         let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
         deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means));
         if along_means {
@@ -146,7 +147,7 @@ fn initial_weights_are_uniform_within_one_over_root_inputs() {
     }
 }
 
-/// Deltas and weight derivative on a pool of so many threads.
+/// Returns deltas and weight derivative on a pool with this number of threads.
 fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: usize) -> (Deltas, Vec<Real>) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));

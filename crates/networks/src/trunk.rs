@@ -1,64 +1,65 @@
-//! The stack of ReLU layers that networks share: h₀ = relu(W₀·[γ, e] + b₀), …, with [γ, e] once more beside h
-//! after layer `skip`.
+//! Stack of ReLU layers that networks share: h₀ = relu(W₀·[γ, e] + b₀), …; after layer `skip`, [γ, e] is concatenated
+//! to h again.
 //!
-//! γ depends on the Gaussian alone and e on the transmitter alone. So W·γ is computed once a chunk and serves every
-//! transmitter of the batch, W·e once a transmitter and becomes part of the bias; only h → h is left for each pair.
+//! γ depends on the Gaussian only and e on the transmitter only. W·γ is therefore computed once per chunk for all
+//! transmitters of the batch. W·e is computed once per transmitter and added to the bias. Only h → h remains for each
+//! pair.
 
 use crate::dense::{self, Matrix, MatrixMut, Store, product};
 use crate::linear::{Linear, Part, Plan, WIDEST};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
-/// Layers and where the inputs join.
+/// Layers and input connections of a stack.
 #[derive(Debug)]
 pub struct Trunk {
     layers: Vec<Linear>,
-    /// The layer that sees [γ, e, h].
+    /// Layer with the inputs [γ, e, h].
     joined: Option<usize>,
     gamma: usize,
     side: usize,
-    /// Units of every layer.
+    /// Units per layer.
     pub width: usize,
 }
 
-/// What the constructor needs to know.
+/// Arguments of [`Trunk::new`].
 #[derive(Clone, Copy, Debug)]
 pub struct TrunkShape {
-    /// How many layers.
+    /// Number of layers.
     pub depth: usize,
-    /// Units of every layer.
+    /// Units per layer.
     pub width: usize,
-    /// The layer after which [γ, e] come in once more.
+    /// Index of the layer after which [γ, e] enter again.
     pub skip: Option<usize>,
-    /// Numbers of γ.
+    /// Number of components of γ.
     pub gamma: usize,
-    /// Numbers of e.
+    /// Number of components of e.
     pub side: usize,
 }
 
-/// A vector for each of the two layers that see γ and e: `[width]` as biases, `[width, R]` as W·γ. `joined` is empty
+/// Vector for each of the two layers with inputs γ and e: `[width]` as biases, `[width, R]` as W·γ. `joined` is empty
 /// without a skip.
 #[derive(Clone, Debug, Default)]
 pub struct Joints {
-    /// Of the first layer.
+    /// Vector of the first layer.
     pub first: Vec<Real>,
-    /// Of the one after the skip.
+    /// Vector of the layer after the skip.
     pub joined: Vec<Real>,
 }
 
-/// What [`Trunk::backward`] adds to.
+/// Accumulators of [`Trunk::backward`].
 #[derive(Debug)]
 pub struct TrunkGradient<'a> {
-    /// As long as the weights.
+    /// Derivatives of the weights, of equal length.
     pub weights: &'a mut [Real],
-    /// Of W·γ, `[width, R]` each.
+    /// Derivatives of W·γ, `[width, R]` each.
     pub shared: &'a mut Joints,
-    /// Of the folded biases, `[width]` each; the second is not read without a skip.
+    /// Derivatives of the folded biases, `[width]` each; the second is unused without a skip.
     pub folded: [&'a mut [Real]; 2],
 }
 
 impl Trunk {
-    /// Layers called `trunk.0` and on, with PyTorch's initial values.
+    /// Plans layers `trunk.0`, `trunk.1`, … with PyTorch's initial values.
     pub fn new(plan: &mut Plan, shape: TrunkShape) -> Self {
         let joined = shape.skip.map(|s| s + 1);
         let (gamma, side, width) = (shape.gamma, shape.side, shape.width);
@@ -75,18 +76,18 @@ impl Trunk {
         Self { layers, joined, gamma, side, width }
     }
 
-    /// How many layers.
+    /// Returns the number of layers.
     pub fn depth(&self) -> usize {
         self.layers.len()
     }
 
-    /// The columns of layer `l` that see h.
+    /// Returns the columns of layer `l` that multiply h.
     fn h_part(&self, l: usize) -> Part {
         let before = if Some(l) == self.joined { self.gamma + self.side } else { 0 };
         self.layers[l].part(before..before + self.width)
     }
 
-    /// The layers that see γ and e, in order.
+    /// Iterates over the layers with inputs γ and e, in order.
     fn joints(&self) -> impl Iterator<Item = &Linear> {
         self.layers.first().into_iter().chain(self.joined.map(|l| &self.layers[l]))
     }
@@ -95,12 +96,12 @@ impl Trunk {
         self.gamma..self.gamma + self.side
     }
 
-    /// Zeros, `len` for each layer that sees γ and e.
+    /// Returns zeros, `len` for each layer with inputs γ and e.
     pub fn zero_joints(&self, len: usize) -> Joints {
         Joints { first: vec![0.0; len], joined: vec![0.0; if self.joined.is_some() { len } else { 0 }] }
     }
 
-    /// The biases of these layers with W·e added.
+    /// Returns the biases of these layers including W·e.
     pub fn fold(&self, weights: &[Real], e: &[Real]) -> Joints {
         let mut folded = self.joints().map(|layer| {
             let mut bias = layer.bias(weights).to_vec();
@@ -111,8 +112,8 @@ impl Trunk {
         Joints { first: folded.next().unwrap_or_default(), joined: folded.next().unwrap_or_default() }
     }
 
-    /// The vjp of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]` a joint. Adds
-    /// to `d_weights` and returns that of e, `[B, side]`.
+    /// Backward pass of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]` per
+    /// layer. Adds to `d_weights` and returns the cotangent of e, `[B, side]`.
     pub fn fold_vjp(&self, weights: &[Real], e: &[Real], d_folded: &Joints, d_weights: &mut [Real]) -> Vec<Real> {
         let batch = d_folded.first.len() / self.width;
         let mut d_e = vec![0.0; batch * self.side];
@@ -127,14 +128,14 @@ impl Trunk {
         d_e
     }
 
-    /// Adds derivatives of the biases of the layers that see γ.
+    /// Adds derivatives of the biases of the layers with input γ.
     pub fn add_joint_biases(&self, d_weights: &mut [Real], d: &Joints) {
         for (layer, d) in self.joints().zip([&d.first, &d.joined]) {
             dense::add(layer.bias_mut(d_weights), d);
         }
     }
 
-    /// W·γ of the layers that see γ, for a chunk; γ `[gamma, R]`.
+    /// Computes W·γ of the layers with input γ, for a chunk; γ `[gamma, R]`.
     pub fn share(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
         let rows = gamma.len() / self.gamma;
         for (layer, out) in self.joints().zip([&mut shared.first, &mut shared.joined]) {
@@ -143,7 +144,7 @@ impl Trunk {
         }
     }
 
-    /// The vjp of [`Self::share`]: adds to `d_weights`, and to `d_gamma` where given.
+    /// Backward pass of [`Self::share`]: adds to `d_weights`, and to `d_gamma` if given.
     pub fn share_vjp(
         &self,
         weights: &[Real],
@@ -161,8 +162,8 @@ impl Trunk {
         }
     }
 
-    /// All layers for one chunk and one transmitter. Layer l writes slot `l % slots.len()`: two slots to predict, as
-    /// many as layers to differentiate. The result is in slot [`Self::last`].
+    /// Runs all layers for one chunk and one transmitter. Layer l writes slot `l % slots.len()`: use two slots for
+    /// predictions, one per layer for derivatives. The result is in slot [`Self::last`].
     pub fn forward(&self, weights: &[Real], shared: &Joints, folded: &Joints, slots: &mut [Vec<Real>]) {
         for (l, layer) in self.layers.iter().enumerate() {
             let out = l % slots.len();
@@ -186,13 +187,13 @@ impl Trunk {
         }
     }
 
-    /// The slot that holds the last layer.
+    /// Returns the slot of the last layer.
     pub fn last(&self, slots: usize) -> usize {
         (self.depth() - 1) % slots
     }
 
-    /// The vjp of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last layer and is used
-    /// up, `spare` is room to work in.
+    /// Backward pass of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last layer and
+    /// is overwritten; `spare` is a work buffer.
     pub fn backward(
         &self,
         weights: &[Real],
@@ -223,17 +224,17 @@ impl Trunk {
 }
 
 impl Joints {
-    /// The part of transmitter `b` in each of two `[B, width]`.
+    /// Returns the part of transmitter `b` in each of two `[B, width]`.
     pub fn of_tx(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
         let part = b * width..(b + 1) * width;
         [&mut self.first[part.clone()], self.joined.get_mut(part).unwrap_or_default()]
     }
 }
 
-/// The largest number of layers of a stack.
+/// Maximum number of layers of a stack.
 const DEEPEST: usize = 256;
 
-/// Refuses a stack that cannot be built.
+/// Rejects invalid stacks.
 pub(crate) fn check_stack(depth: usize, width: usize, skip: Option<usize>) -> Result<(), String> {
     if !(1..=DEEPEST).contains(&depth) {
         return Err(format!("depth is {depth}; give a number of layers from 1 to {DEEPEST}"));

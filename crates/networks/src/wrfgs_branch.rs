@@ -1,4 +1,4 @@
-//! The signal branch of [`super::Wrfgs`]: from a Gaussian's feature and the transmitter to the amplitude S.
+//! Signal branch of [`super::Wrfgs`]: from the feature of a Gaussian and the transmitter to the amplitude S.
 //!
 //! ```text
 //! feature ─────────────────────────┐
@@ -12,7 +12,7 @@ use crate::linear::{Linear, Part};
 use pwrfgs_core::Real;
 use rayon::prelude::*;
 
-/// The layers and where their weights lie.
+/// Layers and the offsets of their weights.
 #[derive(Debug)]
 pub(super) struct Branch {
     pub(super) frequencies: usize,
@@ -20,30 +20,30 @@ pub(super) struct Branch {
     pub(super) out: Linear,
 }
 
-/// A transmitter: γ(p), and the bias of `sig.0` with W·γ(p) in it.
+/// Activations per transmitter: γ(p), and the bias of `sig.0` including W·γ(p).
 pub(super) struct TxSide {
     gamma: Vec<Real>,
     folded: Vec<Real>,
 }
 
-/// Room for one chunk and transmitter, kept from one to the next.
+/// Buffers for one chunk and transmitter, reused.
 #[derive(Default)]
 pub(super) struct Room {
     offset: Vec<Real>, // γ(X - p)
     hidden: [Vec<Real>; 2],
-    /// `[2, R]`, before |lrelu|: what [`Branch::forward`] gives, and the cotangent that [`Branch::vjp`] is given.
+    /// Output `[2, R]` before |lrelu| of [`Branch::forward`], and the cotangent for [`Branch::vjp`].
     pub(super) out: Vec<Real>,
     d: Vec<Real>,
     spare: Vec<Real>,
 }
 
-/// |lrelu(z)| with slope 0.01.
+/// Computes |lrelu(z)| with slope 0.01.
 #[inline]
 pub(super) fn amplitude(z: Real) -> Real {
     if z < 0.0 { -0.01 * z } else { z }
 }
 
-/// The derivative of [`amplitude`]; 0 at 0.
+/// Returns the derivative of [`amplitude`]; 0 at 0.
 #[inline]
 pub(super) fn amplitude_slope(z: Real) -> Real {
     if z > 0.0 {
@@ -56,7 +56,7 @@ pub(super) fn amplitude_slope(z: Real) -> Real {
 }
 
 impl Branch {
-    /// The columns of `sig.0` that see the feature, γ(p) and γ(X - p).
+    /// Returns the columns of `sig.0` for the feature, γ(p) and γ(X - p).
     pub(super) fn parts(&self) -> [Part; 3] {
         let (first, gamma) = (&self.signal[0], encoding::width(self.frequencies));
         let width = first.outputs;
@@ -75,7 +75,7 @@ impl Branch {
         txs.par_iter().map(side).collect()
     }
 
-    /// The vjp of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`.
+    /// Backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`.
     pub(super) fn tx_vjp(&self, sides: &[TxSide], d_folded: &[Real], d_weights: &mut [Real]) {
         let [_, of_tx, _] = self.parts();
         for (side, d) in sides.iter().zip(d_folded.chunks_exact(self.signal[0].outputs)) {
@@ -84,7 +84,7 @@ impl Branch {
         }
     }
 
-    /// The branch for one transmitter, into `room.out`; `from_feature` is W·feature of `sig.0`.
+    /// Runs the branch for one transmitter into `room.out`; `from_feature` is W·feature of `sig.0`.
     pub(super) fn forward(
         &self,
         weights: &[Real],
@@ -110,8 +110,8 @@ impl Branch {
         dense::add_bias(out, self.out.bias(weights));
     }
 
-    /// The vjp of [`Self::forward`], whose activations are in `room`: adds to the cotangents of the weights, of the
-    /// folded bias `[width]`, of `from_feature`, and of the centres where they are asked for.
+    /// Backward pass of [`Self::forward`], whose activations are in `room`. Adds to the cotangents of the weights, the
+    /// folded bias `[width]`, `from_feature`, and the centres if requested.
     pub(super) fn vjp(
         &self,
         weights: &[Real],

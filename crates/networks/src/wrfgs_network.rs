@@ -1,4 +1,4 @@
-//! Forward and backward of [`super::Wrfgs`], chunk by chunk; here the output is S·A, without the gain.
+//! Forward and backward pass of [`super::Wrfgs`], chunk by chunk; the output is S·A, without the gain.
 //!
 //! ```text
 //! γ(X) → trunk.0 … trunk.7 ┬→ attn (2 → A = |lrelu|)      (once a Gaussian)
@@ -13,7 +13,7 @@ use crate::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
 use pwrfgs_core::{DeformationInputs, Real};
 use rayon::prelude::*;
 
-/// The layers and where their weights lie.
+/// Layers and the offsets of their weights.
 #[derive(Debug)]
 pub(super) struct Network {
     pub(super) trunk: Trunk,
@@ -22,14 +22,14 @@ pub(super) struct Network {
     pub(super) branch: Branch,
 }
 
-/// What a chunk of Gaussians gives to every transmitter.
+/// Values of a chunk of Gaussians that all transmitters share.
 #[derive(Debug, Default)]
 pub(super) struct Ahead {
     attenuation: Vec<Real>,  // [2, R], before |lrelu|
     from_feature: Vec<Real>, // W·feature of `sig.0`
 }
 
-/// Room for one chunk, kept from item to item of a task.
+/// Buffers for one chunk, reused for all items of a task.
 #[derive(Default)]
 struct Scratch {
     gamma: Vec<Real>,
@@ -44,23 +44,23 @@ struct Scratch {
     spare: Vec<Real>,
 }
 
-/// One accumulator of the backward pass.
+/// Accumulator of the backward pass.
 struct Sum {
     weights: Vec<Real>,
-    /// Of the folded bias of `sig.0`, `[B, width]`.
+    /// Cotangents of the folded bias of `sig.0`, `[B, width]`.
     folded: Vec<Real>,
-    /// Of the two biases of the trunk that are handed over separately.
+    /// Cotangents of the two biases of the trunk, which are added separately.
     trunk_biases: Joints,
-    /// Σ d·S·A, the derivative along the logarithm of the gain.
+    /// Derivative along the logarithm of the gain, Σ d·S·A.
     along_gain: f64,
-    /// Of the centres of its items, one after the other, where asked for.
+    /// Cotangents of the centres of its items, in sequence, if requested.
     means: Option<Vec<[Real; 3]>>,
-    /// Where the present item starts in `means`.
+    /// Offset of the current item in `means`.
     row: usize,
 }
 
 impl Network {
-    /// What the Gaussians of a chunk give without knowing the transmitter.
+    /// Computes the values of a chunk that do not depend on the transmitter.
     fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> Ahead {
         let Scratch { gamma, shared, feature, .. } = scratch;
         let (rows, width, frequencies) = (means.len(), self.trunk.width, self.branch.frequencies);
@@ -81,7 +81,7 @@ impl Network {
         Ahead { attenuation, from_feature }
     }
 
-    /// The vjp of [`Self::begin`].
+    /// Backward pass of [`Self::begin`].
     fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, sum: &mut Sum) {
         let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
         let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
@@ -110,14 +110,14 @@ impl Network {
         }
     }
 
-    /// [`Ahead`] of every chunk.
+    /// Returns [`Ahead`] of every chunk.
     pub(super) fn ahead(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<Ahead> {
         let items = items(means.len(), 1, self.trunk.width);
         let begin = |scratch: &mut Scratch, item: &Item| self.begin(weights, &means[item.rows.clone()], 2, scratch);
         items.par_iter().map_init(Scratch::default, begin).collect()
     }
 
-    /// The four outputs before |lrelu|, as the reference renders list them: two of `attn`, two of `out`.
+    /// Returns the four outputs before |lrelu| in the order of the reference data: two of `attn`, two of `out`.
     #[cfg(test)]
     pub(super) fn raw(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3]) -> Vec<[Real; 4]> {
         let (mut scratch, n) = (Scratch::default(), means.len());
@@ -128,7 +128,7 @@ impl Network {
         (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
     }
 
-    /// S·A, `[B, N]`, given what [`Self::ahead`] made, or nothing.
+    /// Returns S·A, `[B, N]`, from the result of [`Self::ahead`] if given.
     pub(super) fn forward(
         &self,
         weights: &[Real],
@@ -163,8 +163,8 @@ impl Network {
         all
     }
 
-    /// The vjp of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `d_weights`, and to `d_means` where given;
-    /// returns Σ d·S·A.
+    /// Backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `d_weights`, and to `d_means` if
+    /// given; returns Σ d·S·A.
     pub(super) fn vjp(
         &self,
         inputs: &DeformationInputs<'_>,
@@ -206,7 +206,7 @@ impl Network {
         sums.iter().map(|s| s.along_gain).sum()
     }
 
-    /// One chunk for all transmitters: the forward pass once more, then back.
+    /// Backward pass of one chunk for all transmitters; recomputes its forward pass first.
     fn item_vjp(
         &self,
         inputs: &DeformationInputs<'_>,

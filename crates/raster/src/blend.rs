@@ -1,54 +1,53 @@
-//! The blending kernel: one tile, front to back, sixteen pixels at a time; and its derivative.
+//! Blending kernel: one tile, front to back, sixteen pixels at a time; and its derivative.
 //!
-//! Eq. (7) with γ = min(0.99, o·G), G = exp(-½ dᵀ conic d): pixel = Σᵢ sᵢ γᵢ Tᵢ, Tᵢ = Πⱼ﹤ᵢ (1-γⱼ). A splat counts in a
-//! pixel where γ ≥ 1/255; a pixel ends before the splat that would bring T below 10⁻⁴. The backward pass runs front to
-//! back once more: with q = ⟨∂L/∂pixel, sᵢ⟩ and the picture itself known, Σ behind i = total − Σ up to i, so
-//! ∂L/∂γᵢ = Tᵢ q − (total − prefix)/(1−γᵢ) needs neither division back to front nor stored weights.
+//! Eq. (7) with γ = min(0.99, o·G), G = exp(-½ dᵀ conic d): pixel = Σᵢ sᵢ γᵢ Tᵢ, Tᵢ = Πⱼ﹤ᵢ (1-γⱼ). A splat is drawn in
+//! a pixel if γ ≥ 1/255; a pixel ends before the splat that would bring T below 10⁻⁴. The backward pass also runs front
+//! to back. With q = ⟨∂L/∂pixel, sᵢ⟩ and the blended image, the sum behind i is total − Σ up to i, so ∂L/∂γᵢ = Tᵢ q −
+//! (total − prefix)/(1−γᵢ). It needs neither a back-to-front pass with divisions nor stored weights.
 
 use pwrfgs_core::{ImagePlane, Lanes, Real, Splats};
 
 /// Pixels along the side of a tile, and lanes of the kernel.
 pub(crate) const TILE: usize = 16;
-/// Pixels of a tile.
+/// Number of pixels per tile.
 pub(crate) const PIXELS: usize = TILE * TILE;
 /// Largest γ of one splat.
 pub(crate) const ALPHA_MAX: Real = 0.99;
-/// Smallest γ that counts: the step of an 8-bit picture.
+/// Smallest drawn γ: the step of an 8-bit image.
 pub(crate) const ALPHA_MIN: Real = 1.0 / 255.0;
-/// A pixel is full before T falls below this.
+/// A pixel is opaque before T falls below this value.
 pub(crate) const T_MIN: Real = 1e-4;
-/// Cotangents of a splat's geometry in one tile: mean (2), conic (3), opacity, its summed weight, and presence.
+/// Cotangents of the geometry of a splat in one tile: mean (2), conic (3), opacity, its summed weight, and existence.
 pub(crate) const GEOMETRY: usize = 8;
 
 pub(crate) type Row = [Real; TILE];
 
-/// What the kernel knows of the tile.
+/// Inputs of the kernel for one tile.
 pub(crate) struct Tile<'a> {
-    /// All splats.
+    /// All splats of the image.
     pub(crate) splats: &'a Splats,
     /// Signals `[N, channels]`.
     pub(crate) signals: &'a [Real],
-    /// Numbers a splat.
+    /// Number of channels per splat.
     pub(crate) channels: usize,
-    /// The whole picture.
+    /// Image plane of the whole image.
     pub(crate) plane: &'a ImagePlane,
-    /// Those of this tile, nearest first.
+    /// Splats of this tile, nearest first.
     pub(crate) list: &'a [u32],
-    /// Rows of this tile that each of them may touch.
+    /// Rows of this tile that each of them may cover.
     pub(crate) rows: &'a [[u8; 2]],
-    /// First column and row.
+    /// First column and row of the tile.
     pub(crate) corner: (usize, usize),
 }
 
-/// What light is left in the pixels of a tile; with a minus sign where no splat changes it any more, because the pixel
-/// is full or outside the picture.
+/// Transmittance of the pixels of a tile, negative once it is final (the pixel is opaque or outside the image).
 pub(crate) struct Transmittance {
     signed: [Row; TILE],
-    /// Rows with a pixel that is still open.
+    /// Rows with a pixel that is not final.
     alive: [bool; TILE],
 }
 
-/// One splat as the lanes of a row see it.
+/// Values of one splat along the lanes of a row.
 pub(crate) struct Brush {
     /// Column offsets mean − pixel, nearest image.
     dx: Row,
@@ -89,7 +88,7 @@ impl Tile<'_> {
         Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i], presence }
     }
 
-    /// Blended signals `[channels][PIXELS]` into `out` (zeroed here), and what light is left.
+    /// Blends signals `[channels][PIXELS]` into `out` (zeroed here), and returns the remaining transmittance.
     #[inline(always)]
     fn forward<S: pulp::Simd>(&self, simd: S, out: &mut [Real]) -> Transmittance {
         out.fill(0.0);
@@ -113,8 +112,8 @@ impl Tile<'_> {
         t
     }
 
-    /// For each splat of the list, its cotangents in this tile: `GEOMETRY` numbers, then one a channel. `pixels` and
-    /// `d_pixels` are `[channels][PIXELS]`; `d_signal` is room to work in, `[channels]`.
+    /// Computes the cotangents of each splat of the list in this tile: `GEOMETRY` numbers, then one per channel.
+    /// `pixels` and `d_pixels` are `[channels][PIXELS]`; `d_signal` is a work buffer, `[channels]`.
     #[inline(always)]
     fn backward<S: pulp::Simd>(
         &self,
@@ -184,7 +183,7 @@ impl Tile<'_> {
     }
 }
 
-/// [`Tile::forward`], to be run at the widest vectors.
+/// [`Tile::forward`], compiled for the widest vectors.
 pub(crate) struct Forward<'a, 'b> {
     pub(crate) tile: &'b Tile<'a>,
     pub(crate) out: &'b mut [Real],
@@ -198,12 +197,12 @@ impl pulp::WithSimd for Forward<'_, '_> {
     }
 }
 
-/// [`Tile::backward`], to be run at the widest vectors.
+/// [`Tile::backward`], compiled for the widest vectors.
 pub(crate) struct Backward<'a, 'b> {
     pub(crate) tile: &'b Tile<'a>,
     pub(crate) pixels: &'b [Real],
     pub(crate) d_pixels: &'b [Real],
-    /// Room for one splat's cotangents of its signals, `[channels]` by lane.
+    /// Work buffer for the signal cotangents of one splat, `[channels]` by lane.
     pub(crate) d_signal: &'b mut [Row],
     pub(crate) out: &'b mut [Real],
 }
@@ -217,13 +216,13 @@ impl pulp::WithSimd for Backward<'_, '_> {
 }
 
 impl Brush {
-    /// γ with the factor on it.
+    /// Returns γ with the existence factor.
     #[inline(always)]
     pub(crate) fn veiled(&self, alpha: Row) -> Row {
         if self.presence == 1.0 { alpha } else { lanes(|lane| alpha[lane] * self.presence) }
     }
 
-    /// The slopes of the exponent by mean (2) and conic (3), in one pixel.
+    /// Returns the derivatives of the exponent by mean (2) and conic (3), in one pixel.
     #[inline(always)]
     pub(crate) fn slopes(&self, lane: usize, y: Real) -> [Real; 5] {
         let (dx, dy) = (self.dx[lane], self.y - y);
@@ -231,7 +230,7 @@ impl Brush {
         [along[0], along[1], -0.5 * dx * dx, -dx * dy, -0.5 * dy * dy]
     }
 
-    /// G and γ in the row `y`; γ is 0 where the splat does not count.
+    /// Returns G and γ in row `y`; γ is 0 if the splat is not drawn.
     #[inline(always)]
     pub(crate) fn alpha(&self, y: Real) -> (Row, Row) {
         let dy = self.y - y;
@@ -241,7 +240,7 @@ impl Brush {
             let power = (-cross).mul_add(self.dx[lane], self.across[lane] + along);
             gauss[lane] = exp_nonpositive(power);
             let a = (self.opacity * gauss[lane]).min(ALPHA_MAX);
-            // One comparison for both rules of the released kernel: power ≤ 0 and alpha ≥ 1/255.
+            // One comparison covers both rules of the released kernel: power ≤ 0 and alpha ≥ 1/255.
             alpha[lane] = if power <= 0.0 && a >= ALPHA_MIN { a } else { 0.0 };
         }
         (gauss, alpha)
@@ -249,9 +248,9 @@ impl Brush {
 }
 
 impl Transmittance {
-    /// Blending weights γ·T of a row; light that passes the splat is what is left for the next.
+    /// Returns the blending weights γ·T of a row; the transmitted light remains for the next splat.
     ///
-    /// One loop a quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
+    /// Uses one loop per quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
     pub(crate) fn pass(&mut self, row: usize, alpha: &Row) -> Row {
         let light = self.signed[row];
@@ -263,32 +262,33 @@ impl Transmittance {
         lanes(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
     }
 
-    /// Where a splat that was just passed counts whatever its factor is: the lanes of `alpha`, and 0 where the pixel is full.
+    /// Returns the lanes in which the splat just passed is drawn for any existence factor: `alpha`, and 0 in opaque
+    /// pixels.
     #[inline(always)]
     fn open(&self, row: usize, alpha: &Row) -> Row {
         lanes(|lane| if self.signed[row][lane] > 0.0 { alpha[lane] } else { 0.0 })
     }
 
-    /// Whether a row has a pixel that is still open.
+    /// Returns whether a row has a pixel that is not final.
     #[inline(always)]
     pub(crate) fn is_open(&self, row: usize) -> bool {
         self.alive[row]
     }
 
-    /// What is left in a row; negative where nothing changes it any more.
+    /// Returns the transmittance of a row, negative in final pixels.
     #[inline(always)]
     pub(crate) fn row(&self, row: usize) -> Row {
         self.signed[row]
     }
 
-    /// What is left in the end.
+    /// Returns the final transmittance.
     pub(crate) fn left(mut self) -> [Row; TILE] {
         self.signed.as_flattened_mut().iter_mut().for_each(|t| *t = t.abs());
         self.signed
     }
 }
 
-/// One number a lane.
+/// Returns one number per lane.
 #[inline(always)]
 fn lanes(of: impl Fn(usize) -> Real) -> Row {
     let mut row = [0.0; TILE];
@@ -298,20 +298,21 @@ fn lanes(of: impl Fn(usize) -> Real) -> Row {
     row
 }
 
-/// `d` brought into [-width/2, width/2): the nearest image of a splat on a picture that comes round.
+/// Wraps `d` into [-width/2, width/2): the nearest copy of a splat on an image that wraps.
 #[inline(always)]
 pub(crate) fn nearest_image(d: Real, width: Real) -> Real {
     d - width * (d / width + 0.5).floor()
 }
 
-/// eˣ for x ≤ 0; relative error below 2e-7 in single precision. Branch-free, so that loops over lanes vectorise.
+/// Computes eˣ for x ≤ 0 with a relative error below 2e-7 in single precision. It is branch-free, so that loops over
+/// lanes vectorise.
 #[inline(always)]
 pub(crate) fn exp_nonpositive(x: Real) -> Real {
     if size_of::<Real>() == 8 { x.exp() } else { fast(x as f32) as Real }
 }
 
-/// 2ⁿ · e^r with |r| ≤ ln2/2: n by the rounding trick, r in two steps (Cody and Waite), e^r by its Taylor polynomial of
-/// degree 6, whose last coefficients are adjusted for the interval.
+/// Computes 2ⁿ · e^r with |r| ≤ ln2/2: n by the rounding trick, r in two steps (Cody and Waite), e^r by its Taylor
+/// polynomial of degree 6, whose last coefficients are adjusted for the interval.
 #[inline(always)]
 fn fast(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³

@@ -1,33 +1,33 @@
-//! Tiles of pictures `[channels, H, W]`: written side by side, by many threads at once, and read.
+//! Tiles of images `[channels, H, W]`: written by many threads at once, and read.
 //!
-//! The rows of a tile lie apart in memory, so a slice cannot lend them. [`patches`] divides pictures into one [`Patch`] a
-//! tile: together they hold the borrow, none shares a pixel with another, and each writes its own only. This is the one
-//! place where that is more than the compiler can see; `tests/miri.sh` runs it under Miri.
+//! The rows of a tile are not contiguous in memory, so that a slice cannot borrow them. [`patches`] divides images into
+//! one [`Patch`] per tile. Together the patches hold the borrow; no two share a pixel, and each writes only its own
+//! pixels. The compiler cannot verify this here; `tests/miri.sh` checks it with Miri.
 #![allow(unsafe_code)]
 
 use crate::blend::{PIXELS, TILE};
 use pwrfgs_core::{ImagePlane, Real};
 use std::marker::PhantomData;
 
-/// The pixels of one tile, borrowed mutably.
+/// Pixels of one tile, borrowed mutably.
 pub(crate) struct Patch<'a> {
-    /// The first of them in the first picture.
+    /// First pixel of the tile in the first image.
     start: *mut Real,
-    /// Columns and rows inside the picture.
+    /// Columns and rows inside the image.
     columns: usize,
     rows: usize,
-    /// Numbers from one row to the next, and from one picture to the next.
+    /// Stride from one row to the next, and from one image to the next.
     width: usize,
     size: usize,
     channels: usize,
     pictures: PhantomData<&'a mut [Real]>,
 }
 
-// SAFETY: no other patch or reference reaches these pixels while it lives, so it may be moved like the `&mut [Real]` that
-// it stands for.
+// SAFETY: no other patch or reference accesses these pixels during its lifetime, so it may be moved like the `&mut
+// [Real]` that it represents.
 unsafe impl Send for Patch<'_> {}
 
-/// All tiles of `pictures` `[channels, H, W]`, row by row.
+/// Divides `pictures` `[channels, H, W]` into tiles, row by row.
 pub(crate) fn patches<'a>(pictures: &'a mut [Real], plane: &ImagePlane) -> Vec<Patch<'a>> {
     let (width, height) = (plane.width, plane.height);
     let size = width * height;
@@ -47,14 +47,14 @@ pub(crate) fn patches<'a>(pictures: &'a mut [Real], plane: &ImagePlane) -> Vec<P
 }
 
 impl Patch<'_> {
-    /// Copies `tile` `[channels][PIXELS]` into the pictures.
+    /// Copies `tile` `[channels][PIXELS]` into the images.
     #[inline]
     pub(crate) fn put(&mut self, tile: &[Real]) {
         for (c, tile) in tile.chunks_exact(PIXELS).take(self.channels).enumerate() {
             for row in 0..self.rows {
-                // SAFETY: the patch begins at column x and row y of whole pictures with x + columns ≤ W and y + rows ≤ H, so
-                // these numbers are inside them; they are those of one row of this tile, which no other patch has, and
-                // the pictures are borrowed for as long as the patch lives.
+                // SAFETY: the patch begins at column x and row y of whole images with x + columns ≤ W and y + rows ≤ H,
+                // so these numbers are inside them. They belong to one row of this tile, which no other patch has, and
+                // the images are borrowed for the lifetime of the patch.
                 let to = unsafe {
                     let first = self.start.add(c * self.size + row * self.width);
                     std::slice::from_raw_parts_mut(first, self.columns)
@@ -65,7 +65,8 @@ impl Patch<'_> {
     }
 }
 
-/// Copies the tile at column x and row y of `pictures` into `tile` `[channels][PIXELS]`; pixels beyond the edge are 0.
+/// Copies the tile at column x and row y of `pictures` into `tile` `[channels][PIXELS]`; pixels outside the image are
+/// 0.
 #[inline]
 pub(crate) fn gather(pictures: &[Real], plane: &ImagePlane, (x, y): (usize, usize), tile: &mut [Real]) {
     let (columns, rows) = (TILE.min(plane.width - x), TILE.min(plane.height - y));
@@ -77,8 +78,8 @@ pub(crate) fn gather(pictures: &[Real], plane: &ImagePlane, (x, y): (usize, usiz
     }
 }
 
-/// Copies the pixels of a tile in one row; where it is whole, in registers: calls of `memcpy` for 64 bytes were a tenth of
-/// a training step.
+/// Copies the pixels of a tile in one row; whole rows pass through registers, because calls of `memcpy` for 64 bytes
+/// took a tenth of a training step.
 #[inline]
 fn copy_row(to: &mut [Real], from: &[Real], columns: usize) {
     match (to.first_chunk_mut::<TILE>(), from.first_chunk::<TILE>()) {
@@ -92,7 +93,7 @@ mod tests {
     use super::*;
     use pwrfgs_core::Sampling;
 
-    /// Neither rayon nor vectors here: Miri runs this test.
+    /// Uses neither rayon nor vectors, because Miri runs this test.
     #[test]
     fn threads_fill_their_tiles_and_nothing_else() {
         for (width, height, channels) in [(37, 21, 2), (16, 16, 1), (5, 40, 3), (32, 1, 1), (0, 7, 0)] {
@@ -101,7 +102,7 @@ mod tests {
             let patches = patches(&mut pictures, &plane);
             let across = width.div_ceil(TILE);
             assert_eq!(patches.len(), across * height.div_ceil(TILE));
-            // Tile t holds the numbers from 1000 t on, in every channel its own.
+            // Tile t holds the numbers from 1000 t on, with different numbers in every channel.
             let tile = |t: usize| (0..channels * PIXELS).map(move |i| (1000 * t + i) as Real).collect::<Vec<_>>();
             std::thread::scope(|scope| {
                 for (t, mut patch) in patches.into_iter().enumerate() {

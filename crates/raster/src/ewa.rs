@@ -1,66 +1,67 @@
-//! EWA projection: a Gaussian in space becomes, to first order, a Gaussian on the image plane.
+//! EWA projection: a 3D Gaussian becomes, to first order, a Gaussian on the image plane.
 //!
-//! With v = A x + t the centre in the receiver frame, π the camera model and J its Jacobian at v,
-//! Σ′ = J A Σ Aᵀ Jᵀ + blur·I, Σ = R(q) S Sᵀ R(q)ᵀ (eq. 4), and the conic is Σ′⁻¹. A new projection needs three functions
-//! of [`CameraModel`], `pixel`, `jacobian` and `jacobian_vjp`; it is monomorphised into [`project`] and [`project_vjp`].
+//! With v = A x + t the centre in the receiver frame, π the camera model and J its Jacobian at v, Σ′ = J A Σ Aᵀ Jᵀ +
+//! blur·I, Σ = R(q) S Sᵀ R(q)ᵀ (eq. 4), and the conic is Σ′⁻¹. A new projection needs three functions of
+//! [`CameraModel`]: `pixel`, `jacobian` and `jacobian_vjp`. It is monomorphised into [`project`] and [`project_vjp`].
 
 use pwrfgs_core::{ImagePlane, Mat3, Pose, Primitives, Real, Splats, Vec3};
 use rayon::prelude::*;
 
-/// Receiver coordinates v = `rotation` · x + `offset`.
+/// Transformation to receiver coordinates v = `rotation` · x + `offset`.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
-    /// `receiver_from_world`.
+    /// Rotation `receiver_from_world`.
     pub rotation: Mat3,
-    /// Metres.
+    /// Offset, metres.
     pub offset: Vec3,
 }
 
-/// √(2 ln 255): in standard deviations, where the most opaque Gaussian falls below 1/255.
+/// Distance in standard deviations at which the most opaque Gaussian falls below 1/255: √(2 ln 255).
 const REACH: Real = 3.329_042_1;
 
-/// A projection of receiver coordinates (metres) onto pixels: where a point lands, the Jacobian J of that, and the
-/// derivative of J. All else follows from these where it is not said otherwise. They run once a Gaussian: `#[inline]`.
+/// Projection of receiver coordinates (metres) to pixels: pixel position, its Jacobian J, and the derivative of J. The
+/// other functions follow from these by default. They run once per Gaussian: use `#[inline]`.
 pub trait CameraModel: Sync {
-    /// Column and row of `v`.
+    /// Returns column and row of `v`.
     fn pixel(&self, v: Vec3) -> [Real; 2];
 
-    /// The rows of J used for the covariance: px a metre.
+    /// Returns the rows of J used for the covariance, pixels per metre.
     fn jacobian(&self, v: Vec3) -> [Vec3; 2];
 
-    /// Cotangent of `v`, given that of [`Self::jacobian`].
+    /// Returns the cotangent of `v`, given that of [`Self::jacobian`].
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3;
 
-    /// Cotangent of `v`, given that of [`Self::pixel`]: Jᵀd, where J is nowhere else than the derivative of the pixel.
+    /// Returns the cotangent of `v`, given that of [`Self::pixel`]: Jᵀd if J is the derivative of the pixel everywhere.
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
         let [column, row] = self.jacobian(v);
         column * d[0] + row * d[1]
     }
 
-    /// How world coordinates become the model's own: those of the receiver, from its pose.
+    /// Returns the transformation from world coordinates to those of the model: the receiver frame, from its pose.
     fn view(&self, pose: &Pose) -> View {
         let rotation = pose.world_from_receiver().transpose();
         View { rotation, offset: -(rotation * pose.origin()) }
     }
 
-    /// Depth of a Gaussian with this mean, metres: the distance from the receiver. Computed in double precision and rounded
-    /// once, so that rounding of `v` does not decide which of two Gaussians is nearer.
+    /// Returns the depth of a Gaussian with this mean, metres: the distance from the receiver. Computed in double
+    /// precision and rounded once, so that rounding of `v` does not affect the depth order.
     fn depth(&self, mean: [Real; 3], pose: &Pose) -> Real {
         distance(mean, pose.position)
     }
 
-    /// Whether a Gaussian centred at `v` is drawn at all: where its pixel is a number.
+    /// Returns whether a Gaussian centred at `v` is drawn: its pixel must be finite.
     fn visible(&self, v: Vec3) -> bool {
         self.pixel(v).iter().all(|x| x.is_finite())
     }
 
-    /// Added to both diagonal entries of Σ′, px²: no splat is thinner than a pixel. 0.3, as in 3DGS.
+    /// Returns the variance added to both diagonal entries of Σ′, px², so that no splat is thinner than a pixel. 0.3,
+    /// as in 3DGS.
     fn blur(&self) -> Real {
         0.3
     }
 
-    /// Whether the splat with this centre, covariance (a, b, c) and radius reaches the picture: some pixel may have a γ
-    /// of 1/255. On a picture that wraps, every column is inside.
+    /// Returns whether the splat with this centre, covariance (a, b, c) and radius reaches the image, that is, some
+    /// pixel may have a γ of 1/255. On an image that wraps, every column is inside.
     fn reaches(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
         let _ = radius;
         let inside = |at: Real, variance: Real, pixels: usize| {
@@ -71,13 +72,13 @@ pub trait CameraModel: Sync {
     }
 }
 
-/// Distance of a mean from a position, in double precision, rounded once.
+/// Returns the distance of a mean from a position, in double precision, rounded once.
 pub(crate) fn distance(mean: [Real; 3], from: [f64; 3]) -> Real {
     let square = |k: usize| (mean[k] as f64 - from[k]).powi(2);
     (square(0) + square(1) + square(2)).sqrt() as Real
 }
 
-/// What forward and backward both need of one Gaussian.
+/// Intermediate values of one Gaussian for the forward and backward pass.
 struct Projected {
     v: Vec3,
     t: [Vec3; 2],
@@ -100,19 +101,19 @@ fn project_one(model: &impl CameraModel, view: &View, p: &Primitives, i: usize) 
     let u = [m * t[0], m * t[1]];
     let blur = model.blur();
     let (aa, bb, cc) = (u[0].dot(u[0]), u[0].dot(u[1]), u[1].dot(u[1]));
-    // A sum of squares: a·c − b² would cancel for long thin splats.
+    // Sum of squares: a·c − b² would cancel for long thin splats.
     let cross = u[0].cross(u[1]);
     let det = cross.dot(cross) + blur * (aa + cc) + blur * blur;
     Projected { v, t, u, rotation, scaled, cov: [aa + blur, bb, cc + blur], det }
 }
 
-/// Radius of three standard deviations along the longest axis, rounded up, as in 3DGS.
+/// Returns the radius of three standard deviations along the longest axis, rounded up, as in 3DGS.
 fn radius_of([a, _, c]: [Real; 3], det: Real) -> Real {
     let mid = 0.5 * (a + c);
     (3.0 * (mid + (mid * mid - det).max(0.1).sqrt()).sqrt()).ceil()
 }
 
-/// Splats of all primitives, row for row.
+/// Projects all primitives to splats, row for row.
 pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
     let n = p.len();
     let view = model.view(pose);
@@ -145,13 +146,13 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
     out
 }
 
-/// Which centres are drawn at all.
+/// Returns which centres are drawn.
 pub fn sees(model: &impl CameraModel, means: &[[Real; 3]], pose: &Pose) -> Vec<bool> {
     let view = model.view(pose);
     means.iter().map(|x| model.visible(view.rotation * Vec3::from_array(*x) + view.offset)).collect()
 }
 
-/// Cotangents of the primitives, given those of the splats; Gaussians out of sight get none.
+/// Returns the cotangents of the primitives, given those of the splats; zeros for Gaussians out of view.
 pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats: &Splats, d: &Splats) -> Primitives {
     let view = model.view(pose);
     let mut out = Primitives::zeros(p.len());
@@ -185,7 +186,8 @@ pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats
     out
 }
 
-/// Cotangents of (a, b, c) of a symmetric matrix, given its inverse (A, B, C) and the cotangents of that.
+/// Returns the cotangents of (a, b, c) of a symmetric matrix, given its inverse (A, B, C) and the cotangents of the
+/// inverse.
 #[inline]
 pub(crate) fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [Real; 3] {
     let h = 0.5 * d_b;
@@ -194,7 +196,8 @@ pub(crate) fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [
     [-(p * a + q * b), -((p * b + q * c) + (r * a + s * b)), -(r * b + s * c)]
 }
 
-/// The rotation matrix of a quaternion w, x, y, z by the formula for unit ones, whatever its length (as released).
+/// Returns the rotation matrix of a quaternion w, x, y, z by the formula for unit quaternions, whatever its length (as
+/// released).
 fn rotation_of([w, x, y, z]: [Real; 4]) -> Mat3 {
     Mat3::from_cols_array(&[
         1.0 - 2.0 * (y * y + z * z),
@@ -209,7 +212,7 @@ fn rotation_of([w, x, y, z]: [Real; 4]) -> Mat3 {
     ])
 }
 
-/// Cotangent of the quaternion, given that of [`rotation_of`].
+/// Returns the cotangent of the quaternion, given that of [`rotation_of`].
 fn rotation_vjp([w, x, y, z]: [Real; 4], d: Mat3) -> [Real; 4] {
     let (c0, c1, c2) = (d.x_axis, d.y_axis, d.z_axis); // cᵢ is column i: cᵢ.y is row 1
     [

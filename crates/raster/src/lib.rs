@@ -1,8 +1,8 @@
-//! Projectors and the one differentiable rasterizer that every pipeline shares.
+//! Projectors and the differentiable rasterizers.
 //!
 //! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
-//! their splats tile by tile (`tiles.rs`, `blend.rs`, `canvas.rs`).
-//! [`ArrayResponse`] takes the same splats for waves and adds them up on an antenna array.
+//! their splats tile by tile (`tiles.rs`, `blend.rs`, `canvas.rs`). [`ArrayResponse`] treats the same splats as waves
+//! and adds them up on an antenna array.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

@@ -1,22 +1,23 @@
-//! What each splat has to do with a picture: weights, errors, places among the first, slopes. One more pass over the
-//! tiles, front to back, for whoever decides which Gaussians stay.
+//! Statistics of splats in an image: weights, errors, ranks per pixel, derivatives. Pruners request this additional
+//! pass over the tiles, front to back.
 
 use crate::blend::{PIXELS, TILE, Tile};
 use crate::canvas::gather;
 use pwrfgs_core::{Looked, Real, Survey};
 
-/// The first splats of a pixel: value and place in the tile's list, best first.
+/// First splats of a pixel: value and index in the list of the tile, best first.
 type First = Vec<(Real, usize)>;
 
-/// One tile of a survey.
+/// Survey of one tile.
 pub(crate) struct Look<'a, 'b> {
     pub(crate) tile: &'b Tile<'a>,
-    /// The drawn picture, `[channels, H, W]`.
+    /// Drawn image, `[channels, H, W]`.
     pub(crate) picture: &'b [Real],
     pub(crate) survey: &'b Survey<'b>,
 }
 
-/// What the derivative along the strength of splats needs of a tile: `[channels][PIXELS]`, and what is not yet passed.
+/// Inputs of the derivative with respect to splat strength in a tile: `[channels][PIXELS]`, and the sum behind the
+/// current splat.
 struct Slopes {
     own: Vec<Real>,
     behind: Vec<Real>,
@@ -37,7 +38,7 @@ impl Slopes {
         Some(Self { own, behind, channels })
     }
 
-    /// ∂P̂/∂γ of a splat in pixel `p` of the tile, which it then has passed.
+    /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, and passes the splat.
     #[inline(always)]
     fn along(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
         let q: Real = (0..self.channels).map(|c| signal[c] * self.own[c * PIXELS + p]).sum();
@@ -48,7 +49,7 @@ impl Slopes {
 
 impl pulp::WithSimd for Look<'_, '_> {
     type Output = Vec<Looked>;
-    /// For each splat of the tile's list.
+    /// Computes the statistics of each splat in the list of the tile.
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Looked> {
         let Self { tile, survey, .. } = &self;
@@ -101,7 +102,7 @@ impl pulp::WithSimd for Look<'_, '_> {
     }
 }
 
-/// Keeps the `count` largest values, those that came first among equals.
+/// Keeps the `count` largest values; ties keep the earlier one.
 fn place(first: &mut First, count: usize, entry: (Real, usize)) {
     let at = first.partition_point(|(value, _)| *value >= entry.0);
     if at < count {

@@ -1,4 +1,4 @@
-//! `ArrayResponse` against its definition, closed forms, central differences, and its symmetries.
+//! Tests of `ArrayResponse` against its definition, closed forms, central differences, and symmetries.
 
 use crate::common::{POSE, primitives, relative, signals};
 use pwrfgs_core::testing::check_vjp;
@@ -6,7 +6,7 @@ use pwrfgs_core::{ImagePlane, Mat3, Plugin, Pose, Primitives, Projector, Rasteri
 use pwrfgs_raster::{ArrayResponse, Mercator, Wavefront, WrfgsCompat};
 use std::f64::consts::TAU;
 
-/// Of the scene that is differentiated.
+/// Number of Gaussians in the scene of the derivative test.
 const N: usize = 9;
 const CHANNELS: usize = 4;
 const DOUBLE: bool = size_of::<Real>() == 8;
@@ -24,13 +24,13 @@ fn draw(array: &ArrayResponse, p: &Primitives, pose: &Pose, signals: &[Real]) ->
     draw_on(array, p, pose, signals, &plane())
 }
 
-/// √(re² + im²) of the first transmitter.
+/// Returns √(re² + im²) of the first transmitter.
 fn magnitude(pixels: &[Real]) -> Vec<Real> {
     let (re, im) = pixels.split_at(pixels.len() / 2);
     re.iter().zip(im).map(|(re, im)| re.hypot(*im)).collect()
 }
 
-/// Point sources in these directions (degrees), `distance` metres from a receiver at the origin.
+/// Creates point sources in these directions (degrees), `distance` metres from a receiver at the origin.
 fn points(directions: &[(Real, Real)], distance: Real) -> Primitives {
     let mut p = Primitives::zeros(directions.len());
     for (i, &(az, el)) in directions.iter().enumerate() {
@@ -42,7 +42,7 @@ fn points(directions: &[(Real, Real)], distance: Real) -> Primitives {
     p
 }
 
-/// Antenna positions in wavelengths, straight from the definition.
+/// Returns the antenna positions from the definition, wavelengths.
 fn antennas(array: &ArrayResponse) -> Vec<[f64; 2]> {
     let at = |i: usize, n: usize| (i as f64 - (n as f64 - 1.0) / 2.0) * f64::from(array.spacing_wavelengths);
     (0..array.rows * array.columns)
@@ -50,7 +50,7 @@ fn antennas(array: &ArrayResponse) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// aᴴh/K at every pixel of `plane`, one complex number after the other, for point sources.
+/// Computes aᴴh/K at every pixel of `plane` for point sources, as interleaved complex numbers.
 fn by_definition(array: &ArrayResponse, p: &Primitives, signals: &[Real], plane: &ImagePlane) -> Vec<Real> {
     let splats = Mercator::default().project(p, &Pose::IDENTITY, plane);
     let antennas = antennas(array);
@@ -79,7 +79,7 @@ fn by_definition(array: &ArrayResponse, p: &Primitives, signals: &[Real], plane:
 fn the_picture_is_the_definition() {
     let p = points(&[(20.0, 15.0), (200.0, 50.0), (301.0, 80.0), (359.5, 3.0)], 3.0);
     let s = signals(4, 2, 1);
-    // Even, odd, lopsided, a single row, and pictures that do not fill the last block or have no opposite pixels.
+    // Even, odd, asymmetric, a single row, and images that do not fill the last block or have no opposite pixels.
     for (rows, columns, width, height) in [(4, 4, 360, 90), (3, 3, 72, 18), (2, 5, 50, 11), (1, 8, 40, 9), (1, 1, 9, 4)]
     {
         let array = ArrayResponse { rows, columns, widened: false, ..ArrayResponse::default() };
@@ -115,8 +115,9 @@ fn a_plane_wave_gives_the_array_factor() {
 
 #[test]
 fn width_is_the_mean_over_the_gaussian() {
-    // A ball at the zenith, at 45 degrees and near the horizon against points drawn from it. What first order leaves out,
-    // that the mean direction of a ball is shorter than that of its centre, shows most where u lies in the array's plane.
+    // Compares a ball at the zenith, at 45 degrees and near the horizon with points drawn from it. The first-order
+    // error (the mean direction of a ball is shorter than that of its centre) is largest if u is in the plane of the
+    // array.
     for (elevation, share) in [(89.5, 0.25), (45.0, 0.25), (12.0, 0.5)] {
         let mut ball = points(&[(70.0, elevation)], 4.0);
         ball.scales[0] = [0.5; 3];
@@ -157,7 +158,8 @@ fn far_away_spherical_waves_are_plane() {
 
 #[test]
 fn a_spherical_wave_has_the_exact_phase_at_every_antenna() {
-    // Two antennas: |aᴴh| of one source is |1 + exp(j(φ - ψ))|/2 with φ - ψ the difference of the two ways.
+    // Two antennas: |aᴴh| of one source is |1 + exp(j(φ - ψ))|/2 with φ - ψ from the difference of the two path
+    // lengths.
     let (wavelength, spacing) = (0.5, 0.7);
     let array = ArrayResponse {
         rows: 1,

@@ -23,7 +23,7 @@ fn unpack(x: &[Real]) -> (Primitives, Vec<Real>) {
     (p, x.collect())
 }
 
-/// Holds projection and blending together against central differences.
+/// Compares the derivative of projection and blending with central differences.
 fn check(
     plane: &ImagePlane,
     project: impl Fn(&Primitives) -> Splats,
@@ -71,7 +71,7 @@ fn compat_projection_and_blending_differentiate() {
     check_plugin(&WrfgsCompat::default(), &AlphaBlending { support: Support::TileSquares });
 }
 
-/// The three functions that a projection needs, and no more: a pixel is linear in the direction cosines x/r and y/r.
+/// Minimal projection with three functions: a pixel is linear in the direction cosines x/r and y/r.
 struct Disc {
     half: [Real; 2],
 }
@@ -112,7 +112,7 @@ fn a_camera_model_of_three_functions_projects() {
     let without = project(disc, &scene, &POSE, plane);
     assert_eq!(sees(disc, &scene.means, &POSE).iter().filter(|s| **s).count(), N - 1, "no pixel, not seen");
     assert_eq!((without.radii[3], without.means2d[4]), (0.0, shown.means2d[4]));
-    // What is centred beside the picture is drawn where it is wide enough to reach it.
+    // Gaussians centred outside the image are drawn if they are wide enough to reach it.
     let tall = project(&Disc { half: [30.0, 200.0] }, &primitives(N, 0), &POSE, plane);
     for i in 0..N {
         let first = tall.means2d[i][1] - 3.329_042_1 * tall.sigmas2d[i][1];

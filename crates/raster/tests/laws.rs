@@ -1,10 +1,10 @@
-//! Symmetries of the picture, and what the plane map loses near the zenith.
+//! Symmetries of the image, and errors of the image plane near the zenith.
 
 use crate::common::{POSE, primitives, relative, signals};
 use pwrfgs_core::{Mat3, Pose, Primitives, Projector, Rasterizer, Real, Vec3, consts::DEG};
 use pwrfgs_raster::{AlphaBlending, Mercator};
 
-/// The picture of `p` with `channels` signals on 360 × 90.
+/// Draws `p` with `channels` signals on 360 × 90.
 fn draw(p: &Primitives, pose: &Pose, signals: &[Real], channels: usize) -> Vec<Real> {
     let projector = Mercator::default();
     let plane = projector.plane(360, 90);
@@ -18,7 +18,7 @@ fn turning_the_scene_turns_the_picture_across_the_seam() {
     let s = signals(n, 1, 11);
     let still = draw(&p, &POSE, &s, 1);
     for k in [1usize, 90, 173, 355] {
-        // Turn everything about the boresight by k degrees.
+        // Rotates everything about the boresight by k degrees.
         let r = POSE.world_from_receiver();
         let about = r * Mat3::from_rotation_z(k as Real / DEG) * r.transpose();
         let mut turned = p.clone();
@@ -30,7 +30,7 @@ fn turning_the_scene_turns_the_picture_across_the_seam() {
         }
         let moved = draw(&turned, &POSE, &s, 1);
         let shifted: Vec<Real> = (0..moved.len()).map(|at| moved[at / 360 * 360 + (at % 360 + k) % 360]).collect();
-        // Rounding moves a pixel across 1/255 now and then: most must agree closely, all roughly.
+        // Rounding occasionally moves a pixel across 1/255: most pixels must agree closely, all roughly.
         let bound = if size_of::<Real>() == 8 { 1e-6 } else { 0.02 };
         assert!(relative(&still, &shifted) < bound, "turn by {k}: {}", relative(&still, &shifted));
         let far = still.iter().zip(&shifted).filter(|(a, b)| (*a - *b).abs() > 1e-3).count();
@@ -38,7 +38,7 @@ fn turning_the_scene_turns_the_picture_across_the_seam() {
     }
 }
 
-/// Quaternion w, x, y, z of a rotation about any axis by less than 180° or so.
+/// Returns the quaternion w, x, y, z of a rotation about any axis by less than about 180°.
 fn glam_quat(m: &Mat3) -> [Real; 4] {
     let c = m.to_cols_array().map(|v| v as f64);
     let (m00, m10, m20, m01, m11, m21, m02, m12, m22) = (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]);
@@ -112,7 +112,7 @@ fn a_splat_wider_than_the_circle_covers_every_column_once() {
 #[test]
 fn what_is_lost_near_the_zenith() {
     let sigma_deg: Real = 5.0;
-    // The figures in the manual page of `Mercator`.
+    // Values of the table in the documentation of `Mercator`.
     for (elevation, relative_error, largest) in [(45.0, 0.041, 0.022), (75.0, 0.134, 0.090), (88.0, 0.292, 0.384)] {
         let plane = Mercator::default().plane(360, 90);
         let centre = Vec3::from_array(plane.direction(120.0, elevation).unwrap());

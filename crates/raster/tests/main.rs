@@ -1,4 +1,4 @@
-//! Tests of projection and drawing together. One binary, because linking it takes longer than most of them.
+//! Tests of projection and drawing together, in one binary to save linking time.
 
 #![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
 

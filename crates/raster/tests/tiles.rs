@@ -1,12 +1,12 @@
-//! The tiled kernel against brute force, on random scenes.
+//! Compares the tiled kernel with brute force on random scenes.
 
 use crate::common::{reference, relative, signals, splats};
 use proptest::prelude::*;
 use pwrfgs_core::{Rasterizer, Real};
 use pwrfgs_raster::AlphaBlending;
 
-/// Bound on relative differences: rounding, and in single precision now and then a pixel where γ is within rounding
-/// of 1/255 and only one of the two draws it.
+/// Bound on relative differences: rounding, and in single precision occasional pixels whose γ is within rounding of
+/// 1/255, so that only one implementation draws the splat.
 const TOLERANCE: Real = if size_of::<Real>() == 8 { 1e-9 } else { 5e-3 };
 
 proptest! {
@@ -35,8 +35,8 @@ proptest! {
     }
 }
 
-/// After two splats that cover as much as one may, 10⁻⁴ of the light is left: whether the second still counts, and with
-/// it the picture, is a matter of rounding, and kernel and brute force have to round alike.
+/// After two splats of maximum opacity, 10⁻⁴ of the light is left. Rounding then decides whether the second splat is
+/// drawn, and kernel and brute force must round alike.
 #[test]
 fn splats_on_top_of_each_other_fill_a_pixel_as_by_brute_force() {
     let (mut splats, plane) = splats(4, 3, 60, 30);

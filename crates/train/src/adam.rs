@@ -1,13 +1,13 @@
-//! Adam, our own: its moments must survive clone, split and prune, and each column has its rate.
+//! Adam optimizer: its moments survive clone, split and prune, and each column has its own rate.
 
 use crate::settings::{Optimizer, Training};
 use pwrfgs_core::{ColumnSpec, GaussianCloud, Real};
 use rayon::prelude::*;
 
-/// Decays of the first and the second moment: Adam's own (Kingma and Ba, 2015), which all methods here were tuned with.
+/// Decay rates of the first and the second moment, as in Kingma and Ba, 2015, and in all methods implemented here.
 pub(crate) const BETAS: [Real; 2] = [0.9, 0.999];
 
-/// First and second moments of everything that is learned.
+/// First and second moments of all learned parameters.
 #[derive(Clone, Debug)]
 pub(crate) struct Adam {
     /// Moments of the cloud.
@@ -16,14 +16,14 @@ pub(crate) struct Adam {
     pub(crate) weights: [Vec<Real>; 2],
 }
 
-/// Constants of one update.
+/// Constants of one update step.
 #[derive(Clone, Copy)]
 struct Update {
     rate: Real,
     beta1: Real,
     beta2: Real,
     eps: Real,
-    /// 1 − βᵏ after k steps.
+    /// Bias corrections 1 − βᵏ after k steps.
     unbias: [Real; 2],
     l2: Real,
     decay: Real,
@@ -35,7 +35,7 @@ impl Adam {
         Self { cloud: [zeros.clone(), zeros], weights: [vec![0.0; weights.len()], vec![0.0; weights.len()]] }
     }
 
-    /// One update at `step` (from 1). Returns the name of a column that is no longer finite.
+    /// Applies one update at `step` (from 1). Returns the name of a column that is no longer finite.
     pub(crate) fn step(
         &mut self,
         settings: &Training,
@@ -76,7 +76,7 @@ impl Adam {
             decay: o.network_decay,
             ..update
         };
-        // Offsets of receivers are no weights: zero is no better than any other place for them.
+        // Offsets of receivers are not weights, so weight decay does not apply to them.
         let others = Update { l2: 0.0, decay: 0.0, ..network };
         let (w, m, v) = (weights.split_at_mut(decayed), first.split_at_mut(decayed), second.split_at_mut(decayed));
         let d = d_weights.split_at(decayed);
@@ -85,7 +85,7 @@ impl Adam {
     }
 }
 
-/// The rate of column `name`; `None` for state that is not learned, and for a rate of 0.
+/// Returns the rate of column `name`; `None` for state that is not learned, and for a rate of 0.
 fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate::Schedule) -> Real) -> Option<Real> {
     let rate = match name {
         "means" => rate(o.means),
@@ -93,7 +93,7 @@ fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate:
         "quats" => rate(o.quats),
         "opacity_logits" => rate(o.opacity_logits),
         "signals" => rate(o.signals),
-        // What no pruner asked for is the method's: signals of another kind.
+        // Columns that no pruner requested belong to the method: further signals.
         extra => match specs.iter().find(|s| s.name == extra) {
             Some(pruners) => pruners.learning_rate?,
             None => rate(o.signals),
@@ -102,14 +102,14 @@ fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate:
     (rate != 0.0).then_some(rate)
 }
 
-/// x −= rate · d.
+/// Gradient descent: x −= rate · d.
 fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
     x.iter_mut().zip(d).for_each(|(x, d)| *x -= rate * d);
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(()) }
 }
 
 impl Update {
-    /// Adam of Kingma and Ba, with L2 added to the gradient and decoupled decay taken from the value.
+    /// Adam of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted from the value.
     fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
         const CHUNK: usize = 16_384;
         let parts = (x.par_chunks_mut(CHUNK))
@@ -172,7 +172,7 @@ mod tests {
             decay: 0.0,
         };
         let (mut x, mut m, mut v) = (vec![1.0], vec![0.0], vec![0.0]);
-        // By hand: m̂/√v̂ is 1, -0.36610, 0.41966.
+        // Computed by hand: m̂/√v̂ is 1, -0.36610, 0.41966.
         for (step, (gradient, expected)) in [(0.5, 0.9), (-1.0, 0.936_610), (2.0, 0.894_645)].into_iter().enumerate() {
             update(step as i32 + 1).apply(&mut x, &[gradient], &mut m, &mut v).unwrap();
             assert!((x[0] - expected as Real).abs() < 2e-5, "step {}: {} is not {expected}", step + 1, x[0]);

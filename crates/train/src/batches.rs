@@ -1,4 +1,4 @@
-//! `Batches`: which transmitters a step sees, and what was observed of their links.
+//! `Batches`: the transmitters of each step and the observations of their links.
 
 use crate::graph::{Batch, Places};
 use crate::plan::TrainingPlan;
@@ -8,18 +8,18 @@ use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The training part: every transmitter once an epoch with all its links, in an order of its own each epoch.
+/// Training set: every transmitter once per epoch with all its links, in a new random order per epoch.
 #[derive(Debug)]
 pub(crate) struct Batches {
     train: Vec<usize>,
-    /// The links of each transmitter, as places in `train`.
+    /// Links of each transmitter, as indices into `train`.
     transmitters: Vec<Range<usize>>,
-    /// The epoch at hand and its order of transmitters.
+    /// Current epoch and its order of transmitters.
     order: (u64, Vec<usize>),
 }
 
 impl Batches {
-    /// Of the links `train` of `data`, sorted.
+    /// Creates batches of the links `train` of `data`, sorted.
     pub(crate) fn new(data: &Dataset, train: Vec<usize>) -> Self {
         let same = |a: &usize, b: &usize| data.links[*a].transmitter == data.links[*b].transmitter;
         let mut begin = 0;
@@ -30,21 +30,21 @@ impl Batches {
         Self { transmitters: transmitters.collect(), train, order: (u64::MAX, Vec::new()) }
     }
 
-    /// The training part.
+    /// Returns the links of the training set.
     pub(crate) fn train(&self) -> &[usize] {
         &self.train
     }
 
-    /// Transmitters of the training part.
+    /// Returns the number of transmitters in the training set.
     pub(crate) fn transmitters(&self) -> usize {
         self.transmitters.len()
     }
 
-    /// The transmitters of `step`, each moved a little, and what was observed of their links: of spectra the pixels that
-    /// `stages` draw.
+    /// Returns the transmitters of `step` with their random shifts, and the observations of their links; for spectra
+    /// only the pixels that `stages` draws.
     ///
     /// # Errors
-    /// Where a spectrum cannot be read.
+    /// A spectrum cannot be read.
     pub(crate) fn of_step(&mut self, step: u64, plan: &TrainingPlan, data: &Dataset, stages: &Stages) -> Result<Batch> {
         let settings = &plan.training;
         let (seed, n) = (plan.seed, self.transmitters.len() as u64);
@@ -75,12 +75,13 @@ impl Batches {
         observed(&self.links_of(&transmitters), data, stages, places, &mut moved)
     }
 
-    /// The links of some transmitters.
+    /// Returns the links of some transmitters.
     fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
         transmitters.iter().flat_map(|&t| &self.train[self.transmitters[t].clone()]).copied().collect()
     }
 
-    /// The transmitters of a pass, where they are, a few at a time, each time with the stages that `stages_of` gives.
+    /// Returns the transmitters of a pass without shifts, in small groups, each with the stages that `stages_of`
+    /// returns.
     pub(crate) fn sample<'a>(
         &'a self,
         needs: &Needs,
@@ -100,12 +101,12 @@ impl Batches {
     }
 }
 
-/// Places in an observation of so many numbers, each as likely.
+/// Draws `count` uniform indices below `numbers`.
 fn rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Vec<usize> {
     (0..count).map(|_| rng::below(random, numbers)).collect()
 }
 
-/// What was observed of some links, those of a transmitter next to each other, whose transmitters' coordinates are `moved`.
+/// Returns the observations of some links, grouped by transmitter, with the transmitter coordinates `moved`.
 fn observed(
     links: &[usize],
     data: &Dataset,
@@ -147,17 +148,17 @@ fn observed(
     Ok(batch)
 }
 
-/// Transmitters that a pass holds at a time.
+/// Number of transmitters that a pass holds in memory at once.
 const AT_ONCE: usize = 64;
 
-/// The plane that `step` draws: every `stride`-th row and column of the whole image, from the first one, or from one that is
-/// drawn for this step.
+/// Returns the image plane of `step`: every `stride`-th row and column of the whole image, from the first one or from a
+/// random offset for this step.
 pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, task: Task, step: u64) -> ImagePlane {
     strided(whole, plan, task, plan.training.moving_stride.then_some(("stride", step)))
 }
 
-/// The plane that a part of the pass of a prune step draws, from a row and a column on that are drawn for this part: the
-/// pixels between those of the training count in predictions too.
+/// Returns the image plane for a part of the pass of a prune step, with a random offset for this part: predictions also
+/// use the pixels that the stride of training skips.
 pub(crate) fn plane_of_pass(
     whole: &ImagePlane,
     plan: &TrainingPlan,
@@ -167,8 +168,8 @@ pub(crate) fn plane_of_pass(
     strided(whole, plan, task, Some(("stride of a pass", step << 24 | part)))
 }
 
-/// Every `stride`-th row and column, from a place that the stream of this name and number draws; every pixel of anything but
-/// a spectrum.
+/// Returns every `stride`-th row and column, from an offset drawn by the random stream of this name and number; all
+/// values if the data are not spectra.
 fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
     let stride = plan.training.stride;
     if stride == 1 || !task.has_pixels {
@@ -181,7 +182,7 @@ fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(
     whole.strided(stride, offset)
 }
 
-/// Whether the stride divides the image.
+/// Checks that the stride divides the image.
 pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, task: Task) -> Result<()> {
     let (width, height, stride) = (plane.width, plane.height, plan.training.stride);
     if !task.has_pixels || width.is_multiple_of(stride) && height.is_multiple_of(stride) {

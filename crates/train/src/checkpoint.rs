@@ -1,7 +1,7 @@
-//! Checkpoints: everything needed to go on as if nothing had happened, in one safetensors file.
+//! Checkpoints: the full state of a training in one safetensors file, for a bit-identical resume.
 //!
-//! Random streams are functions of (seed, name, step), so a step number is all the state they have. A [`fingerprint`] holds a
-//! checkpoint to the training that it comes from.
+//! Random streams are functions of (seed, name, step), so the step number is their whole state. A [`fingerprint`] binds
+//! a checkpoint to its training.
 
 use crate::adam::Adam;
 use crate::edit::Births;
@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// What the file says besides numbers, and the digest of all of it.
+/// Metadata of the file, with a digest of the whole file.
 #[derive(Serialize, Deserialize)]
 struct Sealed {
     digest: String,
@@ -29,13 +29,13 @@ struct Sealed {
 struct Note {
     format: String,
     version: u32,
-    /// Of plan and data.
+    /// Fingerprint of plan and data.
     fingerprint: String,
     done: u64,
     gaussians: usize,
-    /// Extra columns and their widths.
+    /// Names and widths of the extra columns.
     extra: Vec<(String, usize)>,
-    /// How many Gaussians there have been.
+    /// Number of Gaussians created so far.
     born: u32,
 }
 
@@ -43,12 +43,12 @@ const FORMAT: &str = "pwrfgs-checkpoint";
 const VERSION: u32 = 6;
 
 impl<'a> Trainer<'a> {
-    /// What this training follows from.
+    /// Returns the fingerprint of plan and data.
     pub(crate) fn fingerprint(&self) -> &str {
         self.fingerprint.get_or_init(|| fingerprint(&self.plan, self.data, self.batches.train()))
     }
 
-    /// Everything needed to go on, as bytes.
+    /// Serialises the full state of the training.
     pub fn checkpoint(&self) -> Vec<u8> {
         let note = Note {
             format: FORMAT.into(),
@@ -79,10 +79,10 @@ impl<'a> Trainer<'a> {
         file.to_bytes()
     }
 
-    /// The trainer that wrote `bytes`, for the same plan and data.
+    /// Restores the trainer from `bytes`, for the same plan and data.
     ///
     /// # Errors
-    /// [`Error::Config`] where the bytes are not such a checkpoint: damaged, or of another training.
+    /// [`Error::Config`] if the bytes are damaged or belong to another training.
     pub fn restore(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
         let mut trainer = Self::blank(plan, data, partition)?;
         trainer.read(bytes).map_err(|why| {
@@ -127,13 +127,13 @@ fn json(note: &impl Serialize) -> String {
     serde_json::to_string(note).expect("plain data")
 }
 
-/// Samples whose digests are taken together.
+/// Number of samples that are hashed together.
 const CHUNK: usize = 64;
 
-/// The digest of everything in `plan` that changes a training, of the `data` and of which of them are trained on.
-/// Where the data lie, how they are scored and how often one looks or saves is left out.
+/// Returns a digest of all parts of `plan` that affect training, of `data`, and of the training links. It excludes data
+/// paths, metrics, and intervals of validation and checkpoints.
 pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) -> String {
-    // In full: a new field of a plan is either part of the digest or named here as one that changes nothing.
+    // The destructuring is complete on purpose: a new field of a plan must be hashed or listed here as irrelevant.
     let TrainingPlan { name: _, seed, method, initializer, pruners, training } = plan;
     let looks = Training::default();
     let training = Training {
@@ -148,7 +148,7 @@ pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) 
     digest(parts.join("\n").as_bytes())
 }
 
-/// Receivers, size, points, and every link.
+/// Returns a digest of receivers, size, points, and every link.
 fn of_data(data: &Dataset) -> String {
     let part = |samples: &[(usize, Sample)]| {
         let mut bytes = Vec::new();

@@ -1,26 +1,26 @@
-//! Densification of 3D Gaussian splatting (algorithm 1, line 9): clone, split, remove, reset opacities.
+//! Densification as in 3DGS (algorithm 1, line 9): clone, split, remove, reset opacities.
 
 use crate::adam::Adam;
 use crate::edit::{self, Beside};
 use crate::settings::Densify;
 use pwrfgs_core::{CloudStats, GaussianCloud, Real, Row, Vec3, logit, rng, sigmoid};
 
-/// Scales of the two children of a split are the parent's divided by this, as in 3DGS: 0.8 times the two children.
+/// Divisor of the scales of the two children of a split, as in 3DGS: 0.8 times the number of children.
 const SPLIT_SHRINK: Real = 1.6;
 
-/// Whether densification is due after `step`.
+/// Returns whether densification is due after `step`.
 pub(crate) fn due(settings: &Densify, step: u64) -> bool {
     settings.every > 0 && step > settings.from && step.is_multiple_of(settings.every)
 }
 
-/// Whether opacities are reset after `step`.
+/// Returns whether opacities are reset after `step`.
 pub(crate) fn reset_due(settings: &Densify, step: u64) -> bool {
     settings.reset_every > 0 && step.is_multiple_of(settings.reset_every)
 }
 
-/// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones.
-/// `extent` is the size of the scene, metres. The last Gaussian is never removed. Gives how many there were before the
-/// removal, and how many each rule removed.
+/// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones. The
+/// last Gaussian is never removed. `extent` is the size of the scene, metres. Returns the number of Gaussians before
+/// the removal, and the number that each rule removes.
 pub(crate) fn densify(
     settings: &Densify,
     extent: Real,
@@ -58,7 +58,7 @@ pub(crate) fn densify(
     (before, remove(settings, extent, step, cloud, beside))
 }
 
-/// Gaussians to densify: mean gradient norm from the threshold on, within the budget; the strongest first.
+/// Selects the Gaussians to densify: mean gradient norm at or above the threshold, within the budget, largest first.
 fn chosen(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
     let mean = |i: usize| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 };
     let mut strong: Vec<usize> = (0..n).filter(|&i| mean(i) >= settings.gradient_threshold).collect();
@@ -71,7 +71,7 @@ fn chosen(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
     chosen
 }
 
-/// A point drawn from Gaussian `i` itself: μ + R(q)·(s ∘ N(0, 1)).
+/// Draws a point from Gaussian `i`: μ + R(q)·(s ∘ N(0, 1)).
 fn child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 3] {
     let [w, x, y, z] = cloud.quats[i];
     let norm = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
@@ -104,12 +104,12 @@ fn remove(
     rules
 }
 
-/// The largest scale of Gaussian `i`, metres.
+/// Returns the largest scale of Gaussian `i`, metres.
 pub(crate) fn largest(cloud: &GaussianCloud, i: usize) -> Real {
     cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp()
 }
 
-/// Where nothing would be left, keeps the one with the best score, and warns.
+/// Keeps the Gaussian with the best score if none would be left, and warns.
 pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], who: &str) {
     if keep.iter().any(|k| *k) {
         return;
@@ -120,13 +120,13 @@ pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], who: &str) {
     }
 }
 
-/// opacity = min(opacity, limit), and the moments of opacity start anew.
+/// Sets opacity = min(opacity, limit) and resets the moments of opacity.
 pub(crate) fn reset_opacities(limit: Real, cloud: &mut GaussianCloud, adam: &mut Adam) {
     cloud.opacity_logits.iter_mut().for_each(|o| *o = o.min(logit(limit)));
     adam.cloud.iter_mut().for_each(|moments| moments.opacity_logits.fill(0.0));
 }
 
-/// Size of the scene where the pipeline leaves it open: half the diagonal of its bounds, metres.
+/// Returns the size of the scene if the pipeline does not set it: half the diagonal of its bounds, metres.
 pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
     0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
 }
@@ -138,7 +138,7 @@ mod tests {
     use crate::edit::Births;
     use pwrfgs_core::ExtraColumn;
 
-    /// A small, a large, a quiet and a transparent Gaussian, with a mask column and moments of 1.
+    /// Creates a small, a large, a low-gradient and a transparent Gaussian, with a mask column and moments of 1.
     fn scene() -> (GaussianCloud, Adam, CloudStats) {
         let cloud = GaussianCloud {
             means: (0..4).map(|i| [i as Real, 0.0, 0.0]).collect(),
@@ -163,7 +163,7 @@ mod tests {
         let mut births = Births::of(cloud.len());
         let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
         densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
-        // Kept: 0, 2. Cloned: 0. Split: 1 into two, itself gone. Removed: 3.
+        // Kept: 0, 2. Cloned: 0. Split: 1 into two children, without the parent. Removed: 3.
         assert_eq!(cloud.signals.iter().map(|s| s[0]).collect::<Vec<_>>(), [0.0, 2.0, 0.0, 1.0, 1.0]);
         assert_eq!(cloud.extra[0].values, [1.0, 3.0, 1.0, 2.0, 2.0], "copies inherit the mask");
         assert_eq!(cloud.means[2], [0.0; 3], "a clone stays where it is");

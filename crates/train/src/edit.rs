@@ -1,11 +1,11 @@
-//! The one place where N changes: a list of rows rewrites parameters, moments, statistics and births together.
+//! The only place where N changes: a list of rows rewrites parameters, moments, statistics and IDs together.
 //!
-//! [`Births`] says who a Gaussian is, whatever row it stands in.
+//! [`Births`] holds a persistent ID per Gaussian, independent of its row.
 
 use crate::adam::Adam;
 use pwrfgs_core::{CloudStats, Edit, GaussianCloud, Row};
 
-/// What has a row a Gaussian besides the cloud.
+/// Per-Gaussian state besides the cloud.
 #[derive(Debug)]
 pub(crate) struct Beside<'a> {
     pub(crate) adam: &'a mut Adam,
@@ -13,7 +13,7 @@ pub(crate) struct Beside<'a> {
     pub(crate) births: &'a mut Births,
 }
 
-/// Rewrites cloud, moments and statistics so that row k of the new is `rows[k]` of the old. Statistics start anew.
+/// Rewrites cloud and moments so that new row k is old row `rows[k]`. Statistics are reset.
 pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     *cloud = cloud.select(&sources);
@@ -31,18 +31,18 @@ pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, beside: &mut Besi
     beside.births.rewrite(rows);
 }
 
-/// Keeps the rows that are true.
+/// Keeps the rows with `true`.
 pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let rows: Vec<usize> = (0..keep.len()).filter(|&i| keep[i]).collect();
     if rows.len() < keep.len() {
-        // A prune, unlike a densification, does not end the period over which statistics are summed.
+        // Unlike densification, a prune step does not end the period of the statistics.
         let kept = beside.stats.select(&rows);
         rewrite(&rows.into_iter().map(Row::Kept).collect::<Vec<_>>(), cloud, beside);
         *beside.stats = kept;
     }
 }
 
-/// Puts a pruner's cloud in the place of this one. Statistics of a Gaussian that is another now start anew.
+/// Replaces the cloud by that of a pruner. Statistics of changed Gaussians are reset.
 pub(crate) fn replace(edit: Edit, cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let Edit { cloud: new, rows } = edit;
     let n = cloud.len();
@@ -62,27 +62,27 @@ pub(crate) fn replace(edit: Edit, cloud: &mut GaussianCloud, beside: &mut Beside
     (*cloud, *beside.stats) = (new, kept);
 }
 
-/// Removes the columns of pruners, all that are not among the method's `lasting`: after the pruning phase no mask is left.
+/// Removes the columns of pruners, that is all except the `lasting` ones of the method, after the pruning phase.
 pub(crate) fn drop_state(cloud: &mut GaussianCloud, lasting: &[(&str, usize)]) {
     cloud.extra.retain(|column| lasting.iter().any(|(name, _)| *name == column.name));
 }
 
-/// A number for each Gaussian, in the order in which they came to be; it stays while rows move.
+/// Persistent ID of each Gaussian, in order of creation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Births {
-    /// Of each row.
+    /// ID per row.
     pub(crate) of: Vec<u32>,
-    /// The next number.
+    /// Next unused ID.
     pub(crate) next: u32,
 }
 
 impl Births {
-    /// Of the first `n`.
+    /// Creates the IDs of the first `n` Gaussians.
     pub(crate) fn of(n: usize) -> Self {
         Self { of: (0..n as u32).collect(), next: n as u32 }
     }
 
-    /// Row k becomes what `rows[k]` says: the same Gaussian, or a new one.
+    /// Moves IDs with the rows: a kept row keeps its ID, a copied row gets a new one.
     pub(crate) fn rewrite(&mut self, rows: &[Row]) {
         let old = std::mem::take(&mut self.of);
         let number = |row: &Row| match row {

@@ -1,4 +1,4 @@
-//! `Estimate`: what training will take, said before its first step.
+//! `Estimate`: memory and time of a training, before its first step.
 
 use crate::batches::Batches;
 use crate::graph::loss_and_gradients;
@@ -8,45 +8,45 @@ use pwrfgs_core::{Deformation, GaussianCloud, Real, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Memory and time of training from here on, as far as they can be told before it begins: densification and pruning
-/// change both.
+/// Estimated memory and time of the remaining training; densification and pruning change both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// N at hand.
+    /// Current number of Gaussians N.
     pub gaussians: usize,
-    /// Memory of a step beyond what is loaded, bytes, to about a third.
+    /// Memory of a step in addition to the loaded data, bytes, accurate to about a third.
     pub step_bytes: u64,
-    /// Seconds of a step with that N.
+    /// Time per step with that N, seconds.
     pub step_seconds: f64,
 }
 
-/// Numbers a weight of the network: itself, two moments, its derivative in each of sixteen accumulators.
+/// Numbers stored per network weight: the weight, two moments, and its derivative in each of sixteen accumulators.
 const PER_WEIGHT: usize = 20;
-/// Numbers a Gaussian: derivatives, what is activated and projected of it, tiles, what is sorted.
+/// Numbers stored per Gaussian: derivatives, activated and projected parameters, tiles, sort keys.
 const PER_GAUSSIAN: usize = 220;
-/// Numbers a Gaussian and transmitter: terms and their derivatives, and the pieces in which they are made.
+/// Numbers stored per Gaussian and transmitter: deformation terms, their derivatives and temporary buffers.
 const PER_TERM: usize = 75;
-/// Numbers a pixel and transmitter: spectra, signals, what SSIM keeps, and derivatives.
+/// Numbers stored per pixel and transmitter: spectra, signals, SSIM buffers and derivatives.
 const PER_PIXEL: usize = 20;
 
-/// Gaussians times transmitters of a trial.
+/// Number of Gaussians times transmitters in a trial step.
 const TRIAL: usize = 4_000;
 
-/// Bytes that the network of `deformation` takes in training; known before anything is made.
+/// Returns the bytes that the network of `deformation` needs in training; it does not create the network.
 pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
     let weights = deformation.layout().numbers() as u64;
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
 
 impl Trainer<'_> {
-    /// What the next step takes. A step is tried on a part of the Gaussians, and on half of that part; nothing of the
-    /// training changes.
+    /// Estimates the cost of the next step. It runs a step on a subset of the Gaussians, and on half of this subset,
+    /// without changing the training.
     ///
     /// # Errors
-    /// Numbers that are not finite.
+    /// Values that are not finite.
     pub fn estimate(&self) -> Result<Estimate> {
         let (n, batch) = (self.cloud.len(), self.plan.training.batch);
-        // Of many an eighth, or what is small and noisy would be multiplied by a hundred.
+        // For many Gaussians it uses an eighth of them; a smaller subset would amplify small, noisy times a
+        // hundredfold.
         let most = (TRIAL / batch).max(n / 8).clamp(16, n.max(16)).min(n);
         let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
         let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
@@ -65,7 +65,7 @@ impl Trainer<'_> {
         Ok(Estimate { gaussians: n, step_bytes, step_seconds })
     }
 
-    /// Seconds of the next step with `n` Gaussians, spread evenly over all; the shorter of two.
+    /// Returns the time of the next step with `n` evenly selected Gaussians, seconds; the shorter of two runs.
     fn trial(&self, n: usize) -> Result<f64> {
         let rows: Vec<usize> = (0..n).map(|i| i * self.cloud.len() / n.max(1)).collect();
         let cloud: GaussianCloud = self.cloud.select(&rows);

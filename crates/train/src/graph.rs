@@ -1,12 +1,12 @@
-//! One step's graph: method and loss as ops on the dfdx tape, from the leaves of a cloud to the loss, and back.
+//! Graph of one step: method and loss as ops on the dfdx tape, from the leaves of a cloud to the loss and back.
 //!
 //! ```text
 //! cloud ── pruners.gate ──► M [N] (opacity and scale), presence [N] (part in the picture)
 //!   └──── observe: the method makes observations of cloud, gates and Θ ─► loss (+ penalty)
 //! ```
-//! Gaussians that cannot show, because their gate is 0, or they are too faint or out of sight, are left out of `observe`:
-//! they have no derivative either. A deformation that couples Gaussians is the exception: all go through, and the
-//! rasterizer skips those that do not show.
+//! Gaussians that cannot be visible (closed gate, too faint, or out of view) are excluded from `observe`; their
+//! derivatives are zero. If a deformation couples Gaussians, all pass through it and the rasterizer skips the invisible
+//! ones.
 
 use crate::loss::Objective;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
@@ -22,35 +22,35 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// Links of a step and what was observed of them.
+/// Links of a step and their observations.
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
-    /// What the network is told of each transmitter, `[B, width]`.
+    /// Network inputs per transmitter, `[B, width]`.
     pub conditions: Vec<Real>,
-    /// Numbers of one: 3 for a position.
+    /// Number of inputs per transmitter: 3 for a position.
     pub width: usize,
-    /// Which transmitter of the batch was heard by which receiver; those of a transmitter next to each other.
+    /// Links between transmitters of the batch and receivers, grouped by transmitter.
     pub links: Vec<Link>,
-    /// Which numbers of the observations.
+    /// Selected values of the observations.
     pub places: Places,
     /// Observations `[L, numbers]`: spectra in [0, 1], powers in dBm, channels.
     pub truths: Vec<Real>,
 }
 
-/// Which numbers of each observation a step looks at: [`Pixels`], owned.
+/// Values of each observation used in a step: [`Pixels`] that owns its data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Places {
-    /// All.
+    /// All values.
     #[default]
     All,
-    /// The same of every link.
+    /// The same values for every link.
     Same(Vec<usize>),
-    /// One of each link.
+    /// One value per link.
     Own(Vec<usize>),
 }
 
 impl Places {
-    /// As a method is asked for them.
+    /// Borrows the selection for a method.
     pub fn pixels(&self) -> Pixels<'_> {
         match self {
             Self::All => Pixels::All,
@@ -61,13 +61,13 @@ impl Places {
 }
 
 impl Batch {
-    /// Transmitters at `txs` `[B,3]` (metres from the origin) heard by the first receiver.
+    /// Creates a batch of transmitters at `txs` `[B,3]` (metres from the origin) received by the first receiver.
     pub fn of_positions(txs: &[[Real; 3]], truths: Vec<Real>) -> Self {
         let links = (0..txs.len()).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
         Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths, ..Self::default() }
     }
 
-    /// Parts of at most `most` links, each of which has one pixel of its own; `None` where it need not be divided.
+    /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
     fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
         let Places::Own(places) = &self.places else { return None };
         let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
@@ -81,7 +81,7 @@ impl Batch {
         (places.len() > most).then(|| parts.map(part))
     }
 
-    /// The links, as a method is asked for them.
+    /// Borrows the links for a method.
     pub(crate) fn asked(&self) -> Asked<'_> {
         let conditions = Conditions::new(self.width, &self.conditions);
         Asked { conditions, links: &self.links, pixels: self.places.pixels() }
@@ -91,19 +91,19 @@ impl Batch {
 /// Loss of a step and its derivatives.
 #[derive(Clone, Debug)]
 pub struct LossAndGradients {
-    /// Of spectra the rendering loss, eq. (9).
+    /// Loss of the observations; for spectra the rendering loss, eq. (9).
     pub loss: Real,
-    /// Sum of the pruners' penalties, the `λ·L_m` of eq. (13).
+    /// Sum of the penalties of the pruners, `λ·L_m` of eq. (13).
     pub penalty: Real,
-    /// Derivative in every column of the cloud.
+    /// Derivative with respect to every column of the cloud.
     pub d_cloud: GaussianCloud,
-    /// Derivative in the network.
+    /// Derivative with respect to the network weights.
     pub d_weights: Vec<Real>,
-    /// What was seen of each Gaussian in this step.
+    /// Statistics of each Gaussian in this step.
     pub seen: CloudStats,
 }
 
-/// The graph of a batch, or of a part of it, forward and backward.
+/// Runs the graph of a batch, or of a part of it, forward and backward.
 fn whole(
     stages: &Arc<Stages>,
     cloud: &GaussianCloud,
@@ -151,11 +151,11 @@ fn whole(
     Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
-/// Runs the graph forward and backward, part by part where a method had better not be asked for
-/// [all links at once](pwrfgs_core::Cost::links_at_once): the loss is a mean over links.
+/// Runs the graph forward and backward, split into parts if the method limits the number of [links at
+/// once](pwrfgs_core::Cost::links_at_once); the loss is a mean over links.
 ///
 /// # Errors
-/// [`Error::NonFinite`] where the loss is not a number.
+/// [`Error::NonFinite`] if the loss is not finite.
 pub fn loss_and_gradients(
     stages: &Arc<Stages>,
     cloud: &GaussianCloud,
@@ -188,7 +188,7 @@ pub fn loss_and_gradients(
     Ok(sum)
 }
 
-/// What all pruners together multiply Gaussians by.
+/// Joint factors of all pruners on the Gaussians.
 struct Gates {
     whole: Option<Trace>,
     presence: Option<Trace>,
@@ -213,12 +213,12 @@ impl Gates {
     }
 }
 
-/// Which Gaussians are open, as far as gates say so that may leave out closed ones; `None` where there is no such gate.
+/// Returns the product of those gates that allow to skip closed Gaussians; `None` without such a gate.
 pub(crate) fn open_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Option<Vec<Real>> {
     Gates::of(&Traced::new(cloud), pruners, moment).whole.as_ref().map(values)
 }
 
-/// Which Gaussians are drawn, gates of presence as they are at this step: what a model of it shows. `None` without a gate.
+/// Returns which Gaussians are drawn, including the existence gates of this step. `None` without a gate.
 pub(crate) fn drawn_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Option<Vec<bool>> {
     let Gates { whole, presence } = Gates::of(&Traced::new(cloud), pruners, moment);
     let open = |gate: &Trace, least: Real| values(gate).into_iter().map(|m| m > least).collect::<Vec<_>>();
@@ -226,14 +226,14 @@ pub(crate) fn drawn_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>],
     gates.into_iter().flatten().reduce(|a, b| a.into_iter().zip(b).map(|(a, b)| a && b).collect())
 }
 
-/// The Gaussians that can be drawn ([`Stages::drawable`]), as a cloud of their own.
+/// Gaussians that can be visible ([`Stages::drawable`]), as a separate cloud.
 struct Open {
     /// Their rows in the whole cloud.
     rows: Vec<usize>,
     cloud: GaussianCloud,
     gate: Option<Vec<Real>>,
     presence: Option<Vec<Real>>,
-    /// Rows of the whole cloud.
+    /// Number of rows of the whole cloud.
     all: usize,
 }
 
@@ -256,7 +256,7 @@ impl Open {
         Parameters { cloud: &self.cloud, gate: self.gate.as_deref(), presence: self.presence.as_deref(), weights }
     }
 
-    /// Rows of `width` numbers, put back where they belong in the whole cloud.
+    /// Returns rows of `width` numbers at their positions in the whole cloud.
     fn scatter(&self, width: usize, values: &[Real]) -> Vec<Real> {
         let mut all = vec![0.0; self.all * width];
         for (row, values) in self.rows.iter().zip(values.chunks_exact(width)) {
@@ -270,17 +270,17 @@ struct Graph {
     stages: Arc<Stages>,
     batch: Arc<Batch>,
     open: Rc<Open>,
-    /// Θ, and its derivative. They are not on the tape, which would copy each of them several times: nothing but the
-    /// method reads the one and writes the other.
+    /// Weights Θ and their derivative. They are not on the tape, which would copy each of them several times; only the
+    /// method reads the former and writes the latter.
     weights: Arc<Vec<Real>>,
     d_weights: Rc<RefCell<Vec<Real>>>,
     seen: Rc<RefCell<CloudStats>>,
 }
 
 impl Graph {
-    /// The method as an op: columns of the cloud, gate (and Θ, beside the tape) → observations `[L, numbers]`.
+    /// Runs the method as an op: columns of the cloud and gate (and Θ, outside the tape) → observations `[L, numbers]`.
     fn observe(&self, traced: &Traced, mut gates: Gates) -> Trace {
-        // Those that every cloud has, and the method's own; columns of pruners reach it through the gate.
+        // Standard columns and those of the method; columns of pruners act through the gate.
         let MethodTraits { columns, knows_presence, .. } = self.stages.method.traits();
         let own = columns.into_iter().map(|(name, _)| name);
         let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(own).collect();
@@ -314,7 +314,7 @@ impl Graph {
         op(inputs, vec![numbers], vjp).remove(0)
     }
 
-    /// The loss as an op.
+    /// Runs the loss as an op.
     fn loss(&self, observed: Trace, objective: &dyn Objective) -> TraceScalar {
         let plane = &self.stages.plane;
         let size = match self.batch.places {

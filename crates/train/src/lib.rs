@@ -1,7 +1,7 @@
 //! Training: algorithm 1 of the paper, as one loop over steps.
 //!
-//! [`Trainer::step`] is one screen: batch → gates → forward → loss → backward → statistics → Adam → (densify | prune).
-//! N changes in one place only, `edit.rs`.
+//! [`Trainer::step`] shows the order: batch → gates → forward → loss → backward → statistics → Adam → (densify |
+//! prune). N changes only in `edit.rs`.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

@@ -1,18 +1,18 @@
-//! What training makes small, a loss for each kind of observation.
+//! Loss functions for each type of observation.
 
 use crate::settings::{Errors, Training};
 use pwrfgs_core::ssim::{self, Window};
 use pwrfgs_core::{Dataset, Real};
 use rayon::prelude::*;
 
-/// A loss of predictions against truths.
+/// Loss of predictions against measurements.
 pub trait Objective: std::fmt::Debug + Send + Sync {
-    /// Loss of predictions `[L, numbers]` against truths `[L, numbers]`, averaged over links, and its derivative in the
-    /// predictions. `size` is columns and rows of one observation.
+    /// Returns the loss of predictions `[L, numbers]` against measurements `[L, numbers]`, averaged over links, and its
+    /// derivative with respect to the predictions. `size` is columns and rows of one observation.
     fn evaluate(&self, predictions: &[Real], truths: &[Real], size: (usize, usize)) -> (Real, Vec<Real>);
 }
 
-/// The objective that `settings` give for `data`, of which `train` is learned.
+/// Creates the loss for `settings` and `data` with the training links `train`.
 pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
     let task = data.task();
     if task.has_pixels {
@@ -26,7 +26,7 @@ pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) ->
 }
 
 impl Errors {
-    /// The sum over pairs; writes its derivative times `share`.
+    /// Returns the sum over pairs; writes its derivative times `share`.
     fn sum(self, predictions: &[Real], truths: &[Real], share: Real, d: &mut [Real]) -> Real {
         let mut sum = 0.0;
         for ((d, p), t) in d.iter_mut().zip(predictions).zip(truths) {
@@ -46,10 +46,10 @@ impl Errors {
     }
 }
 
-/// The error of received powers, dB or dB².
+/// Error of received powers, dB or dB².
 #[derive(Clone, Copy, Debug)]
 pub struct LinkLoss {
-    /// How errors count.
+    /// Absolute or squared error.
     pub power: Errors,
 }
 
@@ -62,15 +62,15 @@ impl Objective for LinkLoss {
     }
 }
 
-/// The squared error of channels over the mean squared channel: -10 log₁₀ of it is an SNR.
+/// Squared error of channels over the mean squared channel; -10 log₁₀ of it is an SNR.
 #[derive(Clone, Copy, Debug)]
 pub struct ChannelLoss {
-    /// Σ|h|² of a link, in the mean.
+    /// Mean of Σ|h|² over links.
     pub mean_energy: Real,
 }
 
 impl ChannelLoss {
-    /// Relative to the links `train` of `data`.
+    /// Creates the loss relative to the links `train` of `data`.
     pub fn of(data: &Dataset, train: &[usize]) -> Self {
         let energy = |i: &usize| data.image(*i).pixels.iter().map(|v| f64::from(*v as f32).powi(2)).sum::<f64>();
         let mean = train.iter().map(energy).sum::<f64>() / train.len().max(1) as f64;
@@ -88,24 +88,24 @@ impl Objective for ChannelLoss {
     }
 }
 
-/// The rendering loss of eq. (9): (1-w)·L1 + w·(1-SSIM), averaged over the spectra of a batch. w, and the window of the trained SSIM.
+/// Rendering loss of eq. (9): (1-w)·L1 + w·(1-SSIM), averaged over the spectra of a batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RenderingLoss {
-    /// Weight of 1-SSIM; L1 has the rest.
+    /// Weight w of 1-SSIM; L1 has weight 1-w.
     pub ssim_weight: Real,
-    /// Gaussian, zero padding; σ = 1.5 px by default.
+    /// Window of SSIM: Gaussian, zero padding; σ = 1.5 px by default.
     pub window: Window,
-    /// What stands in the place of L1.
+    /// Pixel loss that replaces L1.
     pub errors: Errors,
 }
 
 impl RenderingLoss {
-    /// With the usual window.
+    /// Creates the loss with the standard window.
     pub fn new(ssim_weight: Real) -> Self {
         Self { ssim_weight, ..Self::default() }
     }
 
-    /// With the window that is as wide on every `stride`-th pixel as the usual one on all.
+    /// Creates the loss for every `stride`-th pixel; its window has the size of the standard window on all pixels.
     pub fn strided(ssim_weight: Real, stride: usize) -> Self {
         if stride == 1 {
             Self::new(ssim_weight)

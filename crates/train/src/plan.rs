@@ -1,4 +1,4 @@
-//! `TrainingPlan`: what a training follows from besides the data, and whether its parts and the data go together.
+//! `TrainingPlan`: all inputs of a training except the data, and checks of their combination with the data.
 
 use crate::settings::{Rays, Training};
 use pwrfgs_core::plugin::{Checked, Plugin, name_of, to_ron};
@@ -8,46 +8,46 @@ use pwrfgs_core::{
 };
 use pwrfgs_model::Stages;
 
-/// What a training follows from, besides the data. `pwrfgs_pipeline::Pipeline::plan` makes it of a pipeline.
+/// All inputs of a training except the data. `pwrfgs_pipeline::Pipeline::plan` creates it from a pipeline.
 #[derive(Clone, Debug)]
 pub struct TrainingPlan {
     /// Name of the training in messages.
     pub name: String,
     /// Seed of all random streams.
     pub seed: u64,
-    /// From Gaussians and weights to observations.
+    /// Method that maps Gaussians and weights to observations.
     pub method: Plugin<dyn Method>,
-    /// Where the Gaussians start.
+    /// Initialiser of the Gaussians.
     pub initializer: Plugin<dyn Initializer>,
-    /// Who decides which Gaussians stay; all must agree.
+    /// Pruners; a Gaussian is kept if all of them keep it.
     pub pruners: Vec<Plugin<dyn Pruner>>,
-    /// Algorithm 1.
+    /// Training settings of algorithm 1.
     pub training: Checked<Training>,
 }
 
 impl TrainingPlan {
-    /// Checks whether the pruners go together, with the method and with the number of Gaussians at the start.
+    /// Checks the combination of pruners with each other, with the method and with the initial number of Gaussians.
     ///
     /// # Errors
-    /// What is wrong with the list of pruners.
+    /// The message describes the conflict.
     pub fn check(&self) -> Result<(), String> {
         contradiction(self).map_or(Ok(()), Err)
     }
 }
 
-/// `training.target`, and the pruner that has to reach it: the first that can.
+/// `training.target` and the pruner that must reach it: the first that supports a target.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Goal {
-    /// Place of the pruner in the list.
+    /// Index of the pruner in the list.
     pub(crate) pruner: usize,
-    /// How it reaches the number.
+    /// Way in which the pruner reaches the target.
     pub(crate) budget: Budget,
-    /// The number of Gaussians at the end of pruning.
+    /// Number of Gaussians at the end of pruning.
     pub(crate) target: usize,
 }
 
 impl Goal {
-    /// The goal of a training; `None` without a target, or without a pruner that can reach one.
+    /// Returns the goal of a training; `None` without a target, or without a pruner that supports one.
     pub(crate) fn of(plan: &TrainingPlan) -> Option<Self> {
         let target = plan.training.target;
         let mut budgets = plan.pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().budget?)));
@@ -55,30 +55,30 @@ impl Goal {
         Some(Self { pruner, budget, target })
     }
 
-    /// Whether the number is exact, and not a limit.
+    /// Returns whether the target is exact rather than an upper limit.
     pub(crate) fn is_exact(&self) -> bool {
         self.budget != Budget::AtMost
     }
 
-    /// `moment` for the pruner at place `k`: the one that has to reach the number knows it.
+    /// Returns `moment` for pruner `k`; only the pruner with the goal receives the target.
     pub(crate) fn moment(goal: Option<Self>, k: usize, moment: &Moment) -> Moment {
         Moment { target: goal.filter(|goal| goal.pruner == k).map(|goal| goal.target), ..*moment }
     }
 }
 
-/// Refuses pruners that this program cannot run.
+/// Rejects pruners that this program cannot run.
 ///
 /// # Errors
-/// [`Error::Config`] with what to do.
+/// [`Error::Config`] with the next step.
 pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
     let why = pruners.iter().find_map(|pruner| pruner.traits().unavailable);
     why.map_or(Ok(()), |why| Err(Error::Config(why)))
 }
 
-/// A pruner with a column of its own that is given twice: the settings of the second would change nothing, and both would
-/// press on one column. Different pruners may share a column.
+/// Returns the error for a pruner with a column that is listed twice: the settings of the second would have no effect,
+/// and both would penalise one column. Different pruners may share a column.
 fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
-    // Strategies written in Python have one name and differ in their class.
+    // Pruners written in Python share one name and differ in their class.
     let kind = |pruner: &Plugin<dyn Pruner>| match name_of(pruner) {
         python if python == "Python" => to_ron(pruner),
         name => name,
@@ -89,7 +89,7 @@ fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
     twice.map(|(_, pruner)| format!("`{}` is given twice; give it once", name_of(pruner)))
 }
 
-/// What is wrong with `training.target` and the pruners that are to reach it.
+/// Returns the error in `training.target` and its pruners.
 pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
     let (goal, target) = (Goal::of(plan), plan.training.target);
     if target > 0 && goal.is_none() {
@@ -98,7 +98,7 @@ pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
              SignalContribution()"
         ));
     }
-    // A limit at each prune step does nothing without its number.
+    // A pruner with an upper limit has no effect without a target.
     let is_idle = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
         pruner.traits().budget == Some(Budget::AtMost) && goal.is_none_or(|goal| goal.pruner != *k)
     };
@@ -115,7 +115,7 @@ pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
     })
 }
 
-/// What is wrong with the list of pruners.
+/// Returns the error in the list of pruners.
 pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     if let Some(why) = given_twice(&plan.pruners).or_else(|| target_fault(plan)) {
         return Some(why);
@@ -155,7 +155,7 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     None
 }
 
-/// The columns that the pruners ask for, each once; none where there is no phase in which they count.
+/// Returns the columns that the pruners request, each once; none without a pruning phase.
 pub(crate) fn specs_of(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
     if plan.training.prune_until > 0 {
@@ -168,7 +168,7 @@ pub(crate) fn specs_of(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     specs
 }
 
-/// Whether densification or the pruner with the target may add Gaussians, up to `n` at least.
+/// Returns whether densification or the pruner with the target may add Gaussians up to at least `n`.
 fn grows(plan: &TrainingPlan, n: usize) -> bool {
     let densify = &plan.training.densify;
     let room = densify.max_gaussians == 0 || densify.max_gaussians >= n;
@@ -176,13 +176,13 @@ fn grows(plan: &TrainingPlan, n: usize) -> bool {
         || Goal::of(plan).is_some_and(|goal| plan.pruners[goal.pruner].traits().grows)
 }
 
-/// The target that removes none of the `n` Gaussians at the start, if none are added.
+/// Returns a target that removes none of the `n` initial Gaussians, if none are added.
 pub(crate) fn idle_target(plan: &TrainingPlan, n: usize) -> Option<usize> {
     let target = Goal::of(plan)?.target;
     (target >= n && !grows(plan, n + 1)).then_some(target)
 }
 
-/// The exact number that is asked for, where it is above the `n` Gaussians at the start and none are added.
+/// Returns the error for an exact target above the `n` initial Gaussians, if none are added.
 pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
     let target = Goal::of(plan).filter(Goal::is_exact)?.target;
     (target > n && !grows(plan, target)).then(|| {
@@ -193,7 +193,7 @@ pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
     })
 }
 
-/// Refuses rays where there are no pixels to choose, and more than a step can be meant to have.
+/// Rejects rays for data without pixels, and too many rays per step.
 pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
     let most = match rays {
         Rays::All => return Ok(()),
@@ -214,10 +214,10 @@ pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
     }
 }
 
-/// Pairs of a spectrum and a pixel a step.
+/// Maximum number of pairs of spectrum and pixel per step.
 const MOST_PAIRS: usize = 1 << 22;
 
-/// Refuses data that describe a transmitter by other numbers than the method wants.
+/// Rejects data whose transmitter inputs do not match the method.
 pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
     let own = stages.deformation().is_none();
     let (wants, has) = (stages.method.traits().inputs, data.features.as_ref().map_or(3, |features| features.width));

@@ -1,4 +1,4 @@
-//! A prune step: passes over training transmitters for whoever asks, edits, votes, and the exact budget.
+//! Prune steps: passes over training transmitters for statistics, edits, votes, and the exact budget.
 
 use crate::batches::plane_of_pass;
 use crate::edit;
@@ -14,18 +14,18 @@ use pwrfgs_core::{
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 
-/// How many prune steps there are up to `step` in the pruning phase.
+/// Returns the number of prune steps up to `step` in the pruning phase.
 fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
     let whole = |step: u64| step / every.max(1);
     let regular = whole(step.min(last)).saturating_sub(whole(first));
     regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
 }
 
-/// How many Gaussians each rule removes.
+/// Number of Gaussians removed per rule.
 pub(crate) type Rules = Vec<(String, usize)>;
 
-/// Whom the pruners of a pipeline keep together: a Gaussian stays where all agree, or where the target says so. Beside it,
-/// how many each pruner removes.
+/// Combines the votes of all pruners: a Gaussian is kept if all pruners agree, or by the exact target. Also returns the
+/// number of Gaussians that each pruner removes.
 fn votes(
     (pruners, goal): (&[Plugin<dyn Pruner>], Option<Goal>),
     cloud: &GaussianCloud,
@@ -56,7 +56,7 @@ fn votes(
 }
 
 impl Trainer<'_> {
-    /// What `step` is.
+    /// Returns the context of `step` for the pruners.
     pub(crate) fn moment(&self, step: u64) -> Moment {
         let t = &self.plan.training;
         let phases = (t.densify_until, t.prune_until, t.prune_every);
@@ -66,7 +66,7 @@ impl Trainer<'_> {
         Moment { round, rounds, ..Moment::new(step, phase, self.plan.seed) }
     }
 
-    /// Asks every pruner. Gives the Gaussians as they were where they changed.
+    /// Runs all pruners. Returns the Gaussians before the step if some were removed.
     pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<Before>> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
@@ -85,7 +85,7 @@ impl Trainer<'_> {
         Ok((self.cloud.len() < n).then_some(before))
     }
 
-    /// Lets every pruner change rows, and gives what each knows of the Gaussians after that.
+    /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
     fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
         for (k, pruner) in pruners.iter().enumerate() {
@@ -93,7 +93,7 @@ impl Trainer<'_> {
             let stats = self.stats_for(pruner, &moment)?;
             match pruner.edit(&self.cloud, &stats, &moment) {
                 Some(edit) => {
-                    // Where only columns are new, what is known of Gaussians stays true.
+                    // If only columns change, the statistics remain valid.
                     let same = edit.rows.iter().enumerate().all(|(i, row)| *row == Row::Kept(i))
                         && edit.rows.len() == self.cloud.len();
                     let (cloud, mut beside) = self.rows();
@@ -114,13 +114,13 @@ impl Trainer<'_> {
         known.map(of).collect()
     }
 
-    /// Keeps the rows that are true.
+    /// Keeps the rows with `true`.
     pub(crate) fn take_away(&mut self, keep: &[bool]) {
         let (cloud, mut beside) = self.rows();
         edit::keep(keep, cloud, &mut beside);
     }
 
-    /// What a pruner is told of the Gaussians, and what it asked for.
+    /// Returns the statistics of the Gaussians, including those that the pruner requests.
     fn stats_for(&self, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
         let needs = pruner.needs(&self.cloud, moment).settled(self.stages.method.traits().blends);
         let mut stats = self.stats.clone();
@@ -140,14 +140,14 @@ impl Trainer<'_> {
     }
 }
 
-/// What stays as it is during a pass.
+/// Constants of a pass.
 pub(crate) struct Scene<'a> {
     pub(crate) stages: &'a Stages,
     pub(crate) weights: &'a [Real],
     pub(crate) objective: &'a dyn Objective,
 }
 
-/// What `needs` names, over all `batches`. Gaussians whose `gate` is 0 are not looked at, and have zeros.
+/// Computes the statistics in `needs` over all `batches`. Gaussians with a `gate` of 0 are skipped and have zeros.
 pub(crate) fn survey(
     scene: &Scene<'_>,
     cloud: &GaussianCloud,
@@ -183,8 +183,8 @@ pub(crate) fn survey(
     Ok(sums)
 }
 
-/// The place at which each of `n` Gaussians is taken: those that are not drawn first, then in turn the one without which
-/// the loss of `batches` is smallest, of equals the last.
+/// Returns the order of elimination of `n` Gaussians. Undrawn Gaussians come first. Each next one is that whose removal
+/// gives the smallest loss of `batches`; ties take the last.
 fn elimination(
     scene: &Scene<'_>,
     p: &Parameters<'_>,
@@ -215,7 +215,7 @@ fn elimination(
     places
 }
 
-/// Mean loss of the Gaussians `some`.
+/// Returns the mean loss with the Gaussians `some` only.
 fn loss_of(scene: &Scene<'_>, p: &Parameters<'_>, some: &[usize], batches: &[(Stages, Batch)]) -> Real {
     let cloud = p.cloud.select(some);
     let gate: Option<Vec<Real>> = p.gate.map(|gate| some.iter().map(|&i| gate[i]).collect());

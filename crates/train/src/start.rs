@@ -1,4 +1,4 @@
-//! `Trainer` before its first step: what plan and data must have in common, Gaussians and weights.
+//! `Trainer` before its first step: checks of plan and data, Gaussians and weights.
 
 use crate::adam::Adam;
 use crate::batches::{Batches, check_stride, plane_of_step};
@@ -17,12 +17,12 @@ impl<'a> Trainer<'a> {
     /// Initialises cloud and network.
     ///
     /// # Errors
-    /// What the initializer lacks, or an empty training part.
+    /// The initialiser lacks an input, or the training set is empty.
     pub fn new(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         Self::begin(plan, data, partition, &|_, _| {}, &AtomicBool::new(false))
     }
 
-    /// The same for an initializer that may search for long.
+    /// Initialises cloud and network with an initialiser that may search for a long time.
     ///
     /// # Errors
     /// As [`Self::new`]; [`Error::Stopped`] once `stop` is set.
@@ -37,7 +37,8 @@ impl<'a> Trainer<'a> {
         Self::started((plan, data, partition), make, progress, stop)
     }
 
-    /// With what the initializer makes of the scene alone: as large as the real one, to estimate what a step takes.
+    /// Initialises with the scene only, without a search: the model has the size of the real one, for estimates of
+    /// cost.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -46,7 +47,7 @@ impl<'a> Trainer<'a> {
         Self::started((plan, data, partition), make, &|_, _| {}, &AtomicBool::new(false))
     }
 
-    /// With the Gaussians that `make` gives to a method that has some.
+    /// Initialises with the Gaussians of `make` if the method has Gaussians.
     fn started(
         (plan, data, partition): (&TrainingPlan, &'a Dataset, &Partition),
         make: impl FnOnce(&Seen<'_>, &mut Rng) -> Result<GaussianCloud>,
@@ -66,7 +67,7 @@ impl<'a> Trainer<'a> {
         Ok(blank)
     }
 
-    /// Everything but parameters.
+    /// Creates the trainer without parameters.
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let plan = plan.clone();
         check_available(&plan.pruners)?;
@@ -121,7 +122,7 @@ impl<'a> Trainer<'a> {
         Ok(blank)
     }
 
-    /// The parameters before the first step; where the initializer has weights, as it has them.
+    /// Sets the initial parameters; weights come from the initialiser if it has some.
     fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count, or take Random()".into()));

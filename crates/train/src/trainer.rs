@@ -14,40 +14,41 @@ use pwrfgs_core::{
 use pwrfgs_model::{Model, Stages};
 use std::sync::{Arc, OnceLock};
 
-/// What a step did.
+/// Results of one training step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
-    /// Counted from 1.
+    /// Step number, from 1.
     pub step: u64,
     /// Phase of algorithm 1.
     pub phase: Phase,
     /// Rendering loss before the update.
     pub loss: f64,
-    /// Sum of the pruners' penalties before the update.
+    /// Sum of the penalties of the pruners before the update.
     pub penalty: f64,
-    /// N after the step.
+    /// Number of Gaussians N after the step.
     pub gaussians: usize,
-    /// What pruners took, where they did.
+    /// Gaussians removed by pruners, if any.
     pub pruned: Option<Pruned>,
 }
 
-/// A step at which pruners took Gaussians.
+/// Snapshot of a step at which pruners removed Gaussians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pruned {
-    /// The Gaussians just before.
+    /// Gaussians before the removal.
     pub cloud: GaussianCloud,
-    /// Who each of them is `[N]`: a number that stays while rows move.
+    /// Persistent ID per Gaussian, `[N]`.
     pub births: Vec<u32>,
-    /// Gates of the pruners `[N]`, from 0 (closed) to 1; `None` where there are none.
+    /// Gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
     pub gates: Option<Vec<Real>>,
-    /// Which prune step it is, from 1, and how many there are; 0 where densification prunes.
+    /// Number of this prune step, from 1, and number of all prune steps; 0 if densification prunes.
     pub round: (u64, u64),
 }
 
-/// The Gaussians before something took some, and who they are.
+/// Gaussians before a removal, and their IDs.
 pub(crate) type Before = (GaussianCloud, Vec<u32>);
 
-/// A training under way. The same plan and data give the same bits at any thread count, interrupted or not.
+/// Training in progress. The same plan and data give bit-identical results for any number of threads, interrupted or
+/// not.
 #[derive(Debug)]
 pub struct Trainer<'a> {
     pub(crate) plan: TrainingPlan,
@@ -55,9 +56,9 @@ pub struct Trainer<'a> {
     pub(crate) data: &'a Dataset,
     pub(crate) batches: Batches,
     pub(crate) objective: Box<dyn Objective>,
-    /// As trained: their plane is that of the step begun last, every `stride`-th row and column.
+    /// Stages in use; their image plane is that of the current step, every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
-    /// The whole image.
+    /// Image plane of the whole image.
     pub(crate) plane: ImagePlane,
     pub(crate) specs: Vec<ColumnSpec>,
     pub(crate) cloud: GaussianCloud,
@@ -66,7 +67,7 @@ pub struct Trainer<'a> {
     pub(crate) stats: CloudStats,
     pub(crate) births: Births,
     pub(crate) done: u64,
-    /// See `checkpoint.rs`; worked out when the first checkpoint is written or read.
+    /// Fingerprint (see `checkpoint.rs`), computed when the first checkpoint is written or read.
     pub(crate) fingerprint: OnceLock<String>,
 }
 
@@ -75,32 +76,32 @@ impl Trainer<'_> {
         &self.batches
     }
 
-    /// Steps taken.
+    /// Returns the number of completed steps.
     pub fn done(&self) -> u64 {
         self.done
     }
 
-    /// How many weights are learned besides the Gaussians.
+    /// Returns the number of learned weights besides the Gaussians.
     pub fn weights(&self) -> usize {
         self.weights.len()
     }
 
-    /// Whether all steps are taken.
+    /// Returns whether all steps are completed.
     pub fn finished(&self) -> bool {
         self.done >= self.plan.training.steps
     }
 
-    /// The Gaussians as they stand.
+    /// Returns the current Gaussians.
     pub fn cloud(&self) -> &GaussianCloud {
         &self.cloud
     }
 
-    /// Who each Gaussian is `[N]`: a number that stays while rows move. A copy has a number of its own.
+    /// Returns the persistent ID per Gaussian, `[N]`. A copy has a new ID.
     pub fn births(&self) -> &[u32] {
         &self.births.of
     }
 
-    /// Gates of the pruners `[N]`, from 0 (closed) to 1, as they are now; `None` where there are none.
+    /// Returns the current gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
     pub fn gates(&self) -> Option<Vec<Real>> {
         self.gates_of(&self.cloud, &self.moment(self.done.max(1)))
     }
@@ -110,7 +111,7 @@ impl Trainer<'_> {
         has_state.then(|| open_gates(cloud, &self.plan.pruners, moment)).flatten()
     }
 
-    /// Everything that has a row a Gaussian.
+    /// Returns the cloud and all other per-Gaussian state.
     pub(crate) fn rows(&mut self) -> (&mut GaussianCloud, Beside<'_>) {
         let beside = Beside { adam: &mut self.adam, stats: &mut self.stats, births: &mut self.births };
         (&mut self.cloud, beside)
@@ -120,15 +121,15 @@ impl Trainer<'_> {
         (self.cloud.clone(), self.births.of.clone())
     }
 
-    /// What was seen of the Gaussians since the last densification.
+    /// Returns the statistics of the Gaussians since the last densification.
     pub fn stats(&self) -> &CloudStats {
         &self.stats
     }
 
-    /// Takes away the Gaussians that are not to be kept, as a prune step does: parameters, moments of Adam and statistics.
+    /// Keeps the Gaussians with `true`, as a prune step does: parameters, moments of Adam and statistics.
     ///
     /// # Errors
-    /// [`Error::Config`] where `keep` is of another length, or would leave nothing.
+    /// [`Error::Config`] if `keep` has another length or would remove all Gaussians.
     pub fn keep(&mut self, keep: &[bool]) -> Result<()> {
         let n = self.cloud.len();
         if keep.len() != n {
@@ -141,7 +142,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Phase of algorithm 1 at `step`.
+    /// Returns the phase of algorithm 1 at `step`.
     pub fn phase(&self, step: u64) -> Phase {
         let t = &self.plan.training;
         if step <= t.densify_until {
@@ -153,12 +154,12 @@ impl Trainer<'_> {
         }
     }
 
-    /// One step: batch, gradients, Adam, then densification or pruning where due.
+    /// Runs one step: batch, gradients, Adam, then densification or pruning if due.
     ///
     /// # Errors
-    /// [`Error::NonFinite`], naming step and tensor; the trainer is then of no further use. [`Error::Read`] of a spectrum.
+    /// [`Error::NonFinite`] with step and tensor; the trainer cannot be used afterwards. [`Error::Read`] of a spectrum.
     pub fn step(&mut self) -> Result<StepReport> {
-        // On a thread of the pool, which then need not be entered anew for every parallel loop.
+        // Runs on a thread of the pool, so that parallel loops need not enter it again.
         rayon::scope(|_| self.next_step())
     }
 
@@ -201,7 +202,7 @@ impl Trainer<'_> {
         Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, pruned })
     }
 
-    /// Sets the plane that `step` draws.
+    /// Sets the image plane of `step`.
     fn set_plane(&mut self, step: u64) {
         let plane = plane_of_step(&self.plane, &self.plan, self.data.task(), step);
         if plane != self.stages.plane {
@@ -209,7 +210,7 @@ impl Trainer<'_> {
         }
     }
 
-    /// The model as it stands: Gaussians whose gate is closed are gone, and so are the masks.
+    /// Returns the current model, without closed Gaussians and masks.
     pub fn model(&self) -> Model {
         let moment = self.moment(self.done.max(1));
         let mut cloud = self.cloud.clone();
@@ -223,19 +224,19 @@ impl Trainer<'_> {
         Model { stages, cloud, weights: self.weights.to_vec() }
     }
 
-    /// Factors of dropout on the weights in this step; `None` without dropout.
+    /// Returns the dropout factors on the weights in this step; `None` without dropout.
     fn dropout(&self, step: u64) -> Option<Vec<Real>> {
         let rate = self.plan.training.dropout;
         let random = &mut rng::stream(self.plan.seed, "dropout", step);
         if rate == 0.0 { None } else { self.stages.layout().dropout(rate, random) }
     }
 
-    /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
+    /// Changes N as algorithm 1 prescribes; returns the Gaussians before a removal by pruners.
     fn edit(&mut self, moment: &Moment) -> Result<Option<Before>> {
         let training = self.plan.training.clone();
         let (step, mut unpruned) = (moment.step, None);
         match moment.phase {
-            // What was not drawn has no size to speak of: a source of waves is neither large nor small.
+            // Gaussians of methods that do not draw have no radius; size limits do not apply to them.
             Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => {
                 let settings = &training.densify;
                 if densify::due(settings, step) {
@@ -252,8 +253,8 @@ impl Trainer<'_> {
             _ => {}
         }
         if step == training.prune_until {
-            // Fine-tuning starts with M = 1 everywhere: closed gates go, but for those that an exact number needs, and then
-            // the masks.
+            // Fine-tuning starts with M = 1 everywhere: closed Gaussians are removed, except those that an exact target
+            // needs, and then the masks.
             if let Some(mut open) = self.open_gates(moment).filter(|_| !self.is_exact()) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
@@ -268,17 +269,17 @@ impl Trainer<'_> {
         Ok(unpruned)
     }
 
-    /// Whether pruning ends with an exact number of Gaussians.
+    /// Returns whether pruning ends with an exact number of Gaussians.
     pub(crate) fn is_exact(&self) -> bool {
         self.goal.is_some_and(|goal| goal.is_exact())
     }
 
-    /// Whether columns of pruners are there still.
+    /// Returns whether columns of pruners still exist.
     fn has_state(&self) -> bool {
         self.cloud.extra.len() > self.stages.method.traits().columns.len()
     }
 
-    /// Which gates are open; `None` where no pruner has one any more.
+    /// Returns the open gates; `None` if no pruner has a gate any more.
     fn open_gates(&self, moment: &Moment) -> Option<Vec<bool>> {
         if !self.has_state() {
             return None;
@@ -288,7 +289,7 @@ impl Trainer<'_> {
     }
 }
 
-/// Weights, or their derivatives, times the factors of dropout.
+/// Multiplies weights, or their derivatives, by the dropout factors.
 fn times(factors: &[Real], weights: &[Real]) -> Vec<Real> {
     weights.iter().zip(factors).map(|(w, factor)| w * factor).collect()
 }

@@ -1,4 +1,4 @@
-//! What a training will not do although its pipeline asks for it, said before its first step; and what a step removed.
+//! Warnings before the first step about settings without effect, and a report of large removals.
 
 use crate::adam::BETAS;
 use crate::densify::{self, extent_of, largest};
@@ -9,13 +9,13 @@ use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Error, Real, Result};
 
 impl Trainer<'_> {
-    /// Settings that cannot do what they are for, with the Gaussians at hand: a sentence each.
+    /// Returns one sentence per setting that has no effect with the initial Gaussians.
     pub fn warnings(&self) -> Vec<String> {
         let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask(k));
         self.idle_target().into_iter().chain(masks).chain(self.oversized()).collect()
     }
 
-    /// A target that is reached from the start.
+    /// Warns about a target that is met from the start.
     fn idle_target(&self) -> Option<String> {
         let n = self.cloud.len();
         let target = idle_target(&self.plan, n)?;
@@ -25,7 +25,7 @@ impl Trainer<'_> {
         ))
     }
 
-    /// A mask that cannot fall from its initial value to its threshold before pruning ends.
+    /// Warns about a mask that cannot fall from its initial value to its threshold before pruning ends.
     fn slow_mask(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
         let (needed, until) = (pruner.traits().mask_fall?.steps(BETAS), training.prune_until);
@@ -38,7 +38,7 @@ impl Trainer<'_> {
         })
     }
 
-    /// Gaussians that densification removes for their size at its first step with that rule, unless they shrink before.
+    /// Warns about Gaussians that the first size check of densification removes, unless they shrink before.
     fn oversized(&self) -> Option<String> {
         let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
@@ -57,7 +57,7 @@ impl Trainer<'_> {
         })
     }
 
-    /// Size of the scene, metres.
+    /// Returns the size of the scene, metres.
     pub(crate) fn extent(&self) -> Real {
         match self.plan.training.densify.extent_m {
             0.0 => extent_of(self.data.scene.bounds),
@@ -65,10 +65,10 @@ impl Trainer<'_> {
         }
     }
 
-    /// Says which rules removed more than half of the `before` Gaussians.
+    /// Reports the rules that removed more than half of the `before` Gaussians.
     ///
     /// # Errors
-    /// Where one is left, and nobody asked for that.
+    /// Only one Gaussian is left, although the pipeline does not request one.
     pub(crate) fn report_removal(&self, step: u64, before: usize, rules: &[(String, usize)]) -> Result<()> {
         let left = self.cloud.len();
         let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
@@ -95,13 +95,13 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Whether the pipeline asks for a single Gaussian.
+    /// Returns whether the pipeline requests a single Gaussian.
     fn wants_one(&self) -> bool {
         self.plan.training.target == 1 || self.plan.initializer.count() == Some(1)
     }
 }
 
-/// The first step at which densification looks at sizes; `None` if it never does.
+/// Returns the first step at which densification checks sizes; `None` if it never does.
 fn first_size_step(settings: &Densify) -> Option<u64> {
     let after = settings.from.max(settings.large_after);
     let step = settings.every * (after.checked_div(settings.every)? + 1);

@@ -1,34 +1,34 @@
-//! Steering the array to every pixel: aᴴh/K for a whole picture.
+//! Steering of the array to every pixel: aᴴh/K for a whole image.
 //!
-//! The array is centred: with every antenna k at p there is one, K-1-k, at -p. So aᴴh = Σ cos φₖ·(hₖ + h₋ₖ) +
-//! sin φₖ·(-j)(hₖ - h₋ₖ) over half of the antennas, φₖ = 2π pₖ·u: K real functions of the direction, the same for real
-//! and imaginary part. Half a turn of azimuth away the array, flat as it is, sees -u: there the sum of the cosines is
-//! the same and that of the sines is reversed. On a picture that goes all the way round two pixels together therefore
-//! cost K multiply-adds a channel, and the table covers half of the picture.
+//! The array is centred: every antenna k at p has an opposite antenna K-1-k at -p. So aᴴh = Σ cos φₖ·(hₖ + h₋ₖ) + sin
+//! φₖ·(-j)(hₖ - h₋ₖ) over half of the antennas, φₖ = 2π pₖ·u. These are K real functions of the direction, equal for
+//! real and imaginary part. At the opposite azimuth the flat array has the direction -u: the sum of the cosines is
+//! equal and that of the sines changes its sign. On an image of the full circle, two pixels together therefore cost K
+//! multiply-adds per channel, and the table covers half of the image.
 
 use super::wave::Antennas;
 use pwrfgs_core::{ImagePlane, Lanes, Real, Vec3, widest};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Pixels that the kernel carries at a time: with both channels enough to fill the pipelines, and few enough to stay in
+/// Number of pixels per kernel call: with both channels enough to fill the pipelines, and few enough to stay in
 /// registers.
 const LANES: usize = 64;
-/// Channels that one thread draws: each block of the table is loaded once for all of them.
+/// Number of channels per thread: each block of the table is loaded once for all of them.
 const GROUP: usize = 8;
 
-/// Values of some pixels of a row, zeros beyond its end.
+/// Values of some pixels of a row, with zeros beyond its end.
 type Block = [Real; LANES];
 
-/// A table of K real functions, cosines first, at the pixels of one half of the picture; or of all of it.
+/// Table of K real functions, cosines first, at the pixels of one half of the image, or of all of it.
 #[derive(Debug)]
 pub(super) struct Beams {
     elements: usize,
     width: usize,
-    /// Columns that are in the table.
+    /// Number of columns in the table.
     columns: usize,
     pixels: usize,
-    /// `[rows of the picture, blocks a row, K]`.
+    /// Values, `[rows of the image, blocks per row, K]`.
     table: Vec<Block>,
 }
 
@@ -55,14 +55,14 @@ impl Beams {
         Self { elements, width, columns, pixels: width * plane.height, table }
     }
 
-    /// Pictures `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
+    /// Computes images `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
     pub(super) fn draw(&self, field: &[[Real; 2]], out: &mut [Real]) {
         let coefficients: Vec<Real> = field.chunks_exact(self.elements).flat_map(|h| self.fold(h)).collect();
         let groups = out.par_chunks_mut(GROUP * self.pixels).zip(coefficients.par_chunks(GROUP * self.elements));
         groups.for_each(|(out, coefficients)| widest(Draw { beams: self, coefficients, out }));
     }
 
-    /// Cotangents of the fields `[B, K]`, given those of the pictures.
+    /// Returns the cotangents of the fields `[B, K]`, given those of the images.
     pub(super) fn draw_vjp(&self, d_out: &[Real]) -> Vec<[Real; 2]> {
         let mut d_coefficients = vec![0.0; d_out.len() / self.pixels * self.elements];
         let groups = d_out.par_chunks(GROUP * self.pixels).zip(d_coefficients.par_chunks_mut(GROUP * self.elements));
@@ -70,7 +70,8 @@ impl Beams {
         d_coefficients.chunks_exact(2 * self.elements).flat_map(|d| self.fold_vjp(d)).collect()
     }
 
-    /// Blocks of the table, each with the pixels it stands for and, where there are any, those half a turn away.
+    /// Iterates over blocks of the table, each with its pixels and, if the table covers half, those at the opposite
+    /// azimuth.
     fn blocks(&self) -> impl Iterator<Item = (&[Block], Range<usize>, Option<Range<usize>>)> {
         let blocks = self.columns.div_ceil(LANES);
         self.table.chunks_exact(self.elements).enumerate().map(move |(block, table)| {
@@ -82,7 +83,7 @@ impl Beams {
         })
     }
 
-    /// What the K functions are multiplied with for the real part `[K]`, and then for the imaginary part.
+    /// Returns the coefficients of the K functions for the real part `[K]`, then for the imaginary part.
     fn fold(&self, h: &[[Real; 2]]) -> Vec<Real> {
         let (k, half) = (self.elements, self.elements.div_ceil(2));
         let scale = 1.0 / k as Real;
@@ -99,7 +100,7 @@ impl Beams {
         out
     }
 
-    /// Cotangent of h, given that of [`Self::fold`].
+    /// Returns the cotangent of h, given that of [`Self::fold`].
     fn fold_vjp(&self, d: &[Real]) -> Vec<[Real; 2]> {
         let (k, half) = (self.elements, self.elements.div_ceil(2));
         let scale = 1.0 / k as Real;
@@ -117,12 +118,12 @@ impl Beams {
     }
 }
 
-/// Some pairs of channels of the picture.
+/// Forward pass for some pairs of channels of the image.
 struct Draw<'a> {
     beams: &'a Beams,
-    /// `[channels, K]`.
+    /// Coefficients `[channels, K]`.
     coefficients: &'a [Real],
-    /// `[channels, H·W]`.
+    /// Image `[channels, H·W]`.
     out: &'a mut [Real],
 }
 
@@ -157,12 +158,12 @@ impl pulp::WithSimd for Draw<'_> {
     }
 }
 
-/// The way back of [`Draw`].
+/// Backward pass of [`Draw`].
 struct Back<'a> {
     beams: &'a Beams,
-    /// `[channels, H·W]`.
+    /// Cotangents of the image `[channels, H·W]`.
     d_out: &'a [Real],
-    /// `[channels, K]`.
+    /// Cotangents of the coefficients `[channels, K]`.
     d_coefficients: &'a mut [Real],
 }
 

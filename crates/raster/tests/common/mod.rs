@@ -5,11 +5,11 @@ pub(crate) mod reference;
 use pwrfgs_core::{ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, rng};
 use pwrfgs_raster::Mercator;
 
-/// A tilted receiver away from the origin.
+/// Pose of a tilted receiver away from the origin.
 pub(crate) const POSE: Pose =
     Pose { position: [1.0, -2.0, 0.5], orientation: [0.1, -0.2, 0.3, 0.927_361_849_549_570_4] };
 
-/// `n` Gaussians in front of [`POSE`], of all shapes, some across the seam, some near the zenith.
+/// Creates `n` Gaussians in front of [`POSE`], of all shapes, some across the seam, some near the zenith.
 pub(crate) fn primitives(n: usize, seed: u64) -> Primitives {
     let mut random = rng::stream(seed, "scene", n as u64);
     let r = POSE.world_from_receiver();
@@ -29,20 +29,20 @@ pub(crate) fn primitives(n: usize, seed: u64) -> Primitives {
     p
 }
 
-/// Signals `[n, channels]`.
+/// Creates signals `[n, channels]`.
 pub(crate) fn signals(n: usize, channels: usize, seed: u64) -> Vec<Real> {
     let mut random = rng::stream(seed, "signals", n as u64);
     (0..n * channels).map(|_| rng::normal(&mut random)).collect()
 }
 
-/// Splats of such a scene on a full picture.
+/// Creates the splats of such a scene on a full image.
 pub(crate) fn splats(n: usize, seed: u64, width: usize, height: usize) -> (Splats, ImagePlane) {
     let projector = Mercator::default();
     let plane = projector.plane(width, height);
     (projector.project(&primitives(n, seed), &POSE, &plane), plane)
 }
 
-/// Largest difference, relative to the largest of the first.
+/// Returns the largest difference, relative to the largest value of `a`.
 pub(crate) fn relative(a: &[Real], b: &[Real]) -> Real {
     assert_eq!(a.len(), b.len());
     let largest = a.iter().fold(1e-12, |m: Real, x| m.max(x.abs()));

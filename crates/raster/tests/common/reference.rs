@@ -1,9 +1,9 @@
-//! The picture of `AlphaBlending` by brute force: every splat against every pixel, one pixel after the other, the
-//! derivative by the classical walk from back to front.
+//! Reference of `AlphaBlending` by brute force: every splat against every pixel, one pixel after the other; the
+//! derivative by the usual back-to-front pass.
 
 use pwrfgs_core::{ImagePlane, Real, RenderVjp, Splats};
 
-/// Largest γ of one splat, smallest γ that counts, and what light a full pixel keeps.
+/// Largest γ of one splat, smallest drawn γ, and transmittance of an opaque pixel.
 const ALPHA_MAX: Real = 0.99;
 const ALPHA_MIN: Real = 1.0 / 255.0;
 const T_MIN: Real = 1e-4;
@@ -17,7 +17,7 @@ struct Touch {
     before: Real,
 }
 
-/// What pixel (x, y) sees, nearest first, and the light left.
+/// Returns the splats in pixel (x, y), nearest first, and the remaining transmittance.
 fn touches(splats: &Splats, order: &[usize], plane: &ImagePlane, x: usize, y: usize) -> (Vec<Touch>, Real) {
     let mut light = 1.0;
     let mut seen = Vec::new();
@@ -44,14 +44,14 @@ fn touches(splats: &Splats, order: &[usize], plane: &ImagePlane, x: usize, y: us
     (seen, light)
 }
 
-/// Splats that reach the picture, nearest first.
+/// Returns the splats that reach the image, nearest first.
 fn order_of(splats: &Splats) -> Vec<usize> {
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| splats.radii[i] > 0.0).collect();
     order.sort_by(|&a, &b| (splats.depths[a] as f32).total_cmp(&(splats.depths[b] as f32)));
     order
 }
 
-/// Blended signals `[channels, H, W]` and transmittance `[H, W]`.
+/// Returns blended signals `[channels, H, W]` and transmittance `[H, W]`.
 pub(crate) fn forward(
     splats: &Splats,
     signals: &[Real],
@@ -73,7 +73,7 @@ pub(crate) fn forward(
     (pixels, transmittance)
 }
 
-/// Cotangents, given those of the pixels.
+/// Returns cotangents, given those of the pixels.
 pub(crate) fn backward(
     splats: &Splats,
     signals: &[Real],
