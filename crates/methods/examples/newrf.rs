@@ -1,4 +1,4 @@
-//! The table of `NeWRF`'s conference room: how many virtual transmitters are found, how fast and how good they are.
+//! Table of `NeWRF`'s conference room: number of virtual transmitters, search time and SNR.
 //!
 //! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-methods --example newrf -- 433 928 2400`
 
@@ -25,7 +25,7 @@ fn read(name: &str) -> Band {
     let mut reader = csv::Reader::from_path(folder.join(positions)).unwrap();
     let positions = reader.deserialize::<[Real; 3]>().map(Result::unwrap).collect();
     let bytes = std::fs::read(folder.join(format!("csi_{name}MHz.npy"))).unwrap();
-    // complex64, 128 bytes of header or as its length field says.
+    // complex64, with 128 bytes of header or the length in its length field.
     let start = 10 + u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
     let floats: Vec<Real> = bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
     Band { frequency, positions, channel: floats.as_chunks::<2>().0.to_vec() }

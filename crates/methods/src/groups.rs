@@ -1,5 +1,5 @@
-//! `Group`: links that are drawn together, because they share a receiver and a geometry; and what methods share whose
-//! Gaussians pass a [`Deformation`] and an [`Activation`].
+//! `Group`: links that are drawn together because they share a receiver and a geometry. Also shared code of methods
+//! with a [`Deformation`] and an [`Activation`].
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
@@ -13,14 +13,14 @@ use std::ops::Range;
 #[derive(Debug)]
 pub(crate) struct Group {
     pub(crate) receiver: usize,
-    /// Places in the list of links.
+    /// Indices into the list of links.
     pub(crate) links: Vec<usize>,
-    /// Rows of the transmitters.
+    /// Rows of their transmitters.
     rows: Vec<usize>,
 }
 
 impl Group {
-    /// All links, receiver by receiver; each alone, where they do not `share` a geometry.
+    /// Groups all links by receiver; one group per link if links do not `share` a geometry.
     pub(crate) fn all(links: &[Link], receivers: usize, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
         for receiver in 0..receivers {
@@ -35,26 +35,26 @@ impl Group {
         groups
     }
 
-    /// Its links, each as a group of its own.
+    /// Returns its links, each as a separate group.
     pub(crate) fn alone(&self) -> impl Iterator<Item = Self> + '_ {
         let one =
             |(link, row): (&usize, &usize)| Self { receiver: self.receiver, links: vec![*link], rows: vec![*row] };
         self.links.iter().zip(&self.rows).map(one)
     }
 
-    /// The place of its first link.
+    /// Returns the index of its first link.
     pub(crate) fn first(&self) -> usize {
         self.links[0]
     }
 
-    /// From the receiver to the transmitter of each link, metres; nothing where positions are not known.
+    /// Returns the distance from receiver to transmitter per link, metres; empty if positions are unknown.
     pub(crate) fn distances(&self, pose: &Pose, asked: &Asked<'_>) -> Vec<Real> {
         let txs = asked.conditions.positions();
         let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - pose.origin()).length());
         self.rows.iter().filter_map(distance).collect()
     }
 
-    /// The rows of `numbers` that are its links'.
+    /// Returns the rows of `numbers` values that belong to its links.
     pub(crate) fn gather<'a>(&self, all: &'a [Real], numbers: usize) -> Cow<'a, [Real]> {
         if self.links.windows(2).all(|pair| pair[1] == pair[0] + 1) {
             return Cow::Borrowed(&all[self.links[0] * numbers..][..self.links.len() * numbers]);
@@ -62,14 +62,14 @@ impl Group {
         Cow::Owned(self.links.iter().flat_map(|link| &all[link * numbers..][..numbers]).copied().collect())
     }
 
-    /// Puts rows where its links are.
+    /// Writes rows to the positions of its links.
     pub(crate) fn scatter(&self, own: &[Real], numbers: usize, all: &mut [Real]) {
         for (own, link) in own.chunks_exact(numbers).zip(&self.links) {
             all[link * numbers..][..numbers].copy_from_slice(own);
         }
     }
 
-    /// The terms of its transmitters: rows of `deltas` as they lie there, or copied to lie side by side.
+    /// Returns the deformation terms of its transmitters: a slice of `deltas` if contiguous, otherwise a copy.
     pub(crate) fn terms<'a>(&self, deltas: &'a Deltas, n: usize) -> (Cow<'a, Deltas>, Range<usize>) {
         let first = self.rows[0];
         if self.rows.iter().enumerate().all(|(k, row)| *row == first + k) {
@@ -78,8 +78,8 @@ impl Group {
         (Cow::Owned(self.copy(deltas, n)), 0..self.rows.len())
     }
 
-    /// What `vjp` gives, called with the terms of its transmitters; it adds to the cotangents of these terms, which are then
-    /// those of the rows that they were copied from.
+    /// Calls `vjp` with the terms of its transmitters and returns its result; the cotangents of these terms are added
+    /// to the rows of origin.
     pub(crate) fn terms_vjp<T>(
         &self,
         deltas: &Deltas,
@@ -88,7 +88,7 @@ impl Group {
         vjp: impl FnOnce(&Deltas, Range<usize>, &mut ActivationVjp) -> T,
     ) -> T {
         let (terms, batch) = self.terms(deltas, n);
-        // Copied terms have a derivative of their own, which is then added where they came from.
+        // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
         let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
         let given = vjp(&terms, batch, own);
@@ -115,7 +115,7 @@ impl Group {
         }
     }
 
-    /// Adds derivatives of copied terms to the rows that they were copied from.
+    /// Adds derivatives of copied terms to the rows of origin.
     fn add_back(&self, own: &Deltas, all: &mut Deltas, n: usize) {
         for (own, all) in own.columns().into_iter().zip(all.columns_mut()) {
             let width = own.len() / (self.rows.len() * n).max(1);
@@ -127,16 +127,16 @@ impl Group {
     }
 }
 
-/// The name of what is learned of every receiver's gain.
+/// Name of the tensor of learned receiver gains.
 pub(crate) const OFFSETS: &str = "receiver.offsets";
 
-/// The rows of `cloud` that the network has to see: those whose gate is open; all, where it couples them.
+/// Returns the rows of `cloud` that pass through the network: those with an open gate; all if the network couples them.
 pub(crate) fn rows(deformation: &dyn Deformation, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
     let all = deformation.traits().couples_gaussians;
     (0..cloud.len()).filter(|&i| all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
 }
 
-/// Adds to `sums`, given what the activation gave, and what the network gives for it.
+/// Backward pass of activation and network: adds to `sums`, given the cotangents of the activation.
 pub(crate) fn vjp(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,
@@ -156,8 +156,8 @@ pub(crate) fn vjp(
     sums.presence.iter_mut().zip(&own.presence).for_each(|(sum, d)| *sum += d);
 }
 
-/// The Gaussians as they are drawn for a transmitter at `tx` or without any; `p.weights` begin with those of the network.
-/// `strengths` makes grey values `[N]` of signals `[N, channels]`.
+/// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
+/// the network. `strengths` computes pixel values `[N]` from signals `[N, channels]`.
 pub(crate) fn gaussians(
     deformation: &dyn Deformation,
     activation: Activation,
@@ -177,7 +177,7 @@ pub(crate) fn gaussians(
     Activated { primitives: activation.geometry(p.cloud, &deltas, 0, None), signals, strengths }
 }
 
-/// What `method` predicts of the links `part` before the first step, `[part, numbers]`.
+/// Returns the predictions of `method` for the links `part` before the first step, `[part, numbers]`.
 pub(crate) fn untrained(
     method: &dyn Method,
     frame: &Frame,
@@ -191,7 +191,7 @@ pub(crate) fn untrained(
     method.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers
 }
 
-/// Sets what the network can be told of the features of the training part.
+/// Initialises those parameters of the deformation that depend on the features of the training set.
 pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
     let inputs = deformation.traits().inputs;
     if inputs != 3 {
@@ -200,7 +200,7 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
     }
 }
 
-/// Refuses several receivers where the network reads the place of one.
+/// Rejects several receivers if the network reads the receiver position.
 pub(crate) fn check_receivers(deformation: &dyn Deformation, frame: &Frame) -> Result<(), String> {
     if frame.receivers.len() > 1 && deformation.traits().reads_receiver {
         return Err(format!(

@@ -1,8 +1,8 @@
-//! Methods: how Gaussians or rays become observations.
+//! Methods, which compute observations from Gaussians or rays.
 //!
-//! [`Splatting`] draws Gaussians as splats, [`SplattedChannel`] sums the waves of the same Gaussians. Both pass the Gaussians
-//! through a deformation and an [`Activation`]. [`VirtualTransmitters`] are Gaussians that emit spherical waves, and
-//! [`Nerf2`] has rays and no Gaussians.
+//! [`Splatting`] draws Gaussians as splats; [`SplattedChannel`] sums the waves of the same Gaussians. Both use a
+//! deformation and an [`Activation`]. [`VirtualTransmitters`] are Gaussians that emit spherical waves; [`Nerf2`] uses
+//! rays and no Gaussians.
 
 mod activate;
 mod groups;

@@ -1,10 +1,10 @@
-//! The field against closed forms and central differences.
+//! Tests of the field against closed forms and central differences.
 
 use pwrfgs_core::testing::check_vjp;
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, rng};
 use pwrfgs_methods::virtual_transmitters::{HARMONICS, Links, field, field_vjp};
 
-/// A few Gaussians, some metres off, their quaternions of no particular length, gains of `terms` harmonics.
+/// Creates a few Gaussians at distances of some metres, with quaternions of any length and gains of `terms` harmonics.
 fn cloud(n: usize, terms: usize, seed: u64) -> GaussianCloud {
     let mut random = rng::stream(seed, "cloud", 0);
     let mut cloud = GaussianCloud::zeros(n);
@@ -69,7 +69,7 @@ fn it_differentiates() {
     }
 }
 
-/// A node before a wall at x = 0: two rays, the second from the mirror image with the sign of its reflection.
+/// A node in front of a wall at x = 0: two rays, the second from the mirror image with the sign of its reflection.
 #[test]
 fn one_image_behind_a_wall_is_the_two_ray_model() {
     let (node, gain, reflection) = ([2.0, 0.5, 1.5], 0.026, -0.8);

@@ -1,4 +1,4 @@
-//! Tests of the crate as its users see it. One binary, because linking it takes longer than most of them.
+//! Tests of the public interface of the crate, in one binary to save linking time.
 
 #![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
 

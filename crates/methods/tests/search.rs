@@ -1,4 +1,5 @@
-//! The search finds what made the channel: positions, gains, turned arrays; and is the same on any number of threads.
+//! Tests that the search finds the sources of a channel: positions, gains, rotated arrays; and that the result does not
+//! depend on the number of threads.
 
 use pwrfgs_core::{Real, rng};
 use pwrfgs_methods::virtual_transmitters::{Links, Progress, Pursuit, Sources, field, pursue, snr_of, solve_gains};
@@ -8,13 +9,13 @@ static NEVER: AtomicBool = AtomicBool::new(false);
 
 const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// Places in a room of 2 m, none near a source: what is near would be nearly all of the energy.
+/// Returns positions in a room of 2 m, none close to a source, which would dominate the energy.
 fn places(n: usize) -> Vec<[Real; 3]> {
     let mut random = rng::stream(7, "places", 0);
     (0..n).map(|_| [0.0, 1.0, 0.0].map(|first| first + 2.0 * rng::uniform(&mut random))).collect()
 }
 
-/// A node, its images behind a wall and under the floor, and that of the corner.
+/// Creates a node, its images behind a wall and under the floor, and that of the corner.
 fn truth(quats: [[f64; 4]; 4]) -> Sources {
     let mut out = Sources::default();
     for (k, (x, z)) in [(1.1, 1.4), (-1.3, 1.4), (1.1, -1.4), (-1.3, -1.4)].into_iter().enumerate() {
@@ -68,7 +69,7 @@ fn images_of_a_room_are_found() {
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn a_mirrored_array_is_found_with_its_rotation() {
-    // A plane array on a wall y = const; mirrored in x it is one turned about y, and so on.
+    // A planar array on a wall y = const: its reflection in x equals a rotation about y, and so on.
     let (a, b) = ([0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]);
     let antennas: Vec<[Real; 3]> =
         (0..9).map(|k| [0.2 * ((k % 3) as Real) + 0.05, 0.0, 0.2 * ((k / 3) as Real)]).collect();
@@ -85,7 +86,7 @@ fn a_mirrored_array_is_found_with_its_rotation() {
     assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 25.0);
 }
 
-/// Dipoles: gains that fall off as the square of a cosine, and one that only half of the room sees.
+/// Dipoles: gains that decrease with the squared cosine, and one visible from only half of the room.
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn gains_over_direction_are_found() {

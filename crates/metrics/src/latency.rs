@@ -1,19 +1,19 @@
-//! How long one prediction takes, stage by stage.
+//! Prediction time, stage by stage.
 
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, StageTimes, Values};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Median milliseconds of one prediction: network, projection, sorting, blending, and all of it.
+/// Median time of one prediction, ms: network, projection, sorting, blending, and total.
 ///
 /// Keys `latency_prepare_ms`, `latency_network_ms`, `latency_projection_ms`, `latency_sort_ms`, `latency_blending_ms`,
-/// `latency_total_ms`. Each median is taken by itself, so the stages need not add up to the total.
-/// Times are those of this machine under its present load and differ from run to run. A baseline has the total alone,
-/// without the time it takes to learn; it is timed for two seconds at most, but once at least.
+/// `latency_total_ms`. Each median is computed separately, so that the stages need not sum to the total. Times depend
+/// on the machine and its load, and vary between runs. A baseline has only the total, without its fitting time; it is
+/// timed for at most two seconds, but at least once.
 ///
-/// What no transmitter changes is prepared once and is in no other stage: the network's share of it and, if geometry does
-/// not depend on the transmitter, projection and sorting. `latency_prepare_ms` is the time of that one preparation. Table I
-/// of the paper counts all of it in every prediction: add it to the total to compare.
+/// Values that do not depend on the transmitter are prepared once and excluded from the other stages: part of the
+/// network and, if geometry does not depend on the transmitter, projection and sorting. `latency_prepare_ms` is the
+/// time of this preparation. Table I of the paper includes it in every prediction; add it to the total to compare.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -24,9 +24,9 @@ use std::time::Instant;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Latency {
-    /// Predictions timed, 1 to 10,000.
+    /// Number of timed predictions, 1 to 10,000.
     pub repeats: usize,
-    /// Predictions made before, not timed: they fill caches and start threads. At most 10,000.
+    /// Number of untimed predictions before; they fill caches and start threads. At most 10,000.
     pub warm_up: usize,
 }
 
@@ -36,7 +36,7 @@ impl Default for Latency {
     }
 }
 
-/// Seconds after which a baseline is timed no more.
+/// Time after which no further prediction of a baseline is timed, seconds.
 const PATIENCE: f64 = 2.0;
 
 type Stage = (&'static str, fn(&StageTimes) -> f64);
@@ -89,7 +89,7 @@ impl Metric for Latency {
 }
 
 impl Latency {
-    /// Times of `repeats` predictions, or of those begun within `patience` seconds of the first that warms up.
+    /// Returns the times of `repeats` predictions, or of those started within `patience` seconds of the first warm-up.
     fn times(&self, predict: &dyn Fn() -> StageTimes, patience: f64) -> Vec<StageTimes> {
         let begun = Instant::now();
         let in_time = |_: &usize| begun.elapsed().as_secs_f64() < patience;
@@ -99,7 +99,7 @@ impl Latency {
     }
 }
 
-/// The middle one, or the mean of the middle two; NaN of none.
+/// Returns the median, the mean of the middle two for even numbers; NaN if empty.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {

@@ -1,7 +1,7 @@
-//! Scores: how good a prediction is, and how big and how fast the model that made it.
+//! Metrics: quality of a prediction, and size and speed of the model.
 //!
-//! One file for each kind of score. Metrics of a prediction give one number a test sample and run over samples in parallel; those of
-//! the model give one number, or say why they do not apply to a baseline.
+//! Each file holds one group of metrics. Metrics of a prediction give one number per test sample and run over samples
+//! in parallel. Metrics of the model give one number, or the reason why they do not apply to a baseline.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -18,13 +18,14 @@ pub use spectrum::{DirectionError, L1, Psnr, RateRatio, Ssim};
 use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Metric, Result, Values};
 use rayon::prelude::*;
 
-/// Why `metric` does not apply to these observations.
+/// Returns the reason why `metric` does not apply to these observations.
 fn not_for(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<Values> {
     let why = || format!("it is no metric of {}", evaluation.task.plural);
     (!metric.supports(evaluation.task)).then(|| Values::NotApplicable(why()))
 }
 
-/// `score(prediction, truth)` of every sample, in order, if `metric` supports them; the prediction is not clamped.
+/// Returns `score(prediction, truth)` of every sample, in order, if `metric` supports them; the prediction is not
+/// clamped.
 fn per_sample(
     metric: &dyn Metric,
     evaluation: &Evaluation<'_>,
@@ -38,7 +39,7 @@ fn per_sample(
     Ok(Values::PerSample(both.map(|(p, t)| score(p, t)).collect()))
 }
 
-/// Refuses predictions that do not go with what was measured.
+/// Rejects predictions that do not match the measurements.
 fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
     let (predictions, truths) = (evaluation.predictions, evaluation.truths);
     let size = |i: &Image| (i.width, i.height, i.pixels.len());
@@ -51,22 +52,22 @@ fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
     Ok(())
 }
 
-/// One measurement, as [`pwrfgs_core::Metric::evaluate`] returns it.
+/// Returns one measurement in the form of [`pwrfgs_core::Metric::evaluate`].
 fn one(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
     vec![Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values }]
 }
 
-/// Why a metric of the model does not apply to a baseline.
+/// Returns the reason why a metric of the model does not apply to a baseline.
 fn not_a_model() -> Values {
     Values::NotApplicable("a baseline has no Gaussians".to_owned())
 }
 
-/// Why it does not apply to a model without any.
+/// Returns the reason why a metric of Gaussians does not apply to a model without Gaussians.
 fn no_gaussians() -> Values {
     Values::NotApplicable("the method has no Gaussians".to_owned())
 }
 
-/// What tests evaluate.
+/// Test data for metrics.
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
@@ -83,13 +84,13 @@ mod fixture {
         }
     }
 
-    /// One degree a pixel, as measured.
+    /// Creates a plane of one degree per pixel, as measured.
     pub(crate) fn plane(width: usize, height: usize) -> ImagePlane {
         let axis = Axis { first: 0.0, step: 1.0 };
         ImagePlane { width, height, wraps: true, angles: Some((axis, axis)), sampling: Sampling::WHOLE }
     }
 
-    /// A picture of zeros but for the pixels listed.
+    /// Creates an image of zeros except the listed pixels.
     pub(crate) fn spots(width: usize, height: usize, spots: &[(usize, usize, Real)]) -> Image {
         let mut image = Image::zeros(width, height);
         for (x, y, value) in spots {
@@ -109,7 +110,7 @@ mod fixture {
         metric.evaluate(&evaluation).unwrap().remove(0)
     }
 
-    /// Nothing to score yet, of spectra.
+    /// Creates an evaluation of spectra without samples.
     pub(crate) fn spectra<'a>(plane: &'a ImagePlane, scene: &'a Scene) -> Evaluation<'a> {
         Evaluation {
             predictions: &[],

@@ -1,14 +1,14 @@
-//! What the Gaussians of a model are: their distance from the point cloud, eq. (16), their number N, and their bytes.
+//! Metrics of the model: distance from the point cloud, eq. (16), number of Gaussians N, and size in bytes.
 
 use crate::{no_gaussians, not_a_model, one};
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
-/// Whether the Gaussians lie on the surfaces of the scene: the sum of the two mean squared distances, in m².
+/// Distance of the Gaussians from the surfaces of the scene: the sum of the two mean squared distances, m².
 ///
 /// Key `chamfer`, eq. (16): from each point to its nearest centre, and from each centre to its nearest point. The paper
-/// finds 0.22 started from the point cloud and 7.51 started at random. Pruning alone raises the first term. `n/a` for
-/// baselines and where the scene has no point cloud.
+/// reports 0.22 with initialisation from the point cloud and 7.51 with random initialisation. Pruning alone increases
+/// the first term. `n/a` for baselines and for scenes without a point cloud.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -38,15 +38,15 @@ impl Metric for Chamfer {
     }
 }
 
-/// Mean squared distance from each of `from` to the nearest of `to`.
+/// Returns the mean squared distance from each of `from` to the nearest of `to`.
 fn mean_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> f64 {
     let sum: f64 = neighbours::nearest_squared(from, to).iter().map(|d| *d as f64).sum();
     sum / from.len() as f64
 }
 
-/// Number of Gaussians of the model: the horizontal axis of the paper's trade-off (fig. 2b).
+/// Number of Gaussians of the model: the horizontal axis of the trade-off in the paper (fig. 2b).
 ///
-/// Key `gaussians`. `n/a` for baselines, and for a method without Gaussians.
+/// Key `gaussians`. `n/a` for baselines, and for methods without Gaussians.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -74,10 +74,10 @@ impl Metric for GaussianCount {
     }
 }
 
-/// Bytes of the Gaussians alone, and of Gaussians and network together.
+/// Size of the Gaussians, and of Gaussians and network together, bytes.
 ///
-/// Keys `gaussian_bytes` and `model_bytes`. Both, because the paper's 100-fold storage reduction counts the Gaussians
-/// alone: the deformation network does not shrink with N and soon outweighs them. `n/a` for baselines, which keep the
+/// Keys `gaussian_bytes` and `model_bytes`. The 100-fold storage reduction of the paper counts only the Gaussians. The
+/// size of the deformation network does not depend on N and dominates for small N. `n/a` for baselines, which store the
 /// measured spectra instead.
 ///
 /// ```
@@ -140,12 +140,12 @@ mod tests {
         }
     }
 
-    /// The distance between two sets of points.
+    /// Returns the distance between two sets of points.
     fn between(points: &[[Real; 3]], means: &[[Real; 3]]) -> f64 {
         value(&of_model(&Chamfer {}, Some(model(means)), &scene(points))[0])
     }
 
-    /// `n` × `n` points in a plane across z, `spacing` metres from each other.
+    /// Creates `n` × `n` points in a plane perpendicular to z, with a spacing of `spacing` metres.
     fn plane(n: usize, spacing: f64, [x, y, z]: [f64; 3]) -> Vec<[Real; 3]> {
         let at = |i: usize| [x + spacing * (i % n) as f64, y + spacing * (i / n) as f64, z].map(|v| v as Real);
         (0..n * n).map(at).collect()
@@ -158,14 +158,14 @@ mod tests {
             let found = between(&floor, &plane(30, 0.1, [0.0, 0.0, distance]));
             assert!((found - 2.0 * distance * distance).abs() < 1e-6, "{distance} m: {found}");
         }
-        // Finely sampled, the planes need not have the same points: a quarter of the cell's diagonal is added at most.
+        // Finely sampled planes need not have equal points: at most a quarter of the cell diagonal is added.
         let found = between(&floor, &plane(25, 0.12, [0.0, 0.0, 0.5]));
         assert!((0.5..0.5 + 2.0 * 0.12 * 0.12).contains(&found), "{found}");
     }
 
     #[test]
     fn a_plane_moved_along_itself_differs_at_its_rim_only() {
-        // A move by two spacings leaves two rows on each side without a counterpart, one and two spacings away.
+        // A shift by two spacings leaves two rows on each side without a counterpart, one and two spacings away.
         let (n, spacing) = (20, 0.1);
         let found = between(&plane(n, spacing, [0.0; 3]), &plane(n, spacing, [2.0 * spacing, 0.0, 0.0]));
         let expected = 2.0 * (1.0 + 4.0) * spacing * spacing / n as f64;
@@ -174,7 +174,7 @@ mod tests {
 
     #[test]
     fn concentric_spheres_are_twice_the_squared_difference_of_their_radii_apart() {
-        // Fibonacci's points; the nearest one of the other sphere has the same direction.
+        // Fibonacci points; the nearest point of the other sphere has the same direction.
         let sphere = |radius: f64| -> Vec<[Real; 3]> {
             let point = |i: usize| {
                 let (up, turn) = (1.0 - (2.0 * i as f64 + 1.0) / 500.0, 2.399_963_229_728_653 * i as f64);

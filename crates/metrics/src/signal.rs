@@ -1,13 +1,13 @@
-//! How well a received power and a channel are predicted.
+//! Metrics of received power and channels.
 
 use crate::{not_for, one, paired, per_sample};
 use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 
-/// |predicted − measured| of a received power, dB.
+/// Absolute error |predicted − measured| of a received power, dB.
 ///
-/// Key `power_error_db`. Tables give mean, median and 90th percentile over links; papers print one of the first two, often
-/// without saying which. What readings at one place differ by is no model's to predict: see the ceiling.
+/// Key `power_error_db`. Tables give mean, median and 90th percentile over links; papers often print mean or median
+/// without naming it. Repeated readings at one position vary; the noise ceiling estimates this limit.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -37,9 +37,13 @@ impl Metric for PowerError {
 
 /// Signal-to-noise ratio of predicted channels, dB: −10 log₁₀(Σ|h′ − h|² / Σ|h|²).
 ///
-/// Keys: `snr_db`, a snapshot (all links of a transmitter together, as NeRF2 sums over antennas and subcarriers; its median
-/// is what NeRF2 prints), and `snr_all_db`, one ratio over the whole test part, as `NeWRF` has it. A predictor of zeros has
-/// 0 dB by both; strong snapshots count more in the second.
+/// Keys:
+///
+/// - `snr_db`: one value per snapshot (all links of a transmitter together; NeRF2 sums over antennas and subcarriers in
+///   the same way and prints the median).
+/// - `snr_all_db`: one ratio over the whole test set, as in `NeWRF`.
+///
+/// A prediction of zeros has 0 dB in both; strong snapshots have more weight in the second.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -51,10 +55,10 @@ impl Metric for PowerError {
 #[serde(default, deny_unknown_fields)]
 pub struct ChannelSnr {}
 
-/// What a channel without any error counts as, dB.
+/// Limit for a channel without any error, dB.
 const PERFECT: f64 = 200.0;
 
-/// Σ|h′ − h|² and Σ|h|².
+/// Energies Σ|h′ − h|² and Σ|h|².
 #[derive(Clone, Copy, Default)]
 struct Energies {
     error: f64,
@@ -75,7 +79,7 @@ impl Energies {
         Self { error: self.error + other.error, signal: self.signal + other.signal }
     }
 
-    /// dB; of a channel of zeros 0 where it is predicted as such or not.
+    /// Returns the SNR in dB; 0 for a channel of zeros, whatever the prediction.
     fn snr(self) -> f64 {
         match self {
             Self { signal: 0.0, .. } => 0.0,

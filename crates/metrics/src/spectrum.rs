@@ -1,5 +1,4 @@
-//! How well a spectrum is predicted: SSIM, mean absolute error, PSNR, and the strongest direction by its angle and by the rate
-//! that steering to it reaches.
+//! Metrics of spectra: SSIM, mean absolute error, PSNR, and the strongest direction (angle error and achievable rate).
 
 use crate::{one, per_sample};
 use pwrfgs_core::{
@@ -7,13 +6,13 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Structural similarity of predicted and measured spectrum, 1 where they are equal.
+/// Structural similarity of predicted and measured spectrum; 1 if they are equal.
 ///
-/// Key `ssim`. Uniform 7x7 windows, data range 1, sample covariance, mean over the picture without its border of 3 px:
-/// scikit-image's `structural_similarity(a, b, data_range=1)`, which is what the released test prints. The prediction is
-/// clamped to [0, 1]. It is not the SSIM of the training loss, whose Gaussian window gives other values. Papers often
-/// print the median without saying so; the report gives both. Read it beside the baselines: neighbouring transmitters
-/// have nearly equal spectra.
+/// Key `ssim`. Uniform 7x7 windows, data range 1, sample covariance, mean over the image without its border of 3 px:
+/// scikit-image's `structural_similarity(a, b, data_range=1)`, as in the released test. The prediction is clamped to
+/// [0, 1]. The SSIM of the training loss has a Gaussian window and gives other values. Papers often print the median
+/// without naming it; the report gives mean and median. Compare it with the baselines: neighbouring transmitters have
+/// nearly equal spectra.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -43,7 +42,7 @@ impl Metric for Ssim {
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
 ///
-/// Key `l1`. Use it beside SSIM: it sees a wrong overall level that SSIM forgives.
+/// Key `l1`. Use it together with SSIM: it detects a wrong overall level, to which SSIM is less sensitive.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -74,13 +73,13 @@ impl Metric for L1 {
     }
 }
 
-/// Smallest mean squared error that counts; below the 8-bit rounding of measured spectra (about 1.3e-6).
+/// Lower limit of the mean squared error; below the 8-bit rounding of measured spectra (about 1.3e-6).
 const LEAST_ERROR: f64 = 1e-10;
 
 /// Peak signal-to-noise ratio −10·log₁₀(mean squared error) in dB, for a peak of 1.
 ///
-/// Key `psnr`. The prediction is clamped to [0, 1]. An exact prediction counts as 100 dB rather than infinity, so that
-/// means stay finite. Use it to compare with image-like results of other fields.
+/// Key `psnr`. The prediction is clamped to [0, 1]. An exact prediction counts as 100 dB instead of infinity, so that
+/// means are finite. Use it to compare with image quality in other fields.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -112,12 +111,11 @@ impl Metric for Psnr {
     }
 }
 
-/// Great-circle angle in degrees between the strongest directions of prediction and measurement.
+/// Great-circle angle between the strongest directions of prediction and measurement, degrees.
 ///
-/// Key `direction_error`. A distance in pixels would misjudge both the seam in azimuth and the zenith, where many
-/// columns are one direction; this does not. The strongest pixel is taken before clamping, the first in row-major order
-/// where several are equal. Two equally strong paths make it jump, so look at the median. `n/a` with the released
-/// projection, whose pixels mean no angle.
+/// Key `direction_error`. The angle is correct at the seam in azimuth and near the zenith, unlike a distance in pixels.
+/// The strongest pixel is selected before clamping; ties take the first in row-major order. Two equally strong paths
+/// make the angle jump, so use the median. `n/a` with the released projection, whose pixels have no angles.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -153,27 +151,26 @@ impl Metric for DirectionError {
     }
 }
 
-/// Unit vector of the strongest pixel.
+/// Returns the unit vector of the strongest pixel.
 fn strongest(plane: &ImagePlane, image: &Image) -> Option<[f64; 3]> {
     let (best, width) = (image.argmax(), image.width.max(1));
     let direction = plane.direction((best % width) as Real, (best / width) as Real)?;
     Some(direction.map(|v| v as f64))
 }
 
-/// Angle between two unit vectors; exact for small ones, as the arc cosine is not.
+/// Returns the angle between two unit vectors; accurate for small angles, unlike the arc cosine.
 fn angle_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
     cross.iter().map(|c| c * c).sum::<f64>().sqrt().atan2(dot).to_degrees()
 }
 
-/// Rate reached by steering to the strongest predicted direction, over the rate of the truly strongest one.
+/// Rate with steering to the strongest predicted direction, relative to the rate of the true strongest direction.
 ///
 /// η(ρ) = log₂(1 + ρ·P(predicted direction)) / log₂(1 + ρ·max P), eq. (15), in [0, 1]; ρ is the transmit
 /// signal-to-noise ratio. Key `eta_0db` for 0 dB, and so on. The direction is the strongest pixel of the prediction
-/// before clamping (clamping would make ties), the first in row-major order where several are equal. Where the
-/// measured spectrum is 0 everywhere no direction is better than another: 1. It is a forgiving number: even the mean
-/// training spectrum reaches 0.8 to 0.9, so read it beside the baselines.
+/// before clamping, which would create ties; ties take the first in row-major order. If the measured spectrum is zero,
+/// η is 1. Even the mean training spectrum reaches 0.8 to 0.9, so compare η with the baselines.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;

@@ -3,8 +3,9 @@
 use crate::{Model, Prepared};
 use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
 
-/// Models of one scene, such as runs that differ in their seed. Its picture is the mean of theirs, each clamped to
-/// [0, 1] (one alone predicts as it is); where they disagree, nobody should trust it: see [`Prepared::predict_with_deviation`].
+/// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
+/// each clamped to [0, 1]; a single model predicts without clamping. The deviation between models measures uncertainty:
+/// see [`Prepared::predict_with_deviation`].
 #[derive(Clone, Debug)]
 pub struct Ensemble {
     names: Vec<String>,
@@ -12,23 +13,23 @@ pub struct Ensemble {
 }
 
 impl Ensemble {
-    /// Of one model alone.
+    /// Creates an ensemble of one model.
     pub fn of(model: Model) -> Self {
         Self { names: vec!["1".into()], members: vec![model] }
     }
 
-    /// Of one model or more, on one grid of pixels; they are called by their numbers, from 1.
+    /// Creates an ensemble of one or more models with one pixel grid, named by their numbers from 1.
     ///
     /// # Errors
-    /// What does not fit together.
+    /// The message names the mismatch.
     pub fn new(members: Vec<Model>) -> Result<Self, String> {
         Self::named((1..).map(|place: usize| place.to_string()).zip(members).collect())
     }
 
-    /// The same, each with a name.
+    /// Creates an ensemble of named models.
     ///
     /// # Errors
-    /// What does not fit together.
+    /// The message names the mismatch.
     pub fn named(members: Vec<(String, Model)>) -> Result<Self, String> {
         let Some((_, first)) = members.first() else { return Err("an ensemble needs a model".into()) };
         let other = members.iter().position(|(_, model)| model.stages.frame != first.stages.frame);
@@ -43,10 +44,10 @@ impl Ensemble {
         Ok(Self { names, members })
     }
 
-    /// The same ensemble, if no model takes part twice: two equal models have no spread, and count double in the mean.
+    /// Returns the ensemble if all models differ: equal models have no deviation and count twice in the mean.
     ///
     /// # Errors
-    /// The first two that are equal.
+    /// The first two equal models.
     pub fn distinct(self) -> Result<Self, String> {
         let is_same = |a: &Model, b: &Model| {
             let method = |model: &Model| serde_json::to_string(&*model.stages.method).ok();
@@ -64,52 +65,52 @@ impl Ensemble {
         Ok(self)
     }
 
-    /// The models that take part, one or more.
+    /// Returns the models, one or more.
     pub fn members(&self) -> &[Model] {
         &self.members
     }
 
-    /// Whether all of them look like this in a room.
+    /// Returns whether all models have this appearance in a 3D view.
     pub fn is_drawn_as(&self, appearance: Appearance) -> bool {
         self.members.iter().all(|model| model.stages.method.traits().appearance == appearance)
     }
 
-    /// What they are called.
+    /// Returns the names of the models.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// The model, where there is only one.
+    /// Returns the model if there is only one.
     pub fn into_only(mut self) -> Option<Model> {
         self.members.pop().filter(|_| self.members.is_empty())
     }
 
-    /// The picture's grid.
+    /// Returns the image plane.
     pub fn plane(&self) -> &ImagePlane {
         &self.members[0].stages.plane
     }
 
-    /// Gaussians of all members together.
+    /// Returns the number of Gaussians of all members together.
     pub fn gaussians(&self) -> usize {
         self.members.iter().map(|model| model.cloud.len()).sum()
     }
 
-    /// Bytes of the Gaussians of all members in the file.
+    /// Returns the size of the Gaussians of all members in the file, bytes.
     pub fn gaussian_bytes(&self) -> usize {
         self.members.iter().map(Model::gaussian_bytes).sum()
     }
 
-    /// Bytes of the networks of all members in the file.
+    /// Returns the size of the networks of all members in the file, bytes.
     pub fn network_bytes(&self) -> usize {
         self.members.iter().map(Model::network_bytes).sum()
     }
 
-    /// The centres of all members, metres from `origin`.
+    /// Returns the centres of all members, metres from `origin`.
     pub fn means_from(&self, origin: Origin) -> Vec<[Real; 3]> {
         self.members.iter().flat_map(|model| model.means_from(origin)).collect()
     }
 
-    /// All of them, ready to predict.
+    /// Prepares all members for predictions.
     pub fn prepare(&self) -> Prepared<'_> {
         Prepared::new(&self.members)
     }

@@ -1,5 +1,5 @@
-//! Exports: a trained model as bytes that other programs open, as an NPZ file for `numpy.load` and as a PLY file in the layout of 3D
-//! Gaussian splatting. `docs/model-format.md` says what the fields mean.
+//! Exports of a trained model for other programs: an NPZ file for `numpy.load`, and a PLY file in the layout of 3D
+//! Gaussian splatting. `docs/model-format.md` describes the fields.
 
 use crate::{Ensemble, Model};
 use pwrfgs_core::colour::sequential;
@@ -9,10 +9,10 @@ use std::io::{self, Cursor, Write as _};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// The NPZ file of `model`, one or several (the arrays of member 0 are then called `members.0.means` and so on): the
-/// tensors of the model file, pose and plane; and where `tx` (metres, world frame) is given, what a transmitter there
-/// makes of the Gaussians. All places are in the user's frame, in double precision where
-/// the model has an origin. The same model gives the same bytes.
+/// Returns the NPZ file of `model`: the tensors of the model file, pose and plane. If `tx` (metres, world frame) is
+/// given, it also contains the Gaussians for a transmitter at that position. Arrays of several models are called
+/// `members.0.means` and so on. Positions are in the user's frame, in double precision if the model has an origin.
+/// Equal models give equal bytes.
 ///
 /// # Errors
 /// An array of more than 4 GiB.
@@ -22,15 +22,15 @@ pub fn npz(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     whole.map_err(|why| Error::Config(format!("this model cannot be an NPZ file: {why}")))
 }
 
-/// An archive under way.
+/// NPZ archive in progress.
 struct Npz {
     archive: ZipWriter<Cursor<Vec<u8>>>,
-    /// What the names of the arrays begin with.
+    /// Prefix of the array names.
     prefix: String,
 }
 
 impl Npz {
-    /// One model, or several, each under a prefix.
+    /// Adds one model, or several with a prefix each.
     fn members(&mut self, ensemble: &Ensemble, tx: Option<[f64; 3]>) -> io::Result<()> {
         for (place, model) in ensemble.members().iter().enumerate() {
             if ensemble.members().len() > 1 {
@@ -42,7 +42,7 @@ impl Npz {
         Ok(())
     }
 
-    /// What the model file holds.
+    /// Adds the contents of the model file.
     fn model(&mut self, model: &Model) -> io::Result<()> {
         let n = model.cloud.len();
         let origin = model.stages.origin;
@@ -78,7 +78,8 @@ impl Npz {
         self.put("plane.elevation_deg", &[2], &[elevation.first, elevation.step])
     }
 
-    /// Of links: what is observed of them, and who listens. Names are letters, since an array holds no text of any length.
+    /// Adds the links: observations and receivers. Names are stored as letters, since arrays cannot hold text of
+    /// variable length.
     fn links(&mut self, model: &Model) -> io::Result<()> {
         let frame = &model.stages.frame;
         let text = |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], text.as_bytes());
@@ -103,7 +104,7 @@ impl Npz {
         self.put("frequencies_hz", &[frame.frequencies_hz.len()], &frame.frequencies_hz)
     }
 
-    /// What is drawn for a transmitter.
+    /// Adds the Gaussians for a transmitter.
     fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
         let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
         let n = p.len();
@@ -119,7 +120,8 @@ impl Npz {
     }
 
     fn put<T: Element>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
-        // Stored, as `numpy.savez` does; without a clock, so that the date is always that of the format's beginning.
+        // Stored without compression, as `numpy.savez` does, and with a fixed date (the earliest of the format), so
+        // that bytes are reproducible.
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
         let name = format!("{}{name}", self.prefix);
         self.archive.start_file(format!("{name}.npy"), options)?;
@@ -129,9 +131,9 @@ impl Npz {
     }
 }
 
-/// A number of an array.
+/// Number type of an array.
 trait Element: Copy {
-    /// Its type, as NumPy calls it.
+    /// NumPy name of the type.
     const DESCR: &'static str;
     fn write(self, bytes: &mut Vec<u8>);
 }
@@ -156,26 +158,26 @@ elements! {
     bool: "|b1", v => [u8::from(v)];
 }
 
-/// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
+/// Properties in the order that viewers expect, all of them `float`. Normals are part of the layout, and 0.
 const PROPERTIES: [&str; 17] = [
     "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
     "rot_1", "rot_2", "rot_3",
 ];
-/// Y₀₀, the constant spherical harmonic: a viewer shows 0.5 + Y₀₀ · `f_dc`.
+/// Constant spherical harmonic Y₀₀: a viewer shows 0.5 + Y₀₀ · `f_dc`.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
 
-/// The PLY file of `model`, one or several, as it is for a transmitter at `tx` (metres, world frame), or of its base
-/// parameters.
+/// Returns the PLY file of `model` for a transmitter at `tx` (metres, world frame), or of its base parameters.
 ///
-/// The Gaussians of an ensemble stand one member after the other; `member` says whose each is, counted from 0.
+/// The Gaussians of an ensemble follow member by member; `member` is the index of the member, from 0.
 ///
-/// Centres count from the model's origin, which a comment of the header names where it is not zero.
+/// Centres are relative to the origin of the model, which a comment of the header gives if it is not zero.
 ///
-/// Colour tells how strong the signal of a Gaussian is: the pixel that it would give alone, were it opaque, from dark
-/// violet at 0 to yellow at 1, the full scale of the spectra. Mid-grey where the signals exist for a transmitter only.
+/// The colour shows the strength of the signal of a Gaussian: the pixel value that it would give alone if it were
+/// opaque, from dark violet at 0 to yellow at 1, the full scale of the spectra. It is mid-grey if signals exist only
+/// for a given transmitter.
 ///
 /// # Errors
-/// A number that is not finite.
+/// A value that is not finite.
 pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let several = model.members().len() > 1;
     let mut out = header(model.gaussians(), model.members()[0].stages.origin, several).into_bytes();
@@ -186,7 +188,7 @@ pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The rows of one model, each with the number of the member at its end where there are several.
+/// Writes the rows of one model, each with the index of the member if there are several.
 fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
     let Activated { primitives, strengths, .. } = model.gaussians(tx);
     for i in 0..primitives.len() {
@@ -203,7 +205,8 @@ fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Opti
     Ok(())
 }
 
-/// Viewers of splats compute in single precision, so centres stay near zero: a comment says what they count from.
+/// Returns the header. Viewers of splats use single precision, so that centres stay close to zero; a comment gives
+/// their origin.
 fn header(n: usize, origin: Origin, several: bool) -> String {
     let [x, y, z] = origin.0;
     let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };
@@ -212,13 +215,13 @@ fn header(n: usize, origin: Origin, several: bool) -> String {
     format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
 }
 
-/// `f_dc` of a strength.
+/// Returns `f_dc` for a strength.
 fn colour(strength: Real) -> [f32; 3] {
     sequential(strength as f64).map(|c| ((f64::from(c) / 255.0 - 0.5) / SH_C0) as f32)
 }
 
 fn row(p: &Primitives, i: usize, opacity_logit: Real, colour: [f32; 3]) -> [f32; PROPERTIES.len()] {
-    // The sign of a scale changes no ellipsoid; the released calibration may give a negative one.
+    // The sign of a scale does not change the ellipsoid; the released calibration may give negative scales.
     let log_scales = p.scales[i].map(|s| s.abs().max(Real::MIN_POSITIVE).ln());
     let values = [&p.means[i][..], &[0.0; 3], &colour.map(Real::from), &[opacity_logit], &log_scales, &p.quats[i]];
     let mut row = [0.0; PROPERTIES.len()];

@@ -1,4 +1,4 @@
-//! The model file: `docs/model-format.md` is its description.
+//! Model file; `docs/model-format.md` describes it.
 
 use crate::tensors::Tensors;
 use crate::{Ensemble, Model, Stages};
@@ -11,7 +11,7 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What the file of several models says besides numbers; the tensors of each have a prefix.
+/// Metadata of a file with several models; the tensors of each have a prefix.
 #[derive(Serialize, Deserialize)]
 struct EnsembleNote {
     format: String,
@@ -25,34 +25,34 @@ struct MemberNote {
     model: Note,
 }
 
-/// What every note begins with.
+/// Common first fields of all metadata.
 #[derive(Deserialize)]
 struct Head {
     format: String,
     version: u32,
 }
 
-/// What the file of a model says besides numbers.
+/// Metadata of a file with one model.
 #[derive(Serialize, Deserialize)]
 struct Note {
     format: String,
     version: u32,
     gaussians: usize,
-    /// As in a pipeline, every field written out.
+    /// Method as in a pipeline, with all fields.
     method: String,
     links: LinksNote,
-    /// What the tensors count from; absent where zero.
+    /// Origin of the tensors; absent if zero.
     #[serde(default, skip_serializing_if = "Origin::is_zero")]
     origin: Origin,
     plane: ImagePlane,
 }
 
-/// What links are: which observations, and who listens.
+/// Observations and receivers of links.
 #[derive(Serialize, Deserialize)]
 struct LinksNote {
     kind: Task,
     receivers: Vec<ReceiverNote>,
-    /// Of the subcarriers, Hz.
+    /// Subcarrier frequencies, Hz.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     frequencies_hz: Vec<f64>,
 }
@@ -60,25 +60,25 @@ struct LinksNote {
 #[derive(Serialize, Deserialize)]
 struct ReceiverNote {
     name: String,
-    /// In the user's frame.
+    /// Pose in the user's frame.
     pose: Pose,
-    /// Metres, in the receiver's frame.
+    /// Antenna positions in the receiver frame, metres.
     antennas: Vec<[f64; 3]>,
 }
 
 const FORMAT: &str = "pwrfgs-model";
 const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
 const ENSEMBLE_VERSION: u32 = 2;
-/// The most members that a file is believed to have, and the longest of their names.
+/// Maximum number of members in a file, and maximum length of their names.
 pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
 const VERSION: u32 = 5;
-/// What the names of the network's tensors begin with.
+/// Prefix of the names of network tensors.
 const NETWORK: &str = "network.";
-/// What the names of the numbers begin with that the network has from a seed.
+/// Prefix of the names of constants that the network derives from a seed.
 const CONSTANTS: &str = "constants.";
 
-/// Writes `model` to `path`, whole or not at all.
+/// Writes `model` to `path` atomically.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -86,12 +86,12 @@ pub fn write(path: &Path, model: &Model) -> Result<()> {
     write_atomically(path, &to_bytes(model))
 }
 
-/// The bytes of a model file; the same model gives the same bytes.
+/// Returns the bytes of a model file; equal models give equal bytes.
 pub fn to_bytes(model: &Model) -> Vec<u8> {
     tensors(model).to_bytes()
 }
 
-/// Writes several models that predict together to one file, whole or not at all; one alone as [`write()`] does.
+/// Writes several models that predict together to one file, atomically; a single model as [`write()`] does.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -99,16 +99,16 @@ pub fn write_ensemble(path: &Path, ensemble: &Ensemble) -> Result<()> {
     write_atomically(path, &ensemble_to_bytes(ensemble))
 }
 
-/// The bytes that [`write_ensemble`] writes.
+/// Returns the bytes of [`write_ensemble`].
 pub fn ensemble_to_bytes(ensemble: &Ensemble) -> Vec<u8> {
     ensemble_tensors(ensemble).to_bytes()
 }
 
-/// The bytes of the file with the networks in 16-bit numbers: about half as long. What is read from it predicts a little
-/// differently.
+/// Returns the bytes of the file with 16-bit network weights, about half the size. Predictions from this file differ
+/// slightly.
 ///
 /// # Errors
-/// Where a number of a network is too large for 16 bits.
+/// A network weight exceeds the range of 16 bits.
 pub fn to_bytes_half(ensemble: &Ensemble) -> Result<Vec<u8>> {
     ensemble_tensors(ensemble).to_bytes_half(NETWORK).map_err(Error::Config)
 }
@@ -133,7 +133,7 @@ fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
     file
 }
 
-/// What the names of a member's tensors begin with.
+/// Returns the prefix of the tensor names of a member.
 fn prefix(place: usize) -> String {
     format!("members.{place}.")
 }
@@ -171,11 +171,11 @@ fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     }
 }
 
-/// Reads a file that holds one model.
+/// Reads a file with one model.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Input`] for a file that is not a whole model, holds several, or names plugins not linked
-/// here.
+/// [`Error::Read`], or [`Error::Input`] for a file that is incomplete, holds several models, or names plugins that are
+/// not linked.
 pub fn read(path: &Path) -> Result<Model> {
     let ensemble = read_ensemble(path)?;
     let count = ensemble.members().len();
@@ -183,7 +183,7 @@ pub fn read(path: &Path) -> Result<Model> {
     ensemble.into_only().ok_or_else(several)
 }
 
-/// Reads a file that holds one model, or several that predict together.
+/// Reads a file with one model, or with several that predict together.
 ///
 /// # Errors
 /// As [`read`].
@@ -257,7 +257,8 @@ fn frame(note: &Note) -> Frame {
     Frame { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() }
 }
 
-/// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
+/// Rejects a file whose constants differ from those that its deformation computes here, because predictions would
+/// differ.
 fn check_constants(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<(), String> {
     for (spec, drawn) in stages.layout().constants {
         let name = format!("{prefix}{CONSTANTS}{}", spec.name);
@@ -282,18 +283,18 @@ fn parse(text: &str) -> Result<Plugin<dyn Method>, String> {
     Plugin::parse(text).map_err(|e| format!("cannot make `{text}`: {e}; use the program that has this plugin"))
 }
 
-/// Puts the columns of a cloud under `prefix`.
+/// Adds the columns of a cloud under `prefix`.
 pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
     for (name, width, values) in cloud.columns() {
         file.put(format!("{prefix}{name}"), vec![cloud.len(), width], values.to_vec());
     }
 }
 
-/// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from under `prefix`. The file must hold
-/// columns of that length before memory is taken for them: `n` may be any number.
+/// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from `prefix`. Checks the lengths of
+/// the columns before allocating memory, because `n` may be any number.
 ///
 /// # Errors
-/// What is missing.
+/// The message names the missing tensor.
 pub fn take_columns(
     file: &mut Tensors,
     prefix: &str,
@@ -313,7 +314,7 @@ pub fn take_columns(
     Ok(cloud)
 }
 
-/// Puts the network's tensors under `prefix`, one a layer.
+/// Adds the tensors of the network under `prefix`, one per layer.
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
     let mut rest = weights;
     for spec in stages.layout().weights {
@@ -324,10 +325,10 @@ pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &
     assert!(rest.is_empty(), "the network is as long as its layout");
 }
 
-/// Takes the network's tensors from under `prefix`.
+/// Takes the tensors of the network from `prefix`.
 ///
 /// # Errors
-/// What is missing.
+/// The message names the missing tensor.
 pub fn take_weights(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<Vec<Real>, String> {
     let mut weights = Vec::new();
     for spec in stages.layout().weights {

@@ -1,7 +1,7 @@
-//! The model: a cloud, weights, and the stages that turn a transmitter position into what a receiver observes.
+//! The model: a cloud, weights, and the stages that compute observations from a transmitter position.
 //!
-//! [`Stages`] is a method and its frame.
-//! [`Prepared`] walks it for many links, the training step in `pwrfgs-train` there and back.
+//! [`Stages`] is a method and its frame. [`Prepared`] runs it forward for many links; the training step in
+//! `pwrfgs-train` runs it forward and backward.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

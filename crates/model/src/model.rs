@@ -1,4 +1,4 @@
-//! `Model`: what is saved and predicts; `Stages`: a method and its frame, the whole way from parameters to observations.
+//! `Model`: the saved state that predicts. `Stages`: a method and its frame, which map parameters to observations.
 
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
@@ -8,19 +8,19 @@ use pwrfgs_core::{
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
 
-/// A trained model: predicts, and needs nothing else to do so.
+/// Trained model, complete for predictions.
 #[derive(Clone, Debug)]
 pub struct Model {
-    /// The path from cloud to picture.
+    /// Method and frame, which map the cloud to observations.
     pub stages: Stages,
-    /// The Gaussians; no extra columns but the method's.
+    /// Gaussians, without extra columns except those of the method.
     pub cloud: GaussianCloud,
-    /// Θ, as long as the method's layout says.
+    /// Weights Θ, with the layout of the method.
     pub weights: Vec<Real>,
 }
 
 impl Model {
-    /// What is drawn for a transmitter at `tx` (metres, world frame), or of the base parameters alone.
+    /// Returns the Gaussians as drawn for a transmitter at `tx` (metres, world frame), or of the base parameters.
     pub fn gaussians(&self, tx: Option<[f64; 3]>) -> Activated {
         let Stages { method, frame } = &self.stages;
         let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights: &self.weights };
@@ -28,30 +28,30 @@ impl Model {
         method.gaussians(frame, &parameters, local)
     }
 
-    /// The centres `[N,3]`, metres from `origin`.
+    /// Returns the centres `[N,3]`, metres from `origin`.
     pub fn means_from(&self, origin: Origin) -> Vec<[Real; 3]> {
         let own = self.stages.origin;
         let moved = |mean: &[Real; 3]| if own == origin { *mean } else { origin.local(own.world(*mean)) };
         self.cloud.means.iter().map(moved).collect()
     }
 
-    /// Bytes of the Gaussians in the model file: 13 numbers each, and those that the method adds.
+    /// Returns the size of the Gaussians in the model file, bytes: 13 numbers each, and those that the method adds.
     pub fn gaussian_bytes(&self) -> usize {
         self.cloud.columns().map(|(_, _, values)| size_of_val(values)).sum()
     }
 
-    /// Bytes of the network in the model file.
+    /// Returns the size of the network in the model file, bytes.
     pub fn network_bytes(&self) -> usize {
         size_of_val(self.weights.as_slice())
     }
 }
 
-/// How observations are made of parameters: by which method, and seen from where. Everything but what is learned.
+/// Method and measurement setup: everything that maps parameters to observations, except learned parameters.
 #[derive(Clone, Debug)]
 pub struct Stages {
-    /// The way.
+    /// Method.
     pub method: Plugin<dyn Method>,
-    /// Receivers, and what is observed.
+    /// Receivers and type of the observations.
     pub frame: Frame,
 }
 
@@ -69,23 +69,23 @@ impl DerefMut for Stages {
     }
 }
 
-/// The most pixels of a picture: a file may promise more than memory holds.
+/// Maximum number of pixels of an image, to reject files that would exhaust the memory.
 const MAX_PIXELS: usize = 1 << 24;
-/// The most receivers of a frame.
+/// Maximum number of receivers of a frame.
 const MAX_RECEIVERS: usize = 1 << 16;
-/// What the names of weights begin with that belong to receivers: they come last, and decay does not touch them.
+/// Prefix of the names of receiver weights: they come last, and weight decay does not apply to them.
 const RECEIVERS: &str = "receiver.";
 
 impl Stages {
-    /// Settings of a method, and its frame.
+    /// Creates stages from the settings of a method and its frame.
     pub fn new(method: impl Method, frame: Frame) -> Self {
         Self { method: Plugin::from(Box::new(method) as Box<dyn Method>), frame }
     }
 
-    /// A method for `data`, with the whole image as its plane.
+    /// Creates stages from a method for `data`, with the whole image as its plane.
     ///
     /// # Errors
-    /// [`Error::Config`] where splats cannot be drawn on an image of this size.
+    /// [`Error::Config`] if splats cannot be drawn on an image of this size.
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
         let mut plane = data.plane();
         if let (true, Some(projector)) = (data.task().has_pixels, method.traits().projector) {
@@ -95,21 +95,21 @@ impl Stages {
         Ok(Self { frame: Frame::of(data, plane), method })
     }
 
-    /// What the transmitter changes, where the method has Gaussians that a network changes.
+    /// Returns the deformation, if the method has one.
     pub fn deformation(&self) -> Option<&Plugin<dyn Deformation>> {
         self.method.traits().deformation
     }
 
-    /// The settings of the method, where it is an `M`.
+    /// Returns the settings of the method if it is an `M`.
     pub fn settings<M: Method>(&self) -> Option<&M> {
         let method: &dyn Any = self.method.get();
         method.downcast_ref()
     }
 
-    /// The same with other settings of the method.
+    /// Returns stages with changed settings of the method.
     ///
     /// # Panics
-    /// Where the method is no `M`.
+    /// If the method is not an `M`.
     #[must_use]
     pub fn with<M: Method + Clone>(&self, change: impl FnOnce(&mut M)) -> Self {
         let mut method = self.settings::<M>().expect("this method").clone();
@@ -117,10 +117,10 @@ impl Stages {
         Self::new(method, self.frame.clone())
     }
 
-    /// Holds together what a file says that need not come from this program.
+    /// Checks the consistency of stages, for files from other programs.
     ///
     /// # Errors
-    /// What does not fit.
+    /// The message names the mismatch.
     pub fn check(&self) -> Result<(), String> {
         let ImagePlane { width, height, .. } = self.plane;
         let pixels = width.checked_mul(height).filter(|pixels| (1..=MAX_PIXELS).contains(pixels));
@@ -147,26 +147,26 @@ impl Stages {
         self.method.layout(&self.frame).map(drop)
     }
 
-    /// Names, shapes and initial values of the weights.
+    /// Returns names, shapes and initial values of the weights.
     ///
     /// # Panics
-    /// Where the method cannot serve the frame, which [`Self::check`] refuses.
+    /// If the method does not support the frame, which [`Self::check`] rejects.
     pub fn layout(&self) -> Layout {
         self.method.layout(&self.frame).unwrap_or_else(|why| panic!("{why}"))
     }
 
-    /// How many of the weights are a network's: what is learned of receivers comes behind them.
+    /// Returns the number of network weights; the weights of receivers follow them.
     pub fn network_weights(&self) -> usize {
         self.layout().weights.iter().take_while(|spec| !spec.name.starts_with(RECEIVERS)).map(WeightSpec::len).sum()
     }
 
-    /// The rows of `cloud` that can count in an observation.
+    /// Returns the rows of `cloud` that can affect an observation.
     pub fn drawable(&self, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         self.method.drawable(&self.frame, cloud, gate)
     }
 }
 
-/// Whether the projector draws such a picture.
+/// Checks that the projector supports the image plane.
 fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), String> {
     let ImagePlane { width, height, .. } = *plane;
     let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;

@@ -1,4 +1,4 @@
-//! `Prepared`: models ready to predict, with everything worked out that no transmitter changes.
+//! `Prepared`: models ready to predict, with all transmitter-independent values precomputed.
 
 use crate::Model;
 use pwrfgs_core::{
@@ -9,12 +9,12 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 use std::time::Instant;
 
-/// One model, or an ensemble, made ready for many predictions.
+/// Model or ensemble prepared for many predictions.
 ///
-/// Gaussians that no observation can show are left out ([`Stages::drawable`](crate::Stages::drawable)). What follows from the
-/// others alone is computed once ([`Method::prepare`]): the network's share of it, and, where geometry does not depend on the transmitter,
-/// projection and whatever the rasterizer finds before it sees signals. Every prediction has the bits of
-/// [`Model::predict`].
+/// Gaussians that cannot affect an observation are left out ([`Stages::drawable`](crate::Stages::drawable)).
+/// Transmitter-independent values of the others are computed once ([`Method::prepare`]): part of the network and, if
+/// geometry does not depend on the transmitter, projection and the signal-independent part of the rasterizer. Every
+/// prediction is bit-identical to [`Model::predict`].
 ///
 /// [`Method::prepare`]: pwrfgs_core::Method::prepare
 #[derive(Debug)]
@@ -22,67 +22,67 @@ pub struct Prepared<'a> {
     members: Vec<Member<'a>>,
 }
 
-/// A model and what it has in hand.
+/// Model with its precomputed values.
 #[derive(Debug)]
 struct Member<'a> {
     model: &'a Model,
-    /// The Gaussians that observations can show.
+    /// Gaussians that can affect observations.
     cloud: Cow<'a, GaussianCloud>,
-    /// What the method worked out once.
+    /// Precomputed values of the method.
     ready: Cache,
-    /// How long that took.
+    /// Time of the preparation, seconds.
     seconds: f64,
 }
 
-/// Transmitters of one call of the network in [`Prepared::predict_many`], and of one projection where geometry stays:
-/// enough to make blending cheap, few enough that the pictures of a group stay in cache.
+/// Number of transmitters per call of the network in [`Prepared::predict_many`], and per projection if geometry is
+/// shared: large enough for cheap blending, small enough that the images of a group fit the cache.
 const GROUP: usize = 16;
 
-/// Gaussians from which on a prediction enters the thread pool once, and not stage by stage. With fewer, most of the work
-/// is done on the calling thread, which would only wait for the pool to wake.
+/// Number of Gaussians above which a prediction enters the thread pool once instead of stage by stage. With fewer, most
+/// of the work runs on the calling thread, which would only wait for the pool.
 const POOL: usize = 128;
 
 impl<'a> Prepared<'a> {
-    /// Of one model or more on one grid of pixels.
+    /// Prepares one or more models with one pixel grid.
     pub(crate) fn new(models: &'a [Model]) -> Self {
         Self { members: models.iter().map(Member::new).collect() }
     }
 
-    /// The models that take part.
+    /// Returns the models.
     pub fn models(&self) -> impl Iterator<Item = &'a Model> {
         self.members.iter().map(|member| member.model)
     }
 
-    /// The picture's grid.
+    /// Returns the image plane.
     pub fn plane(&self) -> &'a ImagePlane {
         &self.members[0].model.stages.plane
     }
 
-    /// What is observed.
+    /// Returns the type of the observations.
     pub fn task(&self) -> Task {
         self.members[0].model.stages.task
     }
 
-    /// The receivers that it knows, in the order of [`Query::receiver`].
+    /// Returns the receivers, in the order of [`Query::receiver`].
     pub fn receivers(&self) -> &'a [Receiver] {
         &self.members[0].model.stages.frame.receivers
     }
 
-    /// The subcarriers of its channels, Hz; empty for anything else.
+    /// Returns the subcarrier frequencies, Hz; empty if the observations are not channels.
     pub fn frequencies(&self) -> &'a [f64] {
         &self.members[0].model.stages.frame.frequencies_hz
     }
 
-    /// What is observed of a link, such as the spectrum for a transmitter at a place (metres, world frame) at the only
-    /// receiver, and how long each stage took in all. Of one model it is not clamped; of several it is the mean, spectra each
-    /// clamped to [0, 1].
+    /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the
+    /// only receiver. Also returns the total time of each stage. The prediction of one model is not clamped; that of
+    /// several is the mean, with each spectrum clamped to [0, 1].
     pub fn predict_timed<'q>(&self, query: impl Into<Query<'q>>) -> (Image, StageTimes) {
         let (pictures, times) = self.pictures(query.into());
         (mean(pictures, self.task()), times)
     }
 
-    /// The same, and the standard deviation of the members' pictures at every pixel (n in the denominator): a picture of
-    /// confidence, 0 where there is one model alone.
+    /// Predicts an observation and the standard deviation over the members for every value (n in the denominator); 0
+    /// for a single model. Also returns the total time of each stage.
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
         let (pictures, times) = self.pictures(query.into());
         let count = pictures.len() as Real;
@@ -99,7 +99,7 @@ impl<'a> Prepared<'a> {
         (mean, deviation, times)
     }
 
-    /// What each member draws, not clamped, and how long each stage took in all.
+    /// Returns the predictions of all members, not clamped, and the total time of each stage.
     fn pictures(&self, query: Query<'_>) -> (Vec<Image>, StageTimes) {
         let mut pictures = Vec::with_capacity(self.members.len());
         let mut sum = StageTimes::default();
@@ -116,24 +116,24 @@ impl<'a> Prepared<'a> {
         (pictures, sum)
     }
 
-    /// Observations of many links; those of a transmitter next to each other are cheapest.
+    /// Predicts many links; it is fastest if links of one transmitter are adjacent.
     pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
         let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.task());
         queries.iter().map(of_all).collect()
     }
 
-    /// [`Self::predict_many`] into `numbers`, one observation after the other, with nothing in between.
+    /// Runs [`Self::predict_many`] into `numbers`, as contiguous observations.
     ///
     /// # Panics
-    /// If `numbers` has not as many as the observations.
+    /// If the length of `numbers` is not that of the observations.
     pub fn predict_into(&self, queries: &[Query<'_>], numbers: &mut [Real]) {
         let of_each = self.plane().width * self.plane().height;
         assert_eq!(numbers.len(), queries.len() * of_each, "numbers of {} observations", queries.len());
         for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * of_each)) {
             if let [member] = self.members.as_slice() {
                 let (found, _) = member.numbers(group);
-                // Where `numbers` are new memory, its first touch takes longer than the copy.
+                // If `numbers` is new memory, its first access takes longer than the copy.
                 let copy = |(to, from): (&mut [Real], &[Real])| to.copy_from_slice(from);
                 numbers.par_chunks_mut(of_each).zip(found.par_chunks(of_each)).for_each(copy);
                 continue;
@@ -146,12 +146,13 @@ impl<'a> Prepared<'a> {
 }
 
 impl Model {
-    /// The spectrum for a transmitter at `tx` (metres, world frame), not clamped. For more than one, [`Self::prepare`].
+    /// Predicts the spectrum for a transmitter at `tx` (metres, world frame), not clamped. Use [`Self::prepare`] for
+    /// several predictions.
     pub fn predict<'q>(&self, query: impl Into<Query<'q>>) -> Image {
         self.prepare().predict_timed(query).0
     }
 
-    /// The model with everything worked out that no transmitter changes.
+    /// Precomputes all transmitter-independent values.
     pub fn prepare(&self) -> Prepared<'_> {
         Prepared::new(std::slice::from_ref(self))
     }
@@ -188,12 +189,13 @@ impl<'a> Member<'a> {
         (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), prepare: self.seconds, ..times })
     }
 
-    /// A group of links at a time: they share a projection, or at least the network's work, and each its thread.
+    /// Predicts one group of links at a time: they share a projection, or at least the network, and each uses one
+    /// thread.
     fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         queries.chunks(GROUP).flat_map(|group| self.observations(group).0).collect()
     }
 
-    /// Links of one call, an observation each.
+    /// Predicts the links of one call, one observation each.
     fn observations(&self, queries: &[Query<'_>]) -> (Vec<Image>, StageTimes) {
         let ImagePlane { width, height, .. } = self.model.stages.plane;
         let (numbers, times) = self.numbers(queries);
@@ -206,7 +208,7 @@ impl<'a> Member<'a> {
         (images, times)
     }
 
-    /// The numbers of links of one call, one observation after the other.
+    /// Predicts the values of the links of one call, as contiguous observations.
     fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
@@ -217,7 +219,7 @@ impl<'a> Member<'a> {
     }
 }
 
-/// One observation as it is, or the mean of several; pictures each clamped to [0, 1].
+/// Returns a single observation unchanged, or the mean of several; spectra are each clamped to [0, 1].
 fn mean(pictures: Vec<Image>, task: Task) -> Image {
     let share = 1.0 / pictures.len() as Real;
     let mut pictures = pictures.into_iter();

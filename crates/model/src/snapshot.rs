@@ -1,4 +1,4 @@
-//! `Snapshot`: where the Gaussians are at one moment of a training, for figures. `docs/model-format.md` describes the file.
+//! `Snapshot`: the Gaussians at one training step, for figures. `docs/model-format.md` describes the file.
 
 use crate::{Ensemble, tensors::Tensors};
 use pwrfgs_core::files::{self, write_atomically};
@@ -6,29 +6,29 @@ use pwrfgs_core::{Error, GaussianCloud, Origin, Real, Result, sigmoid};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// N Gaussians at one moment.
+/// N Gaussians at one training step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
-    /// Steps done, that of the edit at hand included.
+    /// Number of completed steps, including the step of this snapshot.
     pub step: u64,
-    /// The place in the user's frame that the centres count from.
+    /// Origin of the centres in the user's frame.
     pub origin: Origin,
     /// Centres `[N,3]`, metres from the origin.
     pub means: Vec<[Real; 3]>,
     /// Opacities `[N]` in (0, 1), without the gates of pruners.
     pub opacities: Vec<Real>,
-    /// Scales `[N,3]` in metres and rotations `[N,4]` (w, x, y, z) as learned, without what a transmitter adds; empty in a
-    /// file of an earlier version.
+    /// Learned scales `[N,3]` in metres and rotations `[N,4]` (w, x, y, z), without transmitter-dependent terms; empty
+    /// in files of an earlier version.
     pub scales: Vec<[Real; 3]>,
-    /// See [`Self::scales`].
+    /// Learned rotations, see [`Self::scales`].
     pub quats: Vec<[Real; 4]>,
-    /// Who each Gaussian is `[N]`: a number that stays from snapshot to snapshot; empty where nobody knows.
+    /// Persistent ID per Gaussian `[N]`, constant over snapshots; empty if unknown.
     pub births: Vec<u32>,
-    /// Gates of pruners `[N]`, from 0 (closed) to 1; empty where there are none.
+    /// Gates of pruners `[N]`, from 0 (closed) to 1; empty without gates.
     pub gates: Vec<Real>,
 }
 
-/// What the file says besides numbers.
+/// Metadata of the file.
 #[derive(Serialize, Deserialize)]
 struct Note {
     format: String,
@@ -43,7 +43,7 @@ const FORMAT: &str = "pwrfgs-snapshot";
 const VERSION: u32 = 2;
 
 impl Snapshot {
-    /// Of `cloud`, which counts from `origin`, at `step`.
+    /// Creates a snapshot of `cloud`, relative to `origin`, at `step`.
     pub fn of(step: u64, cloud: &GaussianCloud, origin: Origin) -> Self {
         let opacities = cloud.opacity_logits.iter().copied().map(sigmoid).collect();
         let scales = cloud.log_scales.iter().map(|s| s.map(Real::exp)).collect();
@@ -51,13 +51,13 @@ impl Snapshot {
         Self { step, origin, means, opacities, scales, quats, births: Vec::new(), gates: Vec::new() }
     }
 
-    /// The same, saying who the Gaussians are and which gates they have.
+    /// Adds the IDs and gates of the Gaussians.
     #[must_use]
     pub fn known(self, births: &[u32], gates: Option<Vec<Real>>) -> Self {
         Self { births: births.to_vec(), gates: gates.unwrap_or_default(), ..self }
     }
 
-    /// Of all members of an ensemble together.
+    /// Creates a snapshot of all members of an ensemble together.
     pub fn of_ensemble(step: u64, ensemble: &Ensemble) -> Self {
         let origin = ensemble.members()[0].stages.origin;
         let logits = ensemble.members().iter().flat_map(|model| model.cloud.opacity_logits.iter().copied());
@@ -65,12 +65,12 @@ impl Snapshot {
         Self { step, origin, means: ensemble.means_from(origin), opacities, ..Self::default() }
     }
 
-    /// Centre `i` in the user's frame, metres.
+    /// Returns centre `i` in the user's frame, metres.
     pub fn place(&self, i: usize) -> [f64; 3] {
         self.origin.world(self.means[i])
     }
 
-    /// Writes it to `path`, whole or not at all; the same snapshot gives the same bytes.
+    /// Writes the snapshot to `path` atomically; equal snapshots give equal bytes.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -93,10 +93,10 @@ impl Snapshot {
         write_atomically(path, &file.to_bytes())
     }
 
-    /// Reads a snapshot; `None` where there is no such file.
+    /// Reads a snapshot; `None` if the file does not exist.
     ///
     /// # Errors
-    /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole snapshot.
+    /// [`Error::Read`], or [`Error::Input`] for an incomplete or damaged snapshot.
     pub fn read(path: &Path) -> Result<Option<Self>> {
         let bytes = files::if_found(path, files::read(path))?;
         bytes.map(|bytes| Self::from_bytes(&bytes).map_err(|why| Error::input(path, why))).transpose()

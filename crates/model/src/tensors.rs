@@ -1,22 +1,22 @@
-//! Named tensors and a note in one safetensors file: the form of models and checkpoints.
+//! Named tensors and metadata in one safetensors file: the format of models and checkpoints.
 
 use pwrfgs_core::{Real, files::digest};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
 
-/// The one metadata key: a second one would make the order of bytes depend on a hash.
+/// The only metadata key: a second one would make the order of bytes depend on a hash.
 const NOTE: &str = "pwrfgs";
 
 /// Tensors by name, with shapes, and a JSON note.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tensors {
-    /// JSON text.
+    /// JSON text of the metadata.
     pub note: String,
     tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
 }
 
 impl Tensors {
-    /// No tensors yet; `note` is JSON text.
+    /// Creates an empty file; `note` is JSON text.
     pub fn new(note: String) -> Self {
         Self { note, tensors: BTreeMap::new() }
     }
@@ -30,7 +30,7 @@ impl Tensors {
     /// Takes out a tensor of this shape.
     ///
     /// # Errors
-    /// Names the tensor, and the shape that was expected.
+    /// The message names the tensor and the expected shape.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
         self.expect(name, shape)?;
         let (_, values) = self.tensors.remove(name).expect("it is there");
@@ -40,10 +40,10 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Whether there is a tensor of this shape.
+    /// Checks for a tensor of this shape.
     ///
     /// # Errors
-    /// Names the tensor, and the shape that was expected.
+    /// The message names the tensor and the expected shape.
     pub fn expect(&self, name: &str, shape: &[usize]) -> Result<(), String> {
         match self.shape(name) {
             None => Err(format!("tensor `{name}` is missing")),
@@ -52,12 +52,12 @@ impl Tensors {
         }
     }
 
-    /// Shape of a tensor.
+    /// Returns the shape of a tensor.
     pub fn shape(&self, name: &str) -> Option<&[usize]> {
         self.tensors.get(name).map(|(shape, _)| shape.as_slice())
     }
 
-    /// SHA-256 of the note and of every tensor with its name and shape.
+    /// Returns the SHA-256 of the note and of every tensor with its name and shape.
     pub fn digest(&self) -> String {
         let mut all = self.note.clone().into_bytes();
         for (name, (shape, values)) in &self.tensors {
@@ -67,16 +67,16 @@ impl Tensors {
         digest(&all)
     }
 
-    /// The file's bytes; the same tensors give the same bytes.
+    /// Returns the bytes of the file; equal tensors give equal bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
         self.encode(|_| false)
     }
 
-    /// The same with the tensors whose name begins with `prefix`, or has it after a dot, in 16-bit floating-point numbers
-    /// (F16).
+    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name begins with
+    /// `prefix` or has it after a dot.
     ///
     /// # Errors
-    /// Names a tensor with a number beyond ±65504, the largest of F16.
+    /// The message names a tensor with a number beyond ±65504, the largest of F16.
     pub fn to_bytes_half(&self, prefix: &str) -> Result<Vec<u8>, String> {
         let inner = format!(".{prefix}");
         let short = |name: &str| name.starts_with(prefix) || name.contains(&inner);
@@ -107,10 +107,10 @@ impl Tensors {
         safetensors::serialize(views, Some(note)).expect("shapes fit their data")
     }
 
-    /// Reads a file's bytes.
+    /// Reads the bytes of a file.
     ///
     /// # Errors
-    /// What is wrong with them.
+    /// The message describes the damage.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let damaged = |e: safetensors::SafeTensorError| format!("not a whole safetensors file ({e})");
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;

@@ -1,4 +1,4 @@
-//! `Trained`: a model as the start of another training.
+//! `Trained`: a model as the initial state of another training.
 
 use crate::file;
 use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Seen, rng::Rng};
@@ -7,9 +7,9 @@ use std::path::PathBuf;
 
 /// Gaussians and weights of a trained model.
 ///
-/// To prune, or to go on training, where another run ended: the same dense model can then be thinned out in many ways, all
-/// trained equally long (`experiments/pareto.ron`). Method and receivers must be those of the model; the optimiser begins
-/// anew. A checkpoint, with which a run that was stopped goes on, is another thing.
+/// Use it to prune or continue a trained model. One dense model can be pruned in several ways with equal training
+/// length (`experiments/pareto.ron`). Method and receivers must be those of the model, and the state of the optimiser
+/// is reset. To resume an interrupted run, repeat its command instead; it uses the checkpoint.
 ///
 /// ```
 /// # use pwrfgs_model as _;
@@ -20,7 +20,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Trained {
-    /// The `model.safetensors` of a finished run, relative to the pipeline.
+    /// Path of the `model.safetensors` of a finished run, relative to the pipeline.
     #[schemars(extend("format" = "path"))]
     pub model: PathBuf,
 }

@@ -1,10 +1,10 @@
-//! `Group`: links whose rays are the same, chunk by chunk through the network and back.
+//! `Group`: links with equal rays, chunk by chunk through the network and back.
 
 use crate::nerf2::walk::{Signal, Still, Sums, Trunked, Walk};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
-/// Links whose rays are the same.
+/// Links with equal rays.
 #[derive(Debug)]
 pub(crate) struct Group<'a> {
     pub(crate) receiver: usize,
@@ -12,19 +12,19 @@ pub(crate) struct Group<'a> {
     pub(crate) links: Links,
 }
 
-/// Who is heard along the rays of a group: places among the links asked for, and rows of transmitters.
+/// Links along the rays of a group: indices of requested links, and rows of transmitters.
 #[derive(Debug)]
 pub(crate) enum Links {
-    /// Every link along all rays.
+    /// Every link uses all rays.
     All(Vec<(usize, usize)>),
-    /// One link a ray.
+    /// One link per ray.
     Own(Vec<(usize, usize)>),
 }
 
-/// Sums over the samples of a chunk's rays, for each pass over it `[rays, bands]`.
+/// Sums over the samples of the rays of a chunk, per pass `[rays, bands]`.
 pub(crate) type Passes = Vec<Vec<[Real; 2]>>;
 
-/// The activations of a chunk, for the way back.
+/// Activations of a chunk for the backward pass.
 #[derive(Debug)]
 pub(crate) struct Walked {
     still: Still,
@@ -32,7 +32,7 @@ pub(crate) struct Walked {
     signals: Vec<Signal>,
 }
 
-/// Room to work in, kept from chunk to chunk.
+/// Work buffers, reused for all chunks.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     trunked: Trunked,
@@ -40,7 +40,7 @@ pub(crate) struct Scratch {
 }
 
 impl Links {
-    /// How often a chunk is gone through.
+    /// Returns the number of passes over a chunk.
     pub(crate) fn passes(&self) -> usize {
         match self {
             Self::All(links) => links.len(),
@@ -48,7 +48,7 @@ impl Links {
         }
     }
 
-    /// The transmitters of a pass over a chunk, one a ray.
+    /// Returns the transmitters of a pass over a chunk, one per ray.
     fn of_pass(&self, pass: usize, chunk: &Range<usize>) -> Vec<usize> {
         match self {
             Self::All(links) => vec![links[pass].1; chunk.len()],
@@ -56,7 +56,7 @@ impl Links {
         }
     }
 
-    /// The link of a pass and a ray.
+    /// Returns the link of a pass and a ray.
     pub(crate) fn link(&self, pass: usize, ray: usize) -> usize {
         match self {
             Self::All(links) => links[pass].0,
@@ -66,7 +66,7 @@ impl Links {
 }
 
 impl Group<'_> {
-    /// A chunk whose way back will begin where this ends.
+    /// Runs a chunk and stores its activations for the backward pass.
     pub(crate) fn keep(&self, rays: &Range<usize>) -> (Walked, Passes) {
         let mut trunked = Trunked::default();
         let still = self.walk.still(rays.clone(), self.walk.network.trunk.depth(), &mut trunked);
@@ -80,7 +80,7 @@ impl Group<'_> {
         (Walked { still, trunked, signals }, sums)
     }
 
-    /// A chunk of which nothing is kept; `ready` is what was kept of it before.
+    /// Runs a chunk without storing activations; `ready` is its precomputed part.
     pub(crate) fn pass(&self, rays: &Range<usize>, ready: Option<&Still>, scratch: &mut Scratch) -> Passes {
         let Scratch { trunked, signal } = scratch;
         let made = ready.is_none().then(|| self.walk.still(rays.clone(), 2, trunked));
@@ -92,7 +92,7 @@ impl Group<'_> {
         (0..self.links.passes()).map(one).collect()
     }
 
-    /// The way back of a chunk, given the cotangents `d` of a pass, a ray and a band.
+    /// Backward pass of a chunk, given the cotangents `d` per pass, ray and band.
     pub(crate) fn back(
         &self,
         rays: &Range<usize>,

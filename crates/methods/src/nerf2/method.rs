@@ -16,23 +16,23 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// What a step may keep for its way back, bytes; the rest is worked out again.
+/// Maximum memory for activations per step, bytes; other activations are recomputed.
 const KEPT: usize = 1_340_000_000;
-/// A chunk of a group, and what was worked out of it.
+/// Chunk of a group with its activations.
 struct Chunk {
     group: usize,
     rays: Range<usize>,
     kept: Option<Walked>,
 }
 
-/// What [`Method::vjp`] finds again.
+/// State of the forward pass for [`Method::vjp`].
 struct Forward {
     chunks: Vec<Chunk>,
     /// Sums over the samples `[L, pixels]`, or over the whole sky `[L, bands]`.
     totals: Vec<[Real; 2]>,
 }
 
-/// What [`Method::prepare`] keeps: of each receiver the chunks of its sky.
+/// Result of [`Method::prepare`]: the chunks of the sky per receiver.
 type Ready = Vec<Vec<Still>>;
 
 impl Nerf2 {
@@ -57,7 +57,7 @@ impl Nerf2 {
         Walk { network, weights, rays: Rays::of(self, frame, receiver, pixels), law: self.law(frame.task), told }
     }
 
-    /// Links asked for, those of a receiver together.
+    /// Groups the requested links by receiver.
     fn groups<'a>(
         &self,
         frame: &Frame,
@@ -87,7 +87,7 @@ impl Nerf2 {
         (0..frame.receivers.len()).filter_map(of).collect()
     }
 
-    /// Sums `[L, pixels or bands]` become observations.
+    /// Converts sums `[L, pixels or bands]` to observations.
     fn observations(frame: &Frame, totals: &[[Real; 2]]) -> Vec<Real> {
         if frame.task.is_complex {
             return pwrfgs_core::rows_of(totals, bands(frame));
@@ -96,7 +96,7 @@ impl Nerf2 {
         if frame.task.is_scalar { size.map(|size| 100.0 * size - 100.0).collect() } else { size.collect() }
     }
 
-    /// The cotangents of sums, given those of the observations.
+    /// Returns the cotangents of the sums, given those of the observations.
     fn observations_vjp(frame: &Frame, totals: &[[Real; 2]], d: &[Real]) -> Vec<[Real; 2]> {
         let along = |([re, im], d): (&[Real; 2], &Real)| {
             let size = re.hypot(*im);
@@ -109,7 +109,7 @@ impl Nerf2 {
         if frame.task.is_scalar { each.map(|d| d.map(|d| 100.0 * d)).collect() } else { each.collect() }
     }
 
-    /// Sums `[L, pixels or bands]` of chunks, in their order.
+    /// Collects the sums of chunks, in order, `[L, pixels or bands]`.
     fn gather(
         frame: &Frame,
         asked: &Asked<'_>,
@@ -133,7 +133,7 @@ impl Nerf2 {
     }
 }
 
-/// Where the sum of a ray belongs among all.
+/// Returns the index at which the sum of a ray is stored.
 fn place(frame: &Frame, links: &Links, of_link: usize, (pass, ray, band): (usize, usize, usize)) -> usize {
     let link = links.link(pass, ray);
     match (frame.task.has_pixels, links) {
@@ -143,12 +143,12 @@ fn place(frame: &Frame, links: &Links, of_link: usize, (pass, ray, band): (usize
     }
 }
 
-/// Complex weights of a sample.
+/// Returns the number of complex outputs per sample.
 fn bands(frame: &Frame) -> usize {
     frame.frequencies_hz.len().max(1)
 }
 
-/// What a chunk will hold if it is kept, bytes.
+/// Returns the memory of the stored activations of a chunk, bytes.
 fn bytes_of(network: &Network, samples: usize, rays: usize, passes: usize) -> usize {
     let of_sample =
         (network.trunk.depth() + 2) * network.width() + passes * (3 * network.width() / 2 + network.outputs);
@@ -168,7 +168,7 @@ impl Method for Nerf2 {
 
     fn cost(&self, frame: &Frame, links: usize, pixels: usize) -> Cost {
         let network = planned(|plan| self.network(frame, plan)).0;
-        // Rays that all links see, and the links along each; with a pixel each, as many rays as links.
+        // Number of rays and of links per ray; with one pixel per link, there are as many rays as links.
         let (rays, passes) = match (frame.task.has_pixels, pixels) {
             (true, 1) => (links, 1),
             (true, pixels) => (pixels, links),

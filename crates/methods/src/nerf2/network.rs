@@ -1,4 +1,4 @@
-//! `Network`: the layers of NeRF2, and where their weights lie.
+//! `Network`: the layers of NeRF2 and the offsets of their weights.
 
 use crate::nerf2::Nerf2;
 use pwrfgs_core::{Conditions, Real};
@@ -8,28 +8,28 @@ use pwrfgs_networks::linear::Plan;
 use pwrfgs_networks::linear::{Linear, Part};
 use pwrfgs_networks::trunk::{Trunk, TrunkShape};
 
-/// Frequencies of every encoding.
+/// Number of frequencies of every encoding.
 pub(crate) const FREQUENCIES: usize = 10;
 
-/// All layers. A sample's place goes through the trunk; what comes out gives its attenuation, and with the view and the
-/// transmitter what it emits.
+/// All layers. The trunk maps the position of a sample to a feature, from which follows the attenuation; with view
+/// direction and transmitter it gives the emission.
 #[derive(Debug)]
 pub(crate) struct Network {
     pub(crate) trunk: Trunk,
     pub(crate) attenuation: Linear,
     pub(crate) feature: Linear,
-    /// [feature, view, transmitter] → width → width / 2.
+    /// Layers [feature, view, transmitter] → width → width / 2.
     pub(crate) signal: [Linear; 2],
     pub(crate) emission: Linear,
-    /// Numbers of a raw output: amplitudes, then phases.
+    /// Length of a raw output: amplitudes, then phases.
     pub(crate) outputs: usize,
-    /// Whether the transmitter is described by features, which are not encoded.
+    /// Whether features, which are not encoded, replace the transmitter position.
     plain: bool,
     told: usize,
 }
 
 impl Network {
-    /// That of `method`, with so many amplitudes and as many phases a sample.
+    /// Plans the network of `method`, with `bands` amplitudes and phases per sample.
     pub(crate) fn new(method: &Nerf2, bands: usize, plan: &mut Plan) -> Self {
         let (wide, encoded, outputs) = (method.width, width(FREQUENCIES), 2 * bands);
         let (plain, told) = match method.features {
@@ -49,17 +49,17 @@ impl Network {
         }
     }
 
-    /// Units of the trunk.
+    /// Returns the number of units of the trunk.
     pub(crate) fn width(&self) -> usize {
         self.trunk.width
     }
 
-    /// The columns of the signal net's first layer that see the feature.
+    /// Returns the columns of the first layer of the signal network for the feature.
     pub(crate) fn of_feature(&self) -> Part {
         self.signal[0].part(0..self.width())
     }
 
-    /// Those that see the view.
+    /// Returns the columns of the first layer of the signal network for the view direction.
     pub(crate) fn of_view(&self) -> Part {
         self.signal[0].part(self.width()..self.width() + width(FREQUENCIES))
     }
@@ -68,7 +68,7 @@ impl Network {
         self.signal[0].inputs - self.told..self.signal[0].inputs
     }
 
-    /// What the network reads of each transmitter, `[B, told]`; positions are divided by `unit`.
+    /// Returns the network inputs per transmitter, `[B, inputs]`; positions are divided by `unit`.
     fn read(&self, conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
         if self.plain {
             return conditions.values().to_vec();
@@ -80,8 +80,8 @@ impl Network {
         read
     }
 
-    /// What the signal net's first layer is told by each transmitter, `[B, width]`. One at a time: a batch then gives the
-    /// bits of single calls.
+    /// Returns the contribution of each transmitter to the first layer of the signal network, `[B, width]`. Runs one
+    /// transmitter at a time, so that batches are bit-identical to single calls.
     pub(crate) fn tell(&self, weights: &[Real], conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
         let read = self.read(conditions, unit);
         let mut told = vec![0.0; conditions.len() * self.width()];
@@ -92,7 +92,7 @@ impl Network {
         told
     }
 
-    /// The vjp of [`Self::tell`]: adds to `d_weights`.
+    /// Backward pass of [`Self::tell`]: adds to `d_weights`.
     pub(crate) fn tell_vjp(&self, conditions: &Conditions<'_>, unit: Real, d_told: &[Real], d_weights: &mut [Real]) {
         let (read, batch) = (self.read(conditions, unit), conditions.len());
         let d = Matrix::new(d_told, batch, self.width());
@@ -100,14 +100,14 @@ impl Network {
         product(d_w, Store::Add, d.t(), Matrix::new(&read, batch, self.told));
     }
 
-    /// A layer with its biases, on `x` `[inputs, R]`.
+    /// Applies a layer with its biases to `x` `[inputs, R]`.
     pub(crate) fn apply(layer: &Linear, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
         y.resize(x.len() / layer.inputs * layer.outputs, 0.0);
         layer.whole().apply(weights, x, y, Store::Set);
         dense::add_bias(y, layer.bias(weights));
     }
 
-    /// The vjp of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
+    /// Backward pass of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
     pub(crate) fn apply_vjp(
         layer: &Linear,
         weights: &[Real],

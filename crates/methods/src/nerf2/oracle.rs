@@ -1,4 +1,4 @@
-//! What NeRF2's released code makes in double precision: outputs, losses, and the gradient of every weight.
+//! Compares outputs, losses and the gradient of every weight with those of the released NeRF2 code in double precision.
 
 use crate::nerf2::Nerf2;
 use crate::nerf2::Rays;
@@ -28,7 +28,7 @@ impl Oracle {
         npy(&bytes).1.into_iter().map(|v| v as Real).collect()
     }
 
-    /// All weights, or all gradients, in our order.
+    /// Returns all weights, or all gradients, in the order of this implementation.
     fn weights(&mut self, kind: &str, names: &[String]) -> Vec<Real> {
         let theirs = |ours: &str| {
             let (layer, what) = ours.rsplit_once('.').unwrap();
@@ -50,7 +50,7 @@ fn error(found: &[Real], expected: &[Real]) -> f64 {
     f64::from(found.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
 }
 
-/// All links of a mode along their rays, and back: outputs `[L, numbers]` and gradients.
+/// Runs all links of a mode along their rays, and the backward pass: outputs `[L, numbers]` and gradients.
 fn reproduce(mode: &str, bands: usize, law: Law) {
     let Some(mut oracle) = Oracle::open(mode) else { return };
     let (tx, label) = (oracle.array("tx"), oracle.array("label"));
@@ -69,7 +69,7 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
         .map(|link| {
             let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
             let of_link = all.len() / links;
-            // The released renderer draws the first ring of powers alone, by a slip in its number of chunks.
+            // The released renderer uses only the first ring for powers, because of an error in its number of chunks.
             let used = if mode == "rssi" { method.azimuths } else { of_link };
             let rays = Rays {
                 origin: origins[3 * link..3 * link + 3].try_into().unwrap(),

@@ -1,33 +1,33 @@
-//! What is left of a wave from each sample of a ray on its way to the receiver, and how far it has turned ([`Law`]); and
-//! what the samples emit towards the receiver: Σ s·exp(jψ)·c.
+//! Attenuation and phase ([`Law`]) from each sample of a ray to the receiver, and the received sum of the emissions: Σ
+//! s·exp(jψ)·c.
 
 use pwrfgs_core::{Real, consts};
 
-/// What NeRF2 adds to 1 − α before it multiplies.
+/// Constant that NeRF2 adds to 1 − α in the product.
 const SPARE: Real = 1e-10;
-/// The last step has no end.
+/// Length of the last step.
 const ENDLESS: Real = 1e10;
-/// Where less than this is left of the amplitude, what lies behind counts nothing.
+/// Smallest remaining amplitude; samples behind it are ignored.
 const DARK: Real = 1e-12;
 
-/// How attenuation becomes a complex factor c of what a sample emits.
+/// Conversion of attenuation to the complex factor c of an emission.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Law {
-    /// The spectrum's: alpha compositing before the sample, phases by length, amplitudes as 0.025 over the distance.
+    /// Spectra: alpha compositing in front of the sample, phases by length, amplitudes as 0.025 over the distance.
     Spectrum,
-    /// The power's and the channel's: attenuation up to and with the sample, phases of the room and of the wave.
+    /// Powers and channels: attenuation up to and including the sample, phases of the medium and of the wave.
     Wave {
-        /// Radians that the wave turns over a unit of length.
+        /// Phase per unit length, radians.
         wavenumber: Real,
     },
 }
 
-/// |leaky ReLU|, the amplitude of a raw output.
+/// Returns |leaky ReLU|, the amplitude of a raw output.
 pub(crate) fn amplitude(x: Real) -> Real {
     if x > 0.0 { x } else { -0.01 * x }
 }
 
-/// Its derivative; 0 at 0, as the slope of |x| there.
+/// Returns the derivative of [`amplitude`]; 0 at 0, like that of |x|.
 pub(crate) fn amplitude_slope(x: Real) -> Real {
     if x > 0.0 {
         1.0
@@ -38,28 +38,29 @@ pub(crate) fn amplitude_slope(x: Real) -> Real {
     }
 }
 
-/// 2π σ(x).
+/// Returns 2π σ(x).
 pub(crate) fn turn(x: Real) -> Real {
     2.0 * consts::PI / (1.0 + (-x).exp())
 }
 
-/// Its derivative, of what [`turn`] gave.
+/// Returns the derivative of [`turn`], given its result.
 pub(crate) fn turn_slope(turned: Real) -> Real {
     turned * (1.0 - turned / (2.0 * consts::PI))
 }
 
 impl Law {
-    /// What is taken from the phases of what samples emit: those of powers and channels lie from −π to π.
+    /// Returns the offset that is subtracted from the phases of emissions: those of powers and channels are in −π to π.
     pub(crate) fn phase_offset(self) -> Real {
         if self == Self::Spectrum { 0.0 } else { consts::PI }
     }
 
-    /// Lengths of the steps between samples.
+    /// Returns the length of the step after sample `i`.
     fn step(samples: &[Real], i: usize) -> Real {
         samples.get(i + 1).map_or(ENDLESS, |next| next - samples[i])
     }
 
-    /// Factors `[n, 2]` of the samples of a ray, given raw attenuations and phases `[n]`; gives how many samples count.
+    /// Computes factors `[n, 2]` of the samples of a ray, given raw attenuations and phases `[n]`; returns the number
+    /// of samples used.
     pub(crate) fn factors(
         self,
         samples: &[Real],
@@ -77,7 +78,7 @@ impl Law {
                     let next = samples.get(i + 1).map_or(ENDLESS, |next| *next);
                     0.025 / next
                 }
-                // Nothing comes through an endless step, but for an attenuation of exactly nothing.
+                // The infinite last step transmits nothing, unless its attenuation is exactly zero.
                 Self::Wave { .. } if i + 1 == samples.len() => return i,
                 Self::Wave { wavenumber } => {
                     log -= loss;
@@ -98,7 +99,7 @@ impl Law {
         factors.len()
     }
 
-    /// Cotangents of the raw numbers, given those `d` of the first `d.len()` factors; the others are 0.
+    /// Returns the cotangents of the raw values, given those `d` of the first `d.len()` factors; the others are 0.
     pub(crate) fn factors_vjp(
         self,
         samples: &[Real],
@@ -109,7 +110,7 @@ impl Law {
     ) {
         d_raw.fill(0.0);
         d_raw_phase.fill(0.0);
-        // Of the logarithm of the size and of the phase, summed from the far end.
+        // Cotangents of the logarithm of the magnitude and of the phase, summed from the far end.
         let (mut size, mut phase) = (0.0, 0.0);
         for i in (0..d.len()).rev() {
             let step = Self::step(samples, i);
@@ -135,7 +136,8 @@ impl Law {
     }
 }
 
-/// Σ over samples, given raw amplitudes and phases `[n]` and the factors of the path; `back` is taken from the phase.
+/// Returns the sum over samples, given raw amplitudes and phases `[n]` and the factors of the path; `back` is
+/// subtracted from the phase.
 pub(crate) fn sum(raw: &[Real], raw_phase: &[Real], factors: &[[Real; 2]], back: Real) -> [Real; 2] {
     let mut total = [0.0; 2];
     for ((raw, raw_phase), c) in raw.iter().zip(raw_phase).zip(factors) {
@@ -147,7 +149,7 @@ pub(crate) fn sum(raw: &[Real], raw_phase: &[Real], factors: &[[Real; 2]], back:
     total
 }
 
-/// Cotangents of the raw numbers (written) and of the factors (added), given that of the sum.
+/// Returns the cotangents of the raw values (written) and of the factors (added), given that of the sum.
 pub(crate) fn sum_vjp(
     [raw, raw_phase]: [&[Real]; 2],
     factors: &[[Real; 2]],

@@ -1,4 +1,4 @@
-//! A chunk of rays through the network and back.
+//! Forward and backward pass of a chunk of rays through the network.
 
 use crate::nerf2::Rays;
 use crate::nerf2::network::{FREQUENCIES, Network};
@@ -9,32 +9,33 @@ use pwrfgs_networks::encoding::{encode, width};
 use pwrfgs_networks::trunk::{Joints, TrunkGradient};
 use std::ops::Range;
 
-/// Points a chunk, as far as whole rays allow: see `rows_per_chunk` of the layers.
+/// Number of points per chunk, rounded to whole rays: see `rows_per_chunk` of the layers.
 const ROWS: usize = 192;
 
-/// Rays of a receiver, and what they go through.
+/// Rays of a receiver with the network and the transmitter inputs.
 #[derive(Debug)]
 pub(crate) struct Walk<'a> {
     pub(crate) network: &'a Network,
     pub(crate) weights: &'a [Real],
     pub(crate) rays: Rays,
     pub(crate) law: Law,
-    /// What each transmitter says, `[B, width]`.
+    /// Contribution of each transmitter to the signal network, `[B, width]`.
     pub(crate) told: &'a [Real],
 }
 
-/// What no transmitter changes of a chunk of rays.
+/// Values of a chunk of rays that do not depend on the transmitter.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Still {
-    /// How many samples of each ray count, and where those of the ray begin among all that do.
+    /// Range of each ray's samples among all samples in use.
     segments: Vec<Range<usize>>,
-    /// Of the path, `[bands, rays, samples]`.
+    /// Factors of the path, `[bands, rays, samples]`.
     factors: Vec<[Real; 2]>,
-    /// What the signal net's first layer is told by samples and views, with its biases, `[width, live]`.
+    /// Contribution of samples and view directions to the first layer of the signal network, with its biases, `[width,
+    /// live]`.
     seen: Vec<Real>,
 }
 
-/// The activations of the trunk and behind it, for the way back.
+/// Activations of the trunk and the following layers for the backward pass.
 #[derive(Debug, Default)]
 pub(crate) struct Trunked {
     gamma: Vec<Real>,
@@ -45,7 +46,7 @@ pub(crate) struct Trunked {
     views: Vec<Real>,
 }
 
-/// The signal net for one transmitter a ray.
+/// Activations of the signal network for one transmitter per ray.
 #[derive(Debug, Default)]
 pub(crate) struct Signal {
     first: Vec<Real>,
@@ -54,16 +55,16 @@ pub(crate) struct Signal {
     raw: Vec<Real>,
 }
 
-/// Derivatives in everything that is learned.
+/// Derivatives with respect to all learned parameters.
 #[derive(Debug)]
 pub(crate) struct Sums {
     pub(crate) weights: Vec<Real>,
-    /// `[B, width]`.
+    /// Derivatives with respect to the contributions of the transmitters, `[B, width]`.
     pub(crate) told: Vec<Real>,
 }
 
 impl Still {
-    /// Zeros for the cotangents of the path and of what was seen.
+    /// Returns zeros for the cotangents of the path factors and of the shared contributions.
     pub(crate) fn zeros(&self) -> (Vec<[Real; 2]>, Vec<Real>) {
         (vec![[0.0; 2]; self.factors.len()], vec![0.0; self.seen.len()])
     }
@@ -78,13 +79,14 @@ impl Walk<'_> {
         self.network.outputs / 2
     }
 
-    /// Chunks of whole rays. They depend on nothing but the number of samples and rays.
+    /// Divides rays into chunks. The chunks depend only on the number of samples and rays.
     pub(crate) fn chunks(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         let (rays, size) = (self.rays.directions.len(), (ROWS / self.rays.samples()).max(1));
         (0..rays).step_by(size).map(move |first| first..(first + size).min(rays))
     }
 
-    /// Everything up to where the transmitter comes in. `slots` are 2, or as many as the trunk has layers to go back.
+    /// Computes all values that do not depend on the transmitter. `slots` is 2 for predictions, or the number of trunk
+    /// layers for the backward pass.
     pub(crate) fn still(&self, chunk: Range<usize>, slots: usize, trunked: &mut Trunked) -> Still {
         let (network, weights, samples) = (self.network, self.weights, self.rays.samples());
         let (rays, points) = (chunk.len(), self.rays.points(chunk.clone()));
@@ -128,13 +130,13 @@ impl Walk<'_> {
         still
     }
 
-    /// Raw attenuations and phases of a ray.
+    /// Returns raw attenuations and phases of a ray.
     fn attenuations<'a>(&self, all: &'a [Real], band: usize, ray: usize, rays: usize) -> [&'a [Real]; 2] {
         let samples = self.rays.samples();
         [band, self.bands() + band].map(|row| &all[(row * rays + ray) * samples..][..samples])
     }
 
-    /// What the samples emit to the transmitters `of`, one a ray.
+    /// Computes the emission of the samples for the transmitters `of`, one per ray.
     pub(crate) fn signal(&self, still: &Still, of: &[usize], signal: &mut Signal) {
         let (network, weights, width, live) = (self.network, self.weights, self.network.width(), still.live());
         let Signal { first, second, raw } = signal;
@@ -154,7 +156,7 @@ impl Walk<'_> {
         Network::apply(&network.emission, weights, second, raw);
     }
 
-    /// Sums over the samples of each ray `[rays, bands]`.
+    /// Returns the sums over the samples of each ray, `[rays, bands]`.
     pub(crate) fn sums(&self, still: &Still, signal: &Signal) -> Vec<[Real; 2]> {
         let (bands, rays) = (self.bands(), still.segments.len());
         let one = |i: usize| {
@@ -170,8 +172,8 @@ impl Walk<'_> {
         &still.factors[at..at + still.segments[ray].len()]
     }
 
-    /// The way back of one [`Self::signal`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into`, to those of the
-    /// path and to those of what was seen.
+    /// Backward pass of one [`Self::signal`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into` and to
+    /// the cotangents of the path factors and shared contributions.
     pub(crate) fn signal_vjp(
         &self,
         (still, signal, of): (&Still, &Signal, &[usize]),
@@ -219,7 +221,7 @@ impl Walk<'_> {
         }
     }
 
-    /// The way back of [`Self::still`], given the cotangents of the path and of what was seen.
+    /// Backward pass of [`Self::still`], given the cotangents of the path factors and shared contributions.
     pub(crate) fn still_vjp(
         &self,
         (still, trunked): (&Still, &Trunked),
@@ -272,7 +274,7 @@ impl Walk<'_> {
     }
 }
 
-/// Raw amplitudes and phases of what the samples of a ray emit that count.
+/// Returns raw amplitudes and phases of the emission, for the samples of a ray that are in use.
 fn emitted<'a>(raw: &'a [Real], still: &Still, band: usize, bands: usize, ray: usize) -> [&'a [Real]; 2] {
     let (live, segment) = (still.live(), &still.segments[ray]);
     [band, bands + band].map(|row| &raw[row * live + segment.start..row * live + segment.end])

@@ -1,20 +1,23 @@
-//! A start for channels that features decide: the best linear map from features to channels, as signals of the Gaussians.
+//! Initialisation for channels with features: the best linear map from features to channels, as signals of the
+//! Gaussians.
 //!
-//! With waves W `[AF, N]`, basis Φ `[N, J]` of the Gaussians and features x `[D]` a channel is h = L·W·Φ·B·x. Ridge regression
-//! of the training part gives the map R from x to h; B is then (WΦ)⁺·R/L, regularised. All in double precision.
+//! With waves W `[AF, N]`, basis Φ `[N, J]` of the Gaussians and features x `[D]`, a channel is h = L·W·Φ·B·x. Ridge
+//! regression on the training set gives the map R from x to h; B is then the regularised (WΦ)⁺·R/L. All computations
+//! use double precision.
 
 use super::waves::Waves;
 use super::{SplattedChannel, offsets_mut, parts};
 use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real};
 use rayon::prelude::*;
 
-/// Weight of both ridges, in the mean of the diagonal.
+/// Weight of both ridge penalties, relative to the mean of the diagonal.
 const RIDGE: f64 = 1e-4;
-/// Links that it is fitted to, at most.
+/// Maximum number of links in the fit.
 const MOST: usize = 8_000;
 
 impl SplattedChannel {
-    /// Sets the linear part of the deformation, where it has one and there is one receiver; else nothing.
+    /// Initialises the linear part of the deformation if it has one and there is a single receiver; otherwise does
+    /// nothing.
     pub(super) fn start_linear(
         &self,
         frame: &Frame,
@@ -35,7 +38,7 @@ impl SplattedChannel {
         let Some(map) = ridge(&linear, &channels) else { return false };
         let seen = waves.of_basis(&linear.basis, linear.functions);
         let Some(coefficients) = through(&seen, linear.functions, &map, linear.inputs) else { return false };
-        // Signals about 1: the level takes what is left.
+        // Signals have a magnitude of about 1; the level contains the rest.
         let size = (coefficients.iter().flatten().map(|v| v * v).sum::<f64>() / linear.inputs as f64).sqrt();
         let level = if size > 0.0 { size } else { 1.0 };
         cloud.signals.fill([0.0; 2]);
@@ -49,7 +52,7 @@ impl SplattedChannel {
     }
 }
 
-/// R `[D, AF]`: from features to channels, complex.
+/// Fits R `[D, AF]`, the complex map from features to channels.
 fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64; 2]>>> {
     let d = linear.inputs;
     let rows: Vec<&[Real]> = linear.values.chunks_exact(d).collect();
@@ -80,7 +83,7 @@ fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64;
     Some((0..d).map(|k| columns.iter().map(|column| column[k]).collect()).collect())
 }
 
-/// B `[D, J]` with V·B = R in the least squares, V `[AF, J]` being what is heard of each function of the basis.
+/// Solves V·B = R for B `[D, J]` in the least-squares sense; V `[AF, J]` is the received channel per basis function.
 fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: usize) -> Option<Vec<[f64; 2]>> {
     let (j, numbers) = (functions, seen.len() / functions.max(1));
     // Complex unknowns as pairs of real ones: [[Re, -Im], [Im, Re]] of VᴴV.
@@ -116,7 +119,7 @@ fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: u
     Some((0..inputs).into_par_iter().flat_map_iter(of_feature).collect())
 }
 
-/// The factor of a symmetric matrix `[n,n]` with the ridge.
+/// Returns the Cholesky factor of a symmetric matrix `[n,n]` with the ridge.
 fn ridged(mut a: Vec<f64>, n: usize) -> Option<Cholesky> {
     let mean = (0..n).map(|k| a[k * n + k]).sum::<f64>() / n.max(1) as f64;
     (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE);
@@ -129,7 +132,7 @@ mod tests {
 
     #[test]
     fn a_map_is_found_through_what_is_heard() {
-        // Two functions, two numbers: V is invertible, so B is V⁻¹R up to the ridge.
+        // Two functions and two values: V is invertible, so B is V⁻¹R up to the ridge.
         let seen = [[1.0, 0.5], [0.0, 1.0], [0.3, 0.0], [2.0, -1.0]];
         let wanted = [[0.7, -0.2], [0.1, 0.9]];
         let times = |v: [f64; 2], b: [f64; 2]| [v[0] * b[0] - v[1] * b[1], v[0] * b[1] + v[1] * b[0]];

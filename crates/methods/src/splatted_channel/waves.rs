@@ -1,18 +1,17 @@
-//! A channel: the waves of all Gaussians, summed on the antennas of a receiver for every subcarrier.
+//! Channels: the waves of all Gaussians, summed per antenna and subcarrier of a receiver.
 //!
-//! `h(a, f) = Σ_g m_g s_g exp(−j k_f d_ga)/d_ga` with d the distance from Gaussian g to antenna a, `k_f = 2πf/c` and the gate
-//! m.
-//! Gaussians are points here: nothing is projected, and nothing hides anything. What the transmitter changes is the
-//! signals s alone, so the waves W `[2AF, N]` are worked out once for all links of a receiver.
+//! `h(a, f) = Σ_g m_g s_g exp(−j k_f d_ga)/d_ga` with d the distance from Gaussian g to antenna a, `k_f = 2πf/c` and
+//! the gate m. Gaussians are points here, without projection or occlusion. The transmitter affects only the signals s,
+//! so that the waves W `[2AF, N]` are computed once for all links of a receiver.
 
 use pwrfgs_core::{Frame, GaussianCloud, Real, Receiver, SPEED_OF_LIGHT, gain_at};
 use rayon::prelude::*;
 
-/// A Gaussian is heard as if it were no nearer to an antenna, metres.
+/// Smallest distance between a Gaussian and an antenna in the model, metres.
 const NEAREST_M: f64 = 0.05;
 
-/// What each Gaussian sends to a receiver with a signal of 1: real parts `[A·F, N]` and imaginary parts, rows in the order
-/// of an observation's.
+/// Wave of each Gaussian with a signal of 1 at a receiver: real parts `[A·F, N]` and imaginary parts, rows in the order
+/// of an observation.
 #[derive(Debug)]
 pub(super) struct Waves {
     re: Vec<Real>,
@@ -21,13 +20,13 @@ pub(super) struct Waves {
     columns: usize,
 }
 
-/// Places of the antennas, metres from the origin.
+/// Returns the antenna positions, metres from the origin.
 fn antennas(receiver: &Receiver) -> Vec<[f64; 3]> {
     let place = |r: &[f64; 3]| std::array::from_fn(|k| receiver.pose.position[k] + r[k]);
     receiver.array().iter().map(place).collect()
 }
 
-/// From antenna to Gaussian: the way, and its length, at least [`NEAREST_M`].
+/// Returns the vector from antenna to Gaussian, and its length of at least [`NEAREST_M`].
 fn way(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
     let way: [f64; 3] = std::array::from_fn(|k| mean[k] as f64 - antenna[k]);
     (way, way.iter().map(|v| v * v).sum::<f64>().sqrt().max(NEAREST_M))
@@ -52,7 +51,7 @@ impl Waves {
         Self { re: part(0), im: part(1), n, columns }
     }
 
-    /// Observations `[L, 2A, F]` of signals `[N, L, 2]`.
+    /// Returns observations `[L, 2A, F]` of signals `[N, L, 2]`.
     pub(super) fn sum(&self, signals: &[Real], links: usize) -> Vec<Real> {
         let numbers = 2 * self.re.len() / self.n.max(1);
         let mut out = vec![0.0; links * numbers];
@@ -72,7 +71,8 @@ impl Waves {
         out
     }
 
-    /// What is heard of each of J functions of the Gaussians, given their values `[N, J]`: complex, `[A·F, J]`.
+    /// Returns the received channel of each of J functions of the Gaussians, given their values `[N, J]`: complex,
+    /// `[A·F, J]`.
     pub(super) fn of_basis(&self, basis: &[Real], functions: usize) -> Vec<[f64; 2]> {
         let mut out = vec![[0.0; 2]; self.re.len() / self.n.max(1) * functions];
         out.par_chunks_exact_mut(functions.max(1)).enumerate().for_each(|(row, out)| {
@@ -87,13 +87,14 @@ impl Waves {
         out
     }
 
-    /// Where the real part of row (antenna, subcarrier) stands in an observation; the imaginary one is a row below.
+    /// Returns the index of the real part of row (antenna, subcarrier) in an observation; the imaginary part is one row
+    /// below.
     fn place(&self, row: usize) -> usize {
         gain_at(row / self.columns, row % self.columns, self.columns)[0]
     }
 
-    /// Cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, as [`Waves`] has them), given those `d` of
-    /// the observations.
+    /// Returns the cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, in the layout of
+    /// [`Waves`]), given those `d` of the observations.
     pub(super) fn sum_vjp(&self, signals: &[Real], links: usize, d: &[Real]) -> (Vec<Real>, Vec<[Real; 2]>) {
         let (n, numbers) = (self.n, 2 * self.re.len() / self.n.max(1));
         let mut d_signals = vec![0.0; signals.len()];

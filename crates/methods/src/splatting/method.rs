@@ -1,4 +1,4 @@
-//! Splatting as a [`Method`]: links in, observations out, and back.
+//! Splatting as a [`Method`]: from links to observations, and the backward pass.
 
 use super::received::{self, Laws};
 use super::survey::Question;
@@ -15,36 +15,36 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The names of what is learned of receivers of powers.
+/// Names of the learned parameters of receivers of powers.
 const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
-/// What [`Method::vjp`] finds again.
+/// State of the forward pass for [`Method::vjp`].
 struct Kept {
     deltas: Deltas,
     drawings: Vec<(Group, View, Drawing)>,
 }
 
-/// What no transmitter changes.
+/// Values that do not depend on the transmitter.
 struct Ready {
     deformation: Cache,
-    /// Of each receiver, where no transmitter changes the geometry.
+    /// Geometry per receiver, if it does not depend on the transmitter.
     still: Vec<Arc<Geometry>>,
 }
 
 impl Splatting {
-    /// The network's weights, and the receivers' laws behind them.
+    /// Splits the weights into those of the network and those of the receivers.
     pub(super) fn parts<'a>(&self, frame: &Frame, weights: &'a [Real]) -> (&'a [Real], Laws<'a>) {
         let (network, laws) = weights.split_at(weights.len() - self.laws(frame));
         let (offsets, exponents) = laws.split_at(frame.receivers.len().min(laws.len()));
         (network, Laws { offsets, exponents })
     }
 
-    /// Numbers that are learned of the receivers.
+    /// Returns the number of learned parameters of the receivers.
     fn laws(&self, frame: &Frame) -> usize {
         if matches!(self.readout, Readout::Received { .. }) { LAW.len() * frame.receivers.len() } else { 0 }
     }
 
-    /// What is read out in training: blended signals as they are, or clamped to [0, 1] as released.
+    /// Returns the blended signals for the readout in training: unchanged, or clamped to [0, 1] as released.
     pub(super) fn shown<'a>(&self, blended: &'a [Real]) -> Cow<'a, [Real]> {
         match self.calibration {
             Calibration::AsReleased => blended.iter().map(|v| v.clamp(0.0, 1.0)).collect(),
@@ -52,7 +52,7 @@ impl Splatting {
         }
     }
 
-    /// Blended signals of a receiver's sky `[links, channels, pixels]` as observations.
+    /// Converts blended signals of the sky of a receiver `[links, channels, pixels]` to observations.
     pub(super) fn read_out(
         &self,
         view: &View,
@@ -67,7 +67,8 @@ impl Splatting {
         }
     }
 
-    /// Cotangents of the blended signals, given those `d` of the observations; adds to those of the law.
+    /// Returns the cotangents of the blended signals, given those `d` of the observations; adds to those of the
+    /// path-loss parameters.
     pub(super) fn read_out_vjp(
         &self,
         view: &View,

@@ -1,24 +1,24 @@
-//! A received power: the sky summed over solid angle, in dB, and a law of distance for each receiver.
+//! Received power: the sky integrated over solid angle, in dB, and a path-loss term per receiver.
 //!
-//! P = Σ (c₀² + c₁²) Δazimuth Δsin(elevation) over the pixels, 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. The solid
-//! angles sum to 4π: the first and the last row are the caps about the poles. β, in bel, is
-//! what the receiver's antenna and cable add; n, the exponent, is what distance takes, so that the sky has to say only what
-//! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
+//! P = Σ (c₀² + c₁²) Δazimuth Δsin(elevation) over the pixels; the power is 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm.
+//! The solid angles sum to 4π: the first and the last row are the caps about the poles. β, in bel, is the gain of
+//! antenna and cable of the receiver. n is the path-loss exponent, so that the sky models only the deviation from it. d
+//! is the distance in metres, at least half a metre; without positions only β is used.
 
 use super::Splatting;
 use crate::groups::untrained;
 use pwrfgs_core::{Dataset, Frame, GaussianCloud, ImagePlane, Real, Vec3, consts, evenly};
 
-/// What is left of a sky without any signal: -120 dB.
+/// Lower limit of the power of a sky without signals: -120 dB.
 const FLOOR: Real = 1e-12;
-/// Decibels of a bel.
+/// Decibels per bel.
 const BEL: Real = 10.0;
-/// Nearer than this a path is no shorter, metres.
+/// Smallest distance of the path-loss term, metres.
 const NEAREST_M: Real = 0.5;
-/// Links that the laws are fitted to before training.
+/// Maximum number of links for the initial fit of the path-loss term.
 const FITTED: usize = 4_000;
 
-/// Offset β and exponent n of every receiver; nothing where no power is read out.
+/// Offset β and path-loss exponent n of every receiver; empty if the readout is not a power.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Laws<'a> {
     pub(super) offsets: &'a [Real],
@@ -31,27 +31,27 @@ impl Laws<'_> {
     }
 }
 
-/// Logarithm to base 10 of the distance of link `i`.
+/// Returns the decimal logarithm of the distance of link `i`.
 fn log_distance(distances: &[Real], i: usize) -> Real {
     distances.get(i).map_or(0.0, |d| d.max(NEAREST_M).log10())
 }
 
-/// Solid angle of a pixel in each row.
+/// Returns the solid angle of a pixel in each row.
 fn solid_angles(plane: &ImagePlane) -> Vec<Real> {
     let Some((azimuth, elevation)) = plane.angles else { return vec![1.0; plane.height] };
-    // A pixel is the direction in its middle; what lies beyond the zenith is nowhere.
+    // A pixel represents the direction of its centre; parts beyond the zenith have no area.
     let sin = |row: f64| (elevation.first + elevation.step * row).clamp(-90.0, 90.0).to_radians().sin();
     let ring = |row: usize| (sin(row as f64 + 0.5) - sin(row as f64 - 0.5)).abs();
     (0..plane.height).map(|row| (azimuth.step.to_radians().abs() * ring(row)) as Real).collect()
 }
 
-/// Both channels of a link, row by row with the rows' solid angles.
+/// Integrates both channels of a link, row by row with the solid angles of the rows.
 fn power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
     let rows = sky.chunks_exact(width).zip(angles.iter().cycle());
     rows.map(|(row, angle)| angle * row.iter().map(|c| c * c).sum::<Real>()).sum::<Real>() + FLOOR
 }
 
-/// Powers `[L]` in dBm of blended signals `[L, 2, H·W]`.
+/// Returns powers `[L]` in dBm of blended signals `[L, 2, H·W]`.
 pub(super) fn forward(
     plane: &ImagePlane,
     [offset, exponent]: [Real; 2],
@@ -64,7 +64,7 @@ pub(super) fn forward(
     skies.map(|link| BEL * dbm(link)).collect()
 }
 
-/// Cotangents of the blended signals, given those of the powers; adds to those of offset and exponent.
+/// Returns the cotangents of the blended signals, given those of the powers; adds to those of offset and exponent.
 pub(super) fn vjp(
     plane: &ImagePlane,
     distances: &[Real],
@@ -89,8 +89,8 @@ pub(super) fn vjp(
 }
 
 impl Splatting {
-    /// Begins with signals that are the same everywhere, and with the law that fits the training part best under
-    /// it: an offset a receiver, one exponent for all. A receiver without training links has the mean offset.
+    /// Initialises the path-loss term by a fit to the training set with equal signals in all directions: an offset per
+    /// receiver and one common exponent. A receiver without training links has the mean offset.
     pub(super) fn start_law(
         &self,
         frame: &Frame,
@@ -109,7 +109,7 @@ impl Splatting {
             let query = data.query(i);
             let way = receivers[query.receiver].pose.origin() - Vec3::from_array(frame.origin.local(query.tx));
             let distance = f64::from(way.length().max(NEAREST_M) as f32).log10();
-            // Without positions the law is the offset alone.
+            // Without positions only the offset is used.
             let x = if query.features.is_empty() { distance } else { 0.0 };
             (query.receiver, [x, f64::from((powers[i] - sky) as f32) / 10.0])
         };
@@ -120,8 +120,8 @@ impl Splatting {
     }
 }
 
-/// Least squares of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of what is left when each
-/// receiver's means are taken away.
+/// Least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of the residuals after
+/// subtraction of the means per receiver.
 fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     let mut sums = vec![[0.0; 3]; receivers];
     for (receiver, [x, y]) in rows {

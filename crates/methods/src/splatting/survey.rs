@@ -1,4 +1,4 @@
-//! What each Gaussian has to do with the observations, for pruners that ask.
+//! Statistics of each Gaussian's effect on the observations, for pruners.
 
 use super::{Drawing, Geometry, Splatting, View};
 use crate::Calibration;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
 type Jacobian = [[Real; 6]; 5];
 
-/// What [`pwrfgs_core::Method::survey`] is asked.
+/// Arguments of [`pwrfgs_core::Method::survey`].
 pub(super) struct Question<'a> {
     pub(super) frame: &'a Frame,
     pub(super) p: &'a Parameters<'a>,
@@ -29,7 +29,7 @@ impl Splatting {
         let Question { frame, p, asked, needs, .. } = *question;
         let (views, n) = (self.views(frame), p.cloud.len());
         let still = !self.deformation.traits().varies_geometry;
-        // Weights are then those of the geometry, whatever the network says of each transmitter.
+        // Weights then depend on the geometry only, not on the outputs of the network.
         let blind = still && !question.any(reads_signals);
         let deltas = if blind { Deltas::default() } else { self.terms(frame, p, asked.conditions) };
         let rows: Vec<usize> = (0..n).collect();
@@ -53,7 +53,7 @@ impl Splatting {
         sums
     }
 
-    /// ∂observation/∂blended, summed over the numbers of an observation.
+    /// Returns ∂observation/∂blended, summed over the values of an observation.
     fn slopes(&self, question: &Question<'_>, view: &View, link: &Group, blended: &[Real]) -> Vec<Real> {
         let Question { frame, p, asked, .. } = *question;
         if frame.task.has_pixels && self.calibration == Calibration::Physical {
@@ -64,7 +64,7 @@ impl Splatting {
         self.read_out_vjp(view, d_law, &link.distances(&view.pose, asked), blended, &vec![1.0; frame.numbers()])
     }
 
-    /// All links of a geometry, whose weights are the same: `signals` `[N, links · channels]` alone differ.
+    /// Evaluates all links of a geometry, whose weights are equal; only `signals` `[N, links · channels]` differ.
     fn weigh(
         &self,
         view: &View,
@@ -75,7 +75,7 @@ impl Splatting {
     ) -> Statistics {
         let (splats, channels) = (&geometry.splats, self.readout.channels());
         let n = splats.len();
-        // What is drawn does not matter, but how much of it.
+        // Only blending weights are needed, so that the signals are arbitrary.
         let render = self.rasterizer.forward_prepared(splats, &vec![1.0; n], 1, &view.plane, &geometry.cache);
         let looked = self.rasterizer.survey(splats, &view.plane, &render, &Survey::default());
         let mut found = Statistics::zeros(needs, n);
@@ -99,7 +99,7 @@ impl Splatting {
         found
     }
 
-    /// One link of a group.
+    /// Evaluates one link of a group.
     fn see(
         &self,
         question: &Question<'_>,
@@ -151,7 +151,7 @@ impl Splatting {
         found
     }
 
-    /// Slopes of a power, which is one number: those of its pixels add up before they are squared.
+    /// Derivatives of a power, a single value: those of its pixels are summed before they are squared.
     fn as_one_number(&self, view: &View, drawing: &Drawing, slopes: &[Real], looked: &mut [Looked]) {
         let Drawing { geometry, signals, render, .. } = drawing;
         let mut splats = geometry.splats.clone();
@@ -169,7 +169,8 @@ impl Splatting {
         }
     }
 
-    /// How the splats move with their Gaussians: one pass of the projector's derivative for each of their five numbers.
+    /// Returns the derivatives of the splats by their Gaussians: one backward pass of the projector per splat value,
+    /// five in all.
     fn jacobians(&self, view: &View, p: &Parameters<'_>, geometry: &Geometry) -> Vec<Jacobian> {
         let n = geometry.splats.len();
         let mut jacobians = vec![[[0.0; 6]; 5]; n];
@@ -191,18 +192,18 @@ impl Splatting {
     }
 }
 
-/// Whether a statistic is another for each link, even where the geometry is the same.
+/// Returns whether a statistic differs per link even for equal geometry.
 fn per_link(statistic: &Statistic) -> bool {
     use Statistic::{Error, Fisher, Sensitivity, Top};
     matches!(statistic, Error { .. } | Top { .. } | Sensitivity | Fisher)
 }
 
-/// Whether signals count in a statistic.
+/// Returns whether a statistic depends on signals.
 fn reads_signals(statistic: &Statistic) -> bool {
     per_link(statistic) || *statistic == Statistic::SignalWeight
 }
 
-/// One number of each Gaussian, where it was asked for.
+/// Fills a statistic with one value per Gaussian, if requested.
 fn fill(column: &mut [Real], looked: &[Looked], value: impl Fn(usize, &Looked) -> Real) {
     column.iter_mut().zip(looked.iter().enumerate()).for_each(|(v, (i, own))| *v = value(i, own));
 }
@@ -211,7 +212,7 @@ fn norm(signal: &[Real]) -> Real {
     signal.iter().map(|s| s * s).sum::<Real>().sqrt()
 }
 
-/// Where errors are above the share asked for of the way from the smallest to the largest.
+/// Returns the pixels with an error above the requested fraction of the range from the smallest to the largest error.
 fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
     let asked =
         needs.statistics.iter().find_map(|s| if let Statistic::Error { high } = s { Some(*high) } else { None });
@@ -221,7 +222,7 @@ fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
     errors.iter().map(|e| *e > low + share * (most - low)).collect()
 }
 
-/// Jᵀ F J: the upper triangle of 5 × 5 becomes that of 6 × 6.
+/// Returns Jᵀ F J: the upper triangle of 5 × 5 becomes that of 6 × 6.
 fn carried(fisher: &[Real; 15], jacobian: &Jacobian) -> [Real; 21] {
     let mut full = [[0.0; 5]; 5];
     let mut own = fisher.iter();

@@ -1,15 +1,16 @@
-//! exp(j2πx) over lanes, and the dispatch to the widest vectors the processor has.
+//! exp(j2πx) over lanes, and the dispatch to the widest vectors of the processor.
 //!
-//! A phase is counted in cycles: what is whole is dropped exactly, before anything is multiplied by 2π. Single precision
-//! then keeps 1e-7 of the number of wavelengths on the way, some 1e-4 radians at 200 wavelengths.
+//! Phases are counted in cycles: whole cycles are dropped exactly before the multiplication by 2π. In single precision
+//! the phase error is then 1e-7 of the path length in wavelengths, some 1e-4 radians at 200 wavelengths.
 
 /// Sines and cosines of cycles, branch-free, so that loops over lanes vectorise.
 pub(crate) trait Cis: Copy {
-    /// (cos 2πx, sin 2πx).
+    /// Returns (cos 2πx, sin 2πx).
     fn cis(x: Self) -> (Self, Self);
 }
 
-/// Taylor series at πt, |t| ≤ ½ a cycle, then the double angle. The first term left out is below the rounding.
+/// Taylor series at πt, |t| ≤ ½ cycle, then the double-angle formula. The first omitted term is below the rounding
+/// error.
 macro_rules! cis {
     ($real:ty, $sin:expr, $cos:expr) => {
         impl Cis for $real {
@@ -37,7 +38,7 @@ macro_rules! cis {
 cis!(f32, taylor32::<6>(1), taylor32::<7>(0));
 cis!(f64, taylor::<11>(1), taylor::<12>(0));
 
-/// The coefficients of the sine (`first` 1) or cosine (`first` 0) in y², the highest power first.
+/// Returns the coefficients of the sine (`first` 1) or cosine (`first` 0) in y², highest power first.
 const fn taylor<const N: usize>(first: usize) -> [f64; N] {
     let mut out = [0.0; N];
     let (mut k, mut c) = (0, 1.0);
@@ -61,7 +62,8 @@ const fn taylor32<const N: usize>(first: usize) -> [f32; N] {
     out
 }
 
-/// Runs `work` at the widest vectors of this processor. `with_simd` and all it calls must be `#[inline(always)]`.
+/// Runs `work` with the widest vectors of this processor. `with_simd` and all functions that it calls must be
+/// `#[inline(always)]`.
 #[inline(always)]
 pub(crate) fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
     pulp::Arch::new().dispatch(work)

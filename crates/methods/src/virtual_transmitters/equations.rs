@@ -1,5 +1,5 @@
-//! Linear least squares in double precision: normal equations `JᵀJ δ = Jᵀr`, gathered row by row, and Cholesky. [`Rows`] are
-//! the measured numbers that gains and positions are fitted to, one row each.
+//! Linear least squares in double precision: normal equations `JᵀJ δ = Jᵀr`, accumulated row by row, and Cholesky.
+//! [`Rows`] are the measured values to which gains and positions are fitted, one row each.
 
 use crate::virtual_transmitters::cis::widest;
 use crate::virtual_transmitters::harmonics::{CLOSEST, gain};
@@ -8,7 +8,7 @@ use crate::virtual_transmitters::turn::{matrix, turned};
 use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng};
 use rayon::prelude::*;
 
-/// `JᵀJ` `[P,P]` (the lower half, by rows) and Jᵀr `[P]`; and Σr².
+/// Normal equations: `JᵀJ` `[P,P]` (lower half, by rows), Jᵀr `[P]`, and Σr².
 #[derive(Clone, Debug)]
 pub(crate) struct Normal {
     pub(crate) matrix: Vec<f64>,
@@ -17,29 +17,29 @@ pub(crate) struct Normal {
 }
 
 impl Normal {
-    /// Zeros for P unknowns.
+    /// Creates zeros for P unknowns.
     pub(crate) fn new(unknowns: usize) -> Self {
         Self { matrix: vec![0.0; unknowns * unknowns], right: vec![0.0; unknowns], square: 0.0 }
     }
 
-    /// Four rows of J `[4,P]`, one after the other, and of r.
+    /// Adds four rows of J `[4,P]`, in sequence, and of r.
     pub(crate) fn add_four(&mut self, rows: &[f64], r: [f64; 4]) {
         widest(Add { to: self, rows, r });
     }
 
-    /// The sum with another.
+    /// Adds another set of equations.
     pub(crate) fn add(&mut self, other: &Self) {
         self.matrix.iter_mut().zip(&other.matrix).for_each(|(a, b)| *a += b);
         self.right.iter_mut().zip(&other.right).for_each(|(a, b)| *a += b);
         self.square += other.square;
     }
 
-    /// P.
+    /// Returns the number of unknowns P.
     pub(crate) fn unknowns(&self) -> usize {
         self.right.len()
     }
 
-    /// δ with `damping` `[P]` added to the diagonal; `None` where the matrix is not positive.
+    /// Returns δ with `damping` `[P]` added to the diagonal; `None` if the matrix is not positive definite.
     pub(crate) fn solve(&self, damping: impl Fn(usize) -> f64) -> Option<Vec<f64>> {
         let p = self.unknowns();
         let mut l = self.matrix.clone();
@@ -59,7 +59,7 @@ impl Normal {
     }
 }
 
-/// Cholesky in place, row by row: the lower half becomes L.
+/// Cholesky decomposition in place, row by row: the lower half becomes L.
 fn factor(a: &mut [f64], p: usize) -> Option<()> {
     for i in 0..p {
         let (above, row) = a.split_at_mut(i * p);
@@ -138,21 +138,21 @@ impl pulp::WithSimd for Add<'_> {
     }
 }
 
-/// K rows, one column a quantity.
+/// K measured values, one column per quantity.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rows {
-    /// The moving end `[K,3]`, metres.
+    /// Positions of the moving node `[K,3]`, metres.
     pub(crate) p: Vec<[f64; 3]>,
-    /// The antenna in the node's frame `[K,3]`, metres.
+    /// Antenna positions in the frame of the fixed node `[K,3]`, metres.
     pub(crate) r: Vec<[f64; 3]>,
-    /// Wavelengths in a metre `[K]`.
+    /// Wavelengths per metre `[K]`.
     pub(crate) per_metre: Vec<f64>,
-    /// h `[K]`.
+    /// Channel h `[K]`.
     pub(crate) h: Vec<[f64; 2]>,
 }
 
 impl Rows {
-    /// The rows of the items listed; of more than `most`, an equal number of each item, drawn at random.
+    /// Creates the rows of the listed items; above `most` rows, an equal number per item, drawn at random.
     pub(crate) fn new(links: &Links<'_>, channel: &[[Real; 2]], items: &[usize], most: usize, seed: u64) -> Self {
         let subcarriers = links.frequencies.len();
         let each = links.antennas.len() * subcarriers;
@@ -174,17 +174,17 @@ impl Rows {
         out
     }
 
-    /// K.
+    /// Returns the number of rows K.
     pub(crate) fn len(&self) -> usize {
         self.h.len()
     }
 
-    /// Σ|h|².
+    /// Returns Σ|h|².
     pub(crate) fn energy(&self) -> f64 {
         self.h.iter().map(|[re, im]| re * re + im * im).sum()
     }
 
-    /// |s|² of the sources, each the mean over the directions in which it is heard, and the mean of all.
+    /// Returns |s|² per source, averaged over the directions of its links, and averaged over all sources.
     pub(crate) fn signal(&self, sources: &Sources) -> f64 {
         let of = |g: usize| {
             let heard = |p: &[f64; 3]| gain(sources.gains_of(g), sources.positions[g], *p);
@@ -194,7 +194,7 @@ impl Rows {
         each.iter().sum::<f64>() / sources.len().max(1) as f64
     }
 
-    /// The same rows with h less what the sources send.
+    /// Returns rows with the residual: h minus the field of the sources.
     pub(crate) fn residual(&self, sources: &Sources) -> Self {
         let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
         let rest = |i: usize| {
@@ -210,7 +210,7 @@ impl Rows {
         Self { h, ..self.clone() }
     }
 
-    /// What a transmitter at `v` of signal 1, whose antenna is turned to `turned`, is heard as in row `i`.
+    /// Returns the wave in row `i` of a transmitter at `v` with signal 1 and the rotated antenna `turned`.
     #[inline(always)]
     pub(crate) fn wave(&self, i: usize, v: [f64; 3], turned: [f64; 3]) -> Wave {
         let by = [0, 1, 2].map(|k| v[k] + turned[k] - self.p[i][k]);
@@ -221,7 +221,7 @@ impl Rows {
     }
 }
 
-/// exp(-jkd)/d, the distance d and the vector from the moving end to the antenna, metres.
+/// Wave exp(-jkd)/d, the distance d and the vector from the moving node to the antenna, metres.
 pub(crate) struct Wave {
     pub(crate) by: [f64; 3],
     pub(crate) d: f64,

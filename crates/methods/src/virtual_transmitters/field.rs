@@ -1,12 +1,13 @@
-//! The field: `h[m,a,f] = Σ gate·s(u)·exp(-jkd)/d` with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
+//! The field `h[m,a,f] = Σ gate·s(u)·exp(-jkd)/d` with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
 //!
-//! Eq. (1) of the paper in space, coherent over the whole room: v `[N,3]` is the mean of a Gaussian, s its signal, R the
-//! rotation of its quaternion, r `[A,3]` an antenna of the fixed node in its own frame, p `[M,3]` the moving end. Exact
-//! for the mirror images of the node in flat walls, as long as nothing hides one. Scales and opacities are not read.
-//! With an extra column of [`HARMONICS`], the signal depends on the direction u from v to p: s(u) = s + Σ c·Y(u).
+//! Eq. (1) of the paper in space, coherent over the whole room. v `[N,3]` is the mean of a Gaussian, s its signal, R
+//! the rotation of its quaternion, r `[A,3]` an antenna of the fixed node in its own frame, p `[M,3]` the moving node.
+//! It is exact for the mirror images of the node in flat walls if nothing occludes them. Scales and opacities are
+//! ignored. With an extra column of [`HARMONICS`], the signal depends on the direction u from v to p: s(u) = s + Σ
+//! c·Y(u).
 //!
-//! Both directions go over Gaussians in groups of [`LANES`], items on threads; sums have an order that does not depend on
-//! the number of threads.
+//! Forward and backward pass process Gaussians in groups of [`LANES`] and items on threads; the order of sums does not
+//! depend on the number of threads.
 
 use crate::virtual_transmitters::cis::{Cis, widest};
 use crate::virtual_transmitters::harmonics::{CLOSEST, HARMONICS, MOST, by_place, direction, harmonics, slopes};
@@ -15,33 +16,33 @@ use crate::virtual_transmitters::turn::{matrix, matrix_vjp, turned, unit};
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU};
 use rayon::prelude::*;
 
-/// Gaussians that are worked on at once.
+/// Number of Gaussians processed together.
 const LANES: usize = 16;
-/// Blocks of items whose derivatives are summed apart, then in order.
+/// Number of blocks of items whose derivatives are summed separately, then in order.
 const BLOCKS: usize = 16;
 
 type Lane = [Real; LANES];
 const ZERO: Lane = [0.0; LANES];
 
-/// The derivative of a scalar by everything that [`field`] reads of a cloud.
+/// Derivative of a scalar by all inputs of [`field`] from a cloud.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldVjp {
-    /// Of `means`, `quats`, `signals` and [`HARMONICS`]; the other columns are zero.
+    /// Derivatives by `means`, `quats`, `signals` and [`HARMONICS`]; the other columns are zero.
     pub cloud: GaussianCloud,
-    /// Of the gates `[N]`, whether or not any were given.
+    /// Derivatives by the gates `[N]`, also if no gates were given.
     pub gate: Vec<Real>,
 }
 
-/// LANES Gaussians: antennas `[A]` as x, y, z, and gains.
+/// Group of LANES Gaussians: antennas `[A]` as x, y, z, and gains.
 struct Group {
     places: Vec<[Lane; 3]>,
     means: [[f64; 3]; LANES],
-    /// Of each harmonic `[K]`, the gate in it.
+    /// Gains per harmonic `[K]`, including the gate.
     gains: Vec<[Lane; 2]>,
 }
 
 impl Group {
-    /// What the LANES send toward `p`.
+    /// Returns the signals of the LANES Gaussians in the direction of `p`.
     #[inline(always)]
     fn signal(&self, p: [Real; 3]) -> [Lane; 2] {
         if let [only] = &self.gains[..] {
@@ -59,9 +60,9 @@ impl Group {
     }
 }
 
-/// h `[M,A,F]` of all Gaussians, each times its gate.
+/// Computes h `[M,A,F]` of all Gaussians, each multiplied by its gate.
 ///
-/// A link and a Gaussian cost some 40 operations. `gate` is `[N]`, or `None` for all 1.
+/// The cost is about 40 operations per link and Gaussian. `gate` is `[N]`, or `None` for all 1.
 pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Vec<[Real; 2]> {
     let groups = groups(cloud, gate, links);
     let (antennas, subcarriers) = (links.antennas.len(), links.frequencies.len());
@@ -78,7 +79,7 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) ->
     out
 }
 
-/// The derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals, harmonics and gates.
+/// Computes the derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals, harmonics and gates.
 pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>, d_field: &[[Real; 2]]) -> FieldVjp {
     assert_eq!(d_field.len(), links.len(), "one cotangent a link");
     let groups = groups(cloud, None, links);
@@ -111,7 +112,7 @@ pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>
     out
 }
 
-/// Wavelengths in a metre `[F]`.
+/// Returns the wavelengths per metre `[F]`.
 fn per_metre(links: &Links<'_>) -> Vec<Real> {
     links.frequencies.iter().map(|f| (f / SPEED_OF_LIGHT) as Real).collect()
 }
@@ -129,7 +130,7 @@ fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Ve
         };
         for l in 0..LANES {
             let i = g * LANES + l;
-            // What fills up the last group stands where the first of it stands, and is silent.
+            // Padding of the last group repeats its first Gaussian with signal 0.
             let own = if i < cloud.len() { i } else { g * LANES };
             let rotation = matrix(unit(cloud.quats[own].map(f64::from)));
             out.means[l] = cloud.means[own].map(f64::from);
@@ -152,7 +153,7 @@ fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Ve
     (0..cloud.len().div_ceil(LANES)).into_par_iter().with_min_len(16).map(group).collect()
 }
 
-/// The vector from p to LANES places, its length, never below [`CLOSEST`], and one over it.
+/// Returns the vectors from p to LANES positions, their lengths of at least [`CLOSEST`], and the reciprocals.
 #[inline(always)]
 fn way(place: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
     let (mut by, mut d, mut inverse) = ([ZERO; 3], ZERO, ZERO);
@@ -164,15 +165,15 @@ fn way(place: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
     (by, d, inverse)
 }
 
-/// One antenna and one item: `h` `[F]`.
+/// Field at one antenna for one item: `h` `[F]`.
 struct Hear<'a> {
     groups: &'a [Group],
-    /// What each group sends this way.
+    /// Signals of each group in the direction of the item.
     signals: &'a [[Lane; 2]],
     a: usize,
     p: [Real; 3],
     per_metre: &'a [Real],
-    /// Distances and their inverses, a group a row: room to work.
+    /// Distances and their reciprocals, one row per group: a work buffer.
     ways: &'a mut [[Lane; 2]],
     h: &'a mut [[Real; 2]],
 }
@@ -202,7 +203,7 @@ impl pulp::WithSimd for Hear<'_> {
     }
 }
 
-/// In order.
+/// Sums the lanes in order.
 #[inline(always)]
 fn sum(lane: &Lane) -> Real {
     let mut total = 0.0;
@@ -215,14 +216,14 @@ fn sum(lane: &Lane) -> Real {
 /// Cotangents of LANES Gaussians as if every gate were 1.
 struct Cotangents {
     mean: [Lane; 3],
-    /// Of R, by rows.
+    /// Cotangent of R, by rows.
     rotation: [[Lane; 3]; 3],
-    /// Of each harmonic `[K]`.
+    /// Cotangents of the gains per harmonic `[K]`.
     gains: Vec<[Lane; 2]>,
     gate: Lane,
 }
 
-/// One group and one block of items.
+/// Backward pass of one group and one block of items.
 struct HearVjp<'a> {
     group: &'a Group,
     links: &'a Links<'a>,
@@ -271,7 +272,7 @@ impl pulp::WithSimd for HearVjp<'_> {
     }
 }
 
-/// Adds the derivatives by the harmonics but the first, and by the means through the direction.
+/// Adds the derivatives by the harmonics except the first, and by the means through the direction.
 fn by_direction(group: &Group, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cotangents) {
     for l in 0..LANES {
         let (u, d) = direction(group.means[l], p.map(f64::from));
@@ -289,7 +290,7 @@ fn by_direction(group: &Group, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cot
     }
 }
 
-/// The derivative by the distance, which it gives, and by the signal, which it adds to `d_signal`.
+/// Returns the derivative by the distance, and adds that by the signal to `d_signal`.
 #[inline(always)]
 fn by_distance(
     [x, y]: &[Lane; 2],

@@ -1,18 +1,19 @@
 //! Real spherical harmonics up to the third order, as polynomials of a direction, and their derivatives.
 //!
-//! Their mean square over the sphere is 1, and the first of them is 1: what it multiplies is the mean gain.
+//! Their mean square over the sphere is 1, and the first harmonic is 1, so that its coefficient is the mean gain.
 
-/// The extra column `[N, 2(K−1)]` of gains beyond the mean: of each harmonic but the first, its real and imaginary part.
+/// Extra column `[N, 2(K−1)]` of gains beyond the mean: real and imaginary part of each harmonic except the first.
 pub const HARMONICS: &str = "harmonics";
 
-/// As near as a transmitter comes to what hears it, metres: nearer, it is heard as from here, and is not moved.
+/// Smallest distance between a transmitter and a receiver in the model, metres; closer transmitters count as at this
+/// distance and are not moved.
 pub(crate) const CLOSEST: f64 = 1e-3;
-/// The highest order.
+/// Maximum order.
 pub(crate) const HIGHEST: usize = 3;
-/// Harmonics up to [`HIGHEST`].
+/// Number of harmonics up to [`HIGHEST`].
 pub(crate) const MOST: usize = terms(HIGHEST);
 
-/// Harmonics up to `order`.
+/// Returns the number of harmonics up to `order`.
 pub(crate) const fn terms(order: usize) -> usize {
     (order + 1) * (order + 1)
 }
@@ -28,7 +29,7 @@ const S3: [f64; 5] = [
     5.123_475_382_979_799,
 ];
 
-/// Those of the direction `[x, y, z]` of length 1.
+/// Returns the harmonics of the direction `[x, y, z]` of length 1.
 pub(crate) fn harmonics([x, y, z]: [f64; 3]) -> [f64; MOST] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
@@ -51,7 +52,7 @@ pub(crate) fn harmonics([x, y, z]: [f64; 3]) -> [f64; MOST] {
     ]
 }
 
-/// Their derivatives by x, y and z, each as if free.
+/// Returns their derivatives by x, y and z, as independent variables.
 pub(crate) fn slopes([x, y, z]: [f64; 3]) -> [[f64; 3]; MOST] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let by = |s: f64, v: [f64; 3]| v.map(|v| s * v);
@@ -75,7 +76,7 @@ pub(crate) fn slopes([x, y, z]: [f64; 3]) -> [[f64; 3]; MOST] {
     ]
 }
 
-/// A gain that depends on the direction: Σ c·Y of `gains` `[K,2]` toward `p` from `v`.
+/// Returns a direction-dependent gain: Σ c·Y of `gains` `[K,2]` from `v` towards `p`.
 pub(crate) fn gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
     if let [only] = gains {
         return *only;
@@ -84,14 +85,14 @@ pub(crate) fn gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
     gains.iter().zip(y).fold([0.0; 2], |sum, (c, y)| [sum[0] + c[0] * y, sum[1] + c[1] * y])
 }
 
-/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`].
+/// Returns the unit vector from `v` to `p`, and the distance of at least [`CLOSEST`].
 pub(crate) fn direction(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
     let by = [0, 1, 2].map(|k| p[k] - v[k]);
     let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(CLOSEST);
     (by.map(|x| x / d), d)
 }
 
-/// The derivative by `v` of something whose derivative by the direction from it is `d_u`.
+/// Returns a derivative by `v`, given the derivative `d_u` by the direction from `v`.
 pub(crate) fn by_place(u: [f64; 3], d: f64, d_u: [f64; 3]) -> [f64; 3] {
     if d <= CLOSEST {
         return [0.0; 3];
@@ -104,7 +105,7 @@ pub(crate) fn by_place(u: [f64; 3], d: f64, d_u: [f64; 3]) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    /// The product of a rule of Gauss in z and equal steps in azimuth is exact for polynomials up to order 7.
+    /// Gauss quadrature in z with equal steps in azimuth is exact for polynomials up to order 7.
     fn mean(f: impl Fn([f64; 3]) -> f64) -> f64 {
         let z = [0.339_981_043_584_856_3_f64, 0.861_136_311_594_052_6];
         let w = [0.652_145_154_862_546_1, 0.347_854_845_137_453_85];

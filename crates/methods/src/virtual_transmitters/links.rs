@@ -1,41 +1,41 @@
-//! `Links`: where the waves are heard, and `Sources`: where they come from.
+//! `Links`: receiving positions, antennas and subcarriers. `Sources`: the virtual transmitters.
 
 use crate::virtual_transmitters::harmonics::{self, HARMONICS};
 use pwrfgs_core::{ExtraColumn, GaussianCloud, Real, SPEED_OF_LIGHT};
 
-/// Everything that a channel h `[M,A,F]` is a function of, but for the room.
+/// Arguments of a channel h `[M,A,F]`, without the room.
 #[derive(Clone, Copy, Debug)]
 pub struct Links<'a> {
-    /// The moving end `[M,3]`, metres.
+    /// Positions of the moving node `[M,3]`, metres.
     pub positions: &'a [[Real; 3]],
-    /// The antennas of the fixed node in its own frame `[A,3]`, metres; one at zero where there is no array.
+    /// Antennas of the fixed node in its own frame `[A,3]`, metres; one at zero without an array.
     pub antennas: &'a [[Real; 3]],
-    /// The subcarriers `[F]`, Hz.
+    /// Subcarrier frequencies `[F]`, Hz.
     pub frequencies: &'a [f64],
 }
 
 impl Links<'_> {
-    /// M · A · F.
+    /// Returns M · A · F.
     pub fn len(&self) -> usize {
         self.positions.len() * self.antennas.len() * self.frequencies.len()
     }
 
-    /// Whether nothing is heard.
+    /// Returns whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The wavelength at the highest subcarrier, metres.
+    /// Returns the wavelength at the highest subcarrier, metres.
     pub fn shortest_wavelength(&self) -> f64 {
         SPEED_OF_LIGHT / self.frequencies.iter().copied().fold(f64::MIN_POSITIVE, f64::max)
     }
 
-    /// Whether an array has more than one place, so that a rotation matters.
+    /// Returns whether the array has more than one position, so that a rotation matters.
     pub fn turns(&self) -> bool {
         self.antennas.iter().any(|a| *a != [0.0; 3])
     }
 
-    /// What is wrong with the numbers, in words for a user.
+    /// Checks the values; the error is a message for users.
     pub fn check(&self) -> Result<(), String> {
         if self.is_empty() {
             let [m, a, f] = [self.positions.len(), self.antennas.len(), self.frequencies.len()];
@@ -53,7 +53,7 @@ impl Links<'_> {
         }
     }
 
-    /// [`Self::check`], and whether `channel` is as long as the links are many, finite and not all zero.
+    /// Applies [`Self::check`], and checks that `channel` has matching length, is finite and not all zero.
     pub fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
         self.check()?;
         if channel.len() != self.len() {
@@ -69,46 +69,46 @@ impl Links<'_> {
     }
 }
 
-/// N virtual transmitters in double precision, one column a quantity.
+/// N virtual transmitters in double precision, one column per quantity.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sources {
     /// Positions v `[N,3]`, metres.
     pub positions: Vec<[f64; 3]>,
-    /// Rotations of the array `[N,4]` as w, x, y, z, of length 1.
+    /// Unit quaternions of the array rotations `[N,4]` as w, x, y, z.
     pub quats: Vec<[f64; 4]>,
-    /// Complex signals s `[N,K,2]`, one a harmonic: h = s·exp(-jkd)/d, so s is a length in metres times the unit of h.
+    /// Complex signals s `[N,K,2]`, one per harmonic. h = s·exp(-jkd)/d, so s has the unit of h times metres.
     pub gains: Vec<[f64; 2]>,
     /// Order of the harmonics: K = (order + 1)².
     pub order: usize,
 }
 
 impl Sources {
-    /// None, whose gains have harmonics up to `order`.
+    /// Creates an empty set with harmonics up to `order`.
     pub fn new(order: usize) -> Self {
         Self { order, ..Self::default() }
     }
 
-    /// K.
+    /// Returns the number of harmonics K.
     pub fn terms(&self) -> usize {
         harmonics::terms(self.order)
     }
 
-    /// The gains of source `g`, one a harmonic `[K]`.
+    /// Returns the gains of source `g`, one per harmonic `[K]`.
     pub fn gains_of(&self, g: usize) -> &[[f64; 2]] {
         &self.gains[g * self.terms()..(g + 1) * self.terms()]
     }
 
-    /// N.
+    /// Returns the number of sources N.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether N = 0.
+    /// Returns whether N = 0.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// One more, the same in all directions.
+    /// Adds a source with equal gain in all directions.
     pub fn push(&mut self, position: [f64; 3], quat: [f64; 4], gain: [f64; 2]) {
         self.positions.push(position);
         self.quats.push(quat);
@@ -116,14 +116,14 @@ impl Sources {
         self.gains.resize(self.len() * self.terms(), [0.0; 2]);
     }
 
-    /// Those of `other` too, of the same order.
+    /// Adds the sources of `other`, of equal order.
     pub fn extend(&mut self, other: Self) {
         self.positions.extend(other.positions);
         self.quats.extend(other.quats);
         self.gains.extend(other.gains);
     }
 
-    /// Those listed, in that order.
+    /// Returns the listed sources, in that order.
     pub fn select(&self, rows: &[usize]) -> Self {
         let mut out = Self::new(self.order);
         for &i in rows {
@@ -134,13 +134,13 @@ impl Sources {
         out
     }
 
-    /// All but one.
+    /// Returns all sources except one.
     pub fn without(&self, row: usize) -> Self {
         self.select(&(0..self.len()).filter(|i| *i != row).collect::<Vec<_>>())
     }
 
-    /// As a cloud: means, quaternions, signals and harmonics; scales of 1 m and opacities of ½, which the field does not
-    /// read.
+    /// Converts to a cloud: means, quaternions, signals and harmonics; scales of 1 m and opacities of ½, which the
+    /// field ignores.
     pub fn to_cloud(&self) -> GaussianCloud {
         let mut cloud = GaussianCloud::zeros(self.len());
         for i in 0..self.len() {

@@ -1,43 +1,45 @@
-//! How the search for virtual transmitters goes, and what it tells of itself.
+//! Options and progress reports of the search for virtual transmitters.
 
 use crate::virtual_transmitters::harmonics::HIGHEST;
 
-/// Sources at most.
+/// Maximum number of sources.
 const MOST: usize = 1_000;
 
-/// How [`crate::virtual_transmitters::pursue`] searches.
+/// Options of [`crate::virtual_transmitters::pursue`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pursuit {
-    /// How far beyond the positions of the moving end the grid reaches in every direction, in the longest side of their box.
+    /// Extension of the grid beyond the positions of the moving node in every direction, relative to the longest side
+    /// of their bounding box.
     pub reach: f64,
-    /// Distance of the places of the grid near those positions, in the shortest wavelength; a quarter or less finds every
-    /// hill.
+    /// Grid spacing near those positions, in units of the shortest wavelength; a quarter or less finds every maximum.
     pub step: f64,
-    /// Virtual transmitters at most.
+    /// Maximum number of virtual transmitters.
     pub most: usize,
-    /// Additions without a better score on the held-out part after which the search stops.
+    /// The search stops after this number of additions without a better score on the held-out items.
     pub patience: usize,
-    /// One of so many items is held out while the number of sources is chosen; 0 or 1: none, all `most` are kept.
+    /// One of this number of items is held out to choose the number of sources. With 0 or 1, none is held out and all
+    /// `most` are kept.
     pub hold_out: usize,
-    /// Numbers that the grid is scored on, and that places are refined on, at most.
+    /// Maximum number of values for the scores of the grid, and for the refinement of positions.
     pub rows: [usize; 2],
-    /// Weight of the ridge on |s|², in the share of noise to signal that the fit itself shows; 1 is the Bayesian choice.
+    /// Weight of the ridge penalty on |s|², relative to the noise-to-signal ratio estimated by the fit; 1 is the
+    /// Bayesian choice.
     pub ridge: f64,
-    /// Steps of refinement after every addition.
+    /// Refinement steps after every addition.
     pub steps: usize,
-    /// Times that sources are taken away and added again.
+    /// Number of rounds that remove sources and add others.
     pub rounds: usize,
-    /// ln of the odds from which a candidate is taken without another look at the whole grid.
+    /// Log odds above which a candidate is accepted without a new sweep of the whole grid.
     pub beyond_doubt: f64,
-    /// Peaks of the grid that are refined before the best is taken.
+    /// Number of grid peaks that are refined before the best is selected.
     pub peaks: usize,
-    /// Where the fixed node is, metres, where that is known: a candidate that needs little proof.
+    /// Position of the fixed node, metres, if known: a candidate that needs little evidence.
     pub node: Option<[f64; 3]>,
-    /// Whether mirror images of what was found are tried, with the smaller proof that few candidates need.
+    /// Whether mirror images of sources already found are candidates; they need less evidence, because they are few.
     pub images: bool,
-    /// Order of the harmonics of gains over direction, at most 3; 0: gains are the same in all directions.
+    /// Order of the harmonics of gains over direction, at most 3; 0 for gains that are equal in all directions.
     pub order: usize,
-    /// Seed of the held-out part and of the rows.
+    /// Seed of the held-out items and of the rows.
     pub seed: u64,
 }
 
@@ -63,25 +65,25 @@ impl Default for Pursuit {
     }
 }
 
-/// What a search tells of itself after every addition.
+/// Progress of a search, reported after every addition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Whether all items are fitted to, the number being known, or a part is held out.
+    /// Whether the number of sources is fixed and all items are fitted; otherwise some items are held out.
     pub last_pass: bool,
-    /// Sources so far.
+    /// Current number of sources.
     pub sources: usize,
-    /// SNR on what is fitted to, dB.
+    /// SNR on the fitted items, dB.
     pub fitted: f64,
-    /// SNR on the held-out part, dB; that of `fitted` where there is none.
+    /// SNR on the held-out items, dB; equal to `fitted` without held-out items.
     pub held_out: f64,
-    /// ln of the odds that the last one is no accident among all candidates.
+    /// Log odds that the last source is not an accident among all candidates.
     pub proof: f64,
-    /// Whether it was the mirror image of another.
+    /// Whether the last source was the mirror image of another.
     pub image: bool,
 }
 
 impl Pursuit {
-    /// What is wrong with the numbers, in words for a user.
+    /// Checks the values; the error is a message for users.
     pub fn check(&self) -> Result<(), String> {
         if !(0.0..=100.0).contains(&self.reach) {
             return Err(format!("`reach` is {}; give 0 to 100, such as 2", self.reach));

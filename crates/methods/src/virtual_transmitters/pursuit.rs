@@ -1,5 +1,5 @@
-//! Orthogonal matching pursuit over the room: the transmitter that explains most, all gains anew, all places refined,
-//! and the next one; as many as a part of the data that nothing was fitted to wants.
+//! Orthogonal matching pursuit over the room. Each step adds the transmitter that explains most, recomputes all gains
+//! and refines all positions. Held-out data select the number of transmitters.
 
 use crate::virtual_transmitters::equations::Rows;
 use crate::virtual_transmitters::field::field;
@@ -12,16 +12,16 @@ use pwrfgs_core::{Real, rng};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Share of what the best explained after a sweep below which the grid is swept anew.
+/// The grid is swept again if the remaining peaks explain less than this share of the previous best.
 const FADED: f64 = 1.0 / 3.0;
 
-/// Candidates that climb before the best is taken.
+/// Number of candidates that are refined before the best is selected.
 const CLIMB: usize = 32;
 
 /// Searches for the virtual transmitters of `channel` `[M,A,F]`.
 ///
-/// `tell` hears of every addition; soon after `stop` is set the search ends, and what was found so far is the answer. An
-/// error says what is wrong with the input.
+/// `tell` receives every addition. Soon after `stop` is set, the search ends and returns the sources found so far. An
+/// error describes the invalid input.
 pub fn pursue(
     links: &Links<'_>,
     channel: &[[Real; 2]],
@@ -53,13 +53,13 @@ struct Search<'a> {
     options: &'a Pursuit,
     stop: &'a AtomicBool,
     held_out: &'a [usize],
-    /// For the grid, and for refinement.
+    /// Rows for the grid, and for refinement.
     coarse: Rows,
     rows: Rows,
     grid: Grid,
     hear: Vec<[f64; 3]>,
     wavelength: f64,
-    /// What the last sweep left, and what the best of it explained.
+    /// Remaining peaks of the last sweep, and the energy that its best peak explained.
     pool: Vec<Peak>,
     strongest: f64,
 }
@@ -77,7 +77,7 @@ impl<'a> Search<'a> {
         let low: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MAX, |m, p| m.min(p[k])));
         let high: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MIN, |m, p| m.max(p[k])));
         let wavelength = links.shortest_wavelength();
-        // At least a wavelength: a single position has no size.
+        // At least a wavelength, because a single position has no extent.
         let side = (0..3).fold(wavelength, |side, k| side.max(high[k] - low[k]));
         let antennas: Vec<[f64; 3]> = links.antennas.iter().map(|r| r.map(f64::from)).collect();
         let grid = Grid {
@@ -108,8 +108,8 @@ impl<'a> Search<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Adds sources until `most`, until patience ends or until told to stop, then takes the least needed ones away again,
-    /// and so on while that helps; the best set.
+    /// Adds sources until `most`, until patience ends or until stopped. Then removes the least important sources and
+    /// repeats this while the score improves; returns the best set.
     fn grow(&mut self, start: Sources, most: usize, tell: &mut dyn FnMut(&Progress)) -> Sources {
         let mut best = (f64::NEG_INFINITY, start);
         for _ in 0..=self.options.rounds {
@@ -144,7 +144,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Takes away, one after the other, the source without which the fit is least worse.
+    /// Removes one source after the other, each time that with the smallest loss of fit.
     fn backward(&self, best: &mut (f64, Sources)) {
         let mut sources = best.1.clone();
         let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
@@ -163,7 +163,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The ridge of each source, refined with it.
+    /// Sets the ridge of each source during its refinement.
     fn settle(&self, sources: &mut Sources, steps: usize) {
         let mut ridge = vec![1e-9 * self.rows.energy(); sources.len()];
         let walk = self.walk(steps);
@@ -179,10 +179,11 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The candidate with the best proof after a refinement of its own, that proof, and whether it is an image.
+    /// Returns the candidate with the most evidence after individual refinement, its evidence, and whether it is an
+    /// image.
     ///
-    /// The grid is swept anew only where neither images nor what the last sweep left are beyond doubt, or where they explain
-    /// much less than the best did then: something better may have come to light.
+    /// Sweeps the grid again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
+    /// less than the previous best: a better candidate may then exist.
     fn next(&mut self, sources: &Sources) -> Option<(Peak, f64, bool)> {
         let residual = self.rows.residual(sources);
         let mut best = None;
@@ -214,7 +215,8 @@ impl<'a> Search<'a> {
         best
     }
 
-    /// The best of the peaks, each moved uphill alone, and ln of its odds against the best of `number` accidents.
+    /// Returns the best of the peaks after individual refinement, and the log of its odds against the best of `number`
+    /// accidents.
     fn refined(&self, residual: &Rows, mut peaks: Vec<Peak>, number: usize, sources: &Sources) -> Option<(Peak, f64)> {
         let energy = residual.energy();
         let climb = |peak: &mut Peak, steps: usize| {
@@ -242,7 +244,7 @@ impl<'a> Search<'a> {
         Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns(), grid: &self.grid, stop: self.stop }
     }
 
-    /// SNR on the held-out items, dB.
+    /// Returns the SNR on the held-out items, dB.
     fn score(&self, sources: &Sources) -> f64 {
         let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
         let links = Links { positions: &positions, ..*self.links };
@@ -260,7 +262,7 @@ fn snr(residual: &Rows, rows: &Rows) -> f64 {
     -10.0 * (residual.energy() / rows.energy()).log10()
 }
 
-/// −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
+/// Returns −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
 pub fn snr_of<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
     let (mut wrong, mut all) = (0.0, 0.0);
     for (p, t) in predicted.iter().zip(truth) {

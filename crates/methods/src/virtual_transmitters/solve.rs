@@ -1,11 +1,12 @@
-//! The equations of gains and of moves: the best gains of given positions, and joint refinement.
+//! Equations of gains and moves: the best gains for given positions, and joint refinement.
 //!
-//! With positions fixed, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², whose normal equations are
-//! `(EᴴE + ridge)·s = Eᴴh`. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
+//! With fixed positions, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², with normal equations `(EᴴE +
+//! ridge)·s = Eᴴh`. They use two real numbers per s, so that one Cholesky decomposition serves gains and moves.
 //!
-//! [`refine`] moves all positions (and turns of the array) by Levenberg and Marquardt, gains solved inside. One step solves
-//! the equations of gains and moves together, with damping on the moves alone, which is variable projection in Kaufman's
-//! form; after a step the gains are solved exactly for the new places. Double precision.
+//! [`refine`] moves all positions (and array rotations) by the Levenberg-Marquardt method, with the gains solved
+//! inside. One step solves the equations of gains and moves together, with damping on the moves only, which is variable
+//! projection in Kaufman's form. After each step the gains are solved exactly for the new positions. All computations
+//! use double precision.
 
 use crate::virtual_transmitters::equations::{Normal, Rows};
 use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
@@ -16,20 +17,20 @@ use pwrfgs_core::Real;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Blocks of rows whose equations are gathered apart, then added in order.
+/// Number of blocks of rows whose equations are accumulated separately, then added in order.
 const BLOCKS: usize = 8;
 
-/// The harmonics of what is the same in all directions.
+/// Harmonics of an isotropic source.
 const FLAT: [f64; MOST] = {
     let mut flat = [0.0; MOST];
     flat[0] = 1.0;
     flat
 };
 
-/// Rows times unknowns below which one thread is faster than several. The sums are the same.
+/// Rows times unknowns below which one thread is faster than several. The results are equal.
 const ALONE: usize = 1 << 18;
 
-/// What is unknown: the signals `[N,K,2]`, then moves `[N,3]`, then turns `[N,3]` about the world's axes.
+/// Unknowns: the signals `[N,K,2]`, then moves `[N,3]`, then rotations `[N,3]` about the world axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Unknowns {
     Gains,
@@ -38,7 +39,7 @@ pub(crate) enum Unknowns {
 }
 
 impl Unknowns {
-    /// Real numbers a source of `terms` harmonics.
+    /// Returns the number of real unknowns per source with `terms` harmonics.
     pub(crate) fn each(self, terms: usize) -> usize {
         match self {
             Self::Gains => 2 * terms,
@@ -48,9 +49,9 @@ impl Unknowns {
     }
 }
 
-/// The best gains of `sources` at their places for `channel` `[M,A,F]`, with a `ridge` `[N]` on |s|².
+/// Solves the best gains of `sources` at their positions for `channel` `[M,A,F]`, with a `ridge` `[N]` on |s|².
 ///
-/// Where the equations have no single solution, the gains stay, and the answer is false.
+/// If the equations have no unique solution, the gains are unchanged and the result is false.
 pub fn solve_gains(links: &Links<'_>, channel: &[[Real; 2]], sources: &mut Sources, ridge: &[f64]) -> bool {
     assert_eq!(channel.len(), links.len(), "one complex number a link");
     assert_eq!(ridge.len(), sources.len(), "one ridge a source");
@@ -58,18 +59,18 @@ pub fn solve_gains(links: &Links<'_>, channel: &[[Real; 2]], sources: &mut Sourc
     gains(&Rows::new(links, channel, &items, usize::MAX, 0), sources, ridge).is_some()
 }
 
-/// [`solve_gains`] for rows; Σ|h − Σ s·e|² + Σ ridge·|s|² of the outcome.
+/// [`solve_gains`] for rows; returns Σ|h − Σ s·e|² + Σ ridge·|s|² of the solution.
 pub(crate) fn gains(rows: &Rows, sources: &mut Sources, ridge: &[f64]) -> Option<f64> {
     let silent = Sources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
     let normal = equations(rows, &silent, Unknowns::Gains);
     let found = normal.solve(|i| ridge[i / (2 * sources.terms())])?;
-    // At the minimum, what is left is Σ|h|² − sᵀEᴴh.
+    // At the minimum, the residual is Σ|h|² − sᵀEᴴh.
     let explained: f64 = found.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
     sources.gains = found.as_chunks::<2>().0.to_vec();
     Some((normal.square - explained).max(0.0))
 }
 
-/// The normal equations of a step from `sources`, without ridge or damping.
+/// Returns the normal equations of a step from `sources`, without ridge or damping.
 pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> Normal {
     let p = unknowns.each(sources.terms()) * sources.len();
     let pairs = rows.len().div_ceil(2);
@@ -102,7 +103,7 @@ pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> N
     total
 }
 
-/// The derivatives of row `i`, real part then imaginary part `[2,P]`; gives what is left of h.
+/// Computes the derivatives of row `i`, real part then imaginary part `[2,P]`; returns the residual of h.
 fn row(
     rows: &Rows,
     i: usize,
@@ -150,7 +151,7 @@ fn row(
     rest
 }
 
-/// The derivative of the real and of the imaginary part of Σ c·Y(u)·e by the position, through the direction u alone.
+/// Returns the derivatives of real and imaginary part of Σ c·Y(u)·e by the position, through the direction u only.
 fn by_turning(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> [[f64; 3]; 2] {
     let mut d_u = [[0.0; 3]; 2];
     for ([x, y], slope) in gains.iter().zip(slopes(u)) {
@@ -162,24 +163,24 @@ fn by_turning(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> 
     d_u.map(|d_u| by_place(u, far, d_u))
 }
 
-/// How [`refine`] walks.
+/// Options of [`refine`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Walk<'a> {
-    /// Steps at most.
+    /// Maximum number of steps.
     pub(crate) steps: usize,
-    /// Farthest that a source moves in a step, metres, in the middle of the grid; more where hills are wider.
+    /// Maximum move of a source per step, metres, at the centre of the grid; larger where maxima are wider.
     pub(crate) farthest: f64,
     pub(crate) grid: &'a Grid,
-    /// Whether arrays are turned too.
+    /// Whether arrays are rotated too.
     pub(crate) turns: bool,
-    /// Set where it is to end.
+    /// Stops the refinement once set.
     pub(crate) stop: &'a AtomicBool,
 }
 
-/// A step that gains less than this share of the cost is the last.
+/// Relative gain in cost below which a step is the last.
 const ENOUGH: f64 = 1e-6;
 
-/// Moves `sources` downhill; the cost Σ|h − Σ s·e|² + Σ ridge·|s|² where it ends, `None` where there is no solution.
+/// Moves `sources` downhill; returns the final cost Σ|h − Σ s·e|² + Σ ridge·|s|², or `None` without a solution.
 pub(crate) fn refine(rows: &Rows, sources: &mut Sources, ridge: &[f64], walk: Walk<'_>) -> Option<f64> {
     let mut cost = gains(rows, sources, ridge)?;
     let unknowns = if walk.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };
@@ -215,7 +216,7 @@ pub(crate) fn refine(rows: &Rows, sources: &mut Sources, ridge: &[f64], walk: Wa
     Some(cost)
 }
 
-/// The equations, those of the gains with their ridge.
+/// Returns the equations with the ridge on the gains.
 fn with_ridge(
     rows: &Rows,
     sources: &Sources,
@@ -232,7 +233,7 @@ fn with_ridge(
     normal
 }
 
-/// `sources` after a step, no move farther than allowed and no turn by more than half a radian.
+/// Returns `sources` after a step, with limited moves and rotations of at most half a radian.
 fn apply(sources: &Sources, step: &[f64], walk: Walk<'_>) -> Sources {
     let (n, moves) = (sources.len(), 2 * sources.gains.len());
     let mut out = sources.clone();

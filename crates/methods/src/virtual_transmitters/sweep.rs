@@ -1,12 +1,14 @@
-//! The grid: how much of the residual one more transmitter would explain, at every place of a cube about what was heard.
+//! Grid search: the part of the residual that one more transmitter would explain, at every position of a cube about the
+//! links.
 //!
-//! A place e explains |eᴴr|²/|e|² with its best gain. Places are taken sixteen times two along x at once, in single
-//! precision; only the best are kept, no two of one hill, so memory does not grow with the grid. The farther a place is
-//! from what was heard, the wider are the hills about it: each shell of the grid is twice as coarse as the one within.
+//! A position e explains |eᴴr|²/|e|² with its best gain. Blocks of sixteen by two positions along x are evaluated in
+//! single precision. Only the best are kept, one per maximum, so that memory does not grow with the grid. Maxima are
+//! wider at larger distances from the links, so that each shell of the grid is twice as coarse as the inner one.
 //!
-//! [`images`] are where images must be if those found already are: mirrored in the planes that pairs of them share. If v' is
-//! the image of v behind a wall, that wall is the plane half-way between them, and every other source has an image behind it
-//! too. So few places need so little proof that weak images of a second mirroring are told from noise.
+//! [`images`] are the expected positions of images of known sources: mirrored in the planes that pairs of sources
+//! share. If v' is the image of v behind a wall, the wall is the plane half-way between them, and every other source
+//! has an image behind it too. There are so few such positions that little evidence distinguishes weak images of a
+//! second reflection from noise.
 
 use crate::virtual_transmitters::cis::{Cis, widest};
 use crate::virtual_transmitters::equations::Rows;
@@ -14,24 +16,24 @@ use crate::virtual_transmitters::turn::{matrix, turned};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Places that are tried at once.
+/// Number of positions that are evaluated together.
 const LANES: usize = 32;
 
-/// A cube in shells, metres, and the rotations that are tried at each place.
+/// Cube in shells, metres, and the rotations that are evaluated at each position.
 #[derive(Clone, Debug)]
 pub(crate) struct Grid {
-    /// In the middle of what was heard.
+    /// Centre of the links.
     pub(crate) centre: [f64; 3],
-    /// The longest side of what was heard.
+    /// Longest side of the bounding box of the links.
     pub(crate) side: f64,
     /// Half an edge of the cube.
     pub(crate) half: f64,
-    /// Distance of places in the innermost shell, which reaches a `side` in every direction.
+    /// Grid spacing in the innermost shell, which extends a `side` in every direction.
     pub(crate) step: f64,
     pub(crate) quats: Vec<[f64; 4]>,
 }
 
-/// A place where something may be.
+/// Candidate position of a source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Peak {
     pub(crate) place: [f64; 3],
@@ -40,27 +42,27 @@ pub(crate) struct Peak {
     pub(crate) explains: f64,
 }
 
-/// Places between two cubes, `step` apart.
+/// Positions between two cubes, with the spacing `step`.
 #[derive(Clone, Copy, Debug)]
 struct Shell {
-    /// Half an edge of what is left out, and of all.
+    /// Half an edge of the inner and of the outer cube.
     hollow: f64,
     half: f64,
     step: f64,
 }
 
 impl Shell {
-    /// Places along an edge.
+    /// Returns the number of positions along an edge.
     fn count(&self) -> usize {
         (2.0 * self.half / self.step).ceil() as usize + 1
     }
 
-    /// The `i`-th of them, from the middle of the cube.
+    /// Returns the coordinate of position `i`, relative to the centre of the cube.
     fn at(&self, i: usize) -> f64 {
         i as f64 * self.step - self.half
     }
 
-    /// The stretches of a line along x at `y` and `z`, as first place and number of places.
+    /// Returns the segments of a line along x at `y` and `z`, as first index and number of positions.
     fn stretches(&self, [y, z]: [f64; 2]) -> [(usize, usize); 2] {
         let count = self.count();
         if y.abs().max(z.abs()) >= self.hollow {
@@ -74,14 +76,14 @@ impl Shell {
 }
 
 impl Grid {
-    /// How many steps of the innermost shell hills are wide at `place`, at least 1: what moves there, and how far apart two
-    /// places are that are not the same, are so many times what they are in the middle.
+    /// Returns the width of maxima at `place`, in steps of the innermost shell, at least 1. Maximum moves and the
+    /// distance between distinct positions scale with it.
     pub(crate) fn width(&self, place: [f64; 3]) -> f64 {
         let off = [0, 1, 2].map(|k| (place[k] - self.centre[k]).abs());
         (2.0 * off.into_iter().fold(0.0, f64::max) / self.side).max(1.0)
     }
 
-    /// Whether a place is within the cube.
+    /// Returns whether a position is inside the cube.
     pub(crate) fn holds(&self, place: [f64; 3]) -> bool {
         (0..3).all(|k| (place[k] - self.centre[k]).abs() <= self.half)
     }
@@ -94,20 +96,21 @@ impl Grid {
         all
     }
 
-    /// Places times rotations, about.
+    /// Returns the approximate number of positions times rotations.
     pub(crate) fn len(&self) -> usize {
         let cube = |edge: f64, step: f64| (edge / step).powi(3);
         let places = |s: &Shell| cube(2.0 * s.half, s.step) - cube(2.0 * s.hollow, s.step);
         (self.shells().iter().map(places).sum::<f64>() as usize).max(1) * self.quats.len()
     }
 
-    /// The best `most`, no two on one hill.
+    /// Keeps the best `most`, one per maximum.
     pub(crate) fn thin(&self, found: &mut Vec<Peak>, most: usize) {
         thin(found, most, |peak| 2.0 * self.step * self.width(peak.place));
     }
 }
 
-/// The best `most` places of `grid` for the residual `rows`, the best first; what was found so far where `stop` is set.
+/// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
+/// set.
 pub(crate) fn sweep(rows: &Rows, grid: &Grid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
     let layers = |s: Shell| (0..grid.quats.len()).flat_map(move |q| (0..s.count()).map(move |z| (s, q, z)));
     let tasks: Vec<(Shell, usize, usize)> = grid.shells().into_iter().flat_map(layers).collect();
@@ -138,7 +141,7 @@ pub(crate) fn sweep(rows: &Rows, grid: &Grid, most: usize, stop: &AtomicBool) ->
     found
 }
 
-/// The best `most`, none nearer to a better one than `apart` of either.
+/// Keeps the best `most`, none closer to a better one than `apart` of either.
 pub(crate) fn thin(found: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
     found.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| by_place(a, b)));
     let mut kept: Vec<(Peak, f64)> = Vec::with_capacity(most);
@@ -161,7 +164,7 @@ fn by_place(a: &Peak, b: &Peak) -> std::cmp::Ordering {
     (0..3).fold(std::cmp::Ordering::Equal, |o, k| o.then_with(|| a.place[k].total_cmp(&b.place[k])))
 }
 
-/// The rows for one rotation, relative to the middle of the cube: p − R r, wavelengths in a metre, residual.
+/// Rows for one rotation, relative to the centre of the cube: p − R r, wavelengths per metre, residual.
 struct Heard {
     rows: Vec<[f32; 6]>,
 }
@@ -178,17 +181,17 @@ impl Heard {
     }
 }
 
-/// A stretch of one line along x.
+/// Segment of one line along x.
 struct Line<'a> {
     heard: &'a Heard,
     grid: &'a Grid,
-    /// The first place from the middle of the cube, metres, how many there are, and their distance.
+    /// First position relative to the centre of the cube, metres, number of positions, and their spacing.
     stretch: (f64, usize, f64),
-    /// y and z from the middle of the cube, metres.
+    /// Coordinates y and z relative to the centre of the cube, metres.
     at: [f64; 2],
     quat: [f64; 4],
     found: &'a mut Vec<Peak>,
-    /// What explains less is not kept.
+    /// Smallest explained energy that is kept.
     least: f64,
 }
 
@@ -208,7 +211,7 @@ impl pulp::WithSimd for Line<'_> {
             }
             let explains = explained(&self.heard.rows, &x, at);
             for l in 0..LANES.min(count - first) {
-                // A maximum along the line: its neighbours are the same hill.
+                // Maximum along the line: its neighbours belong to the same maximum.
                 let falls =
                     (l == 0 || explains[l - 1] <= explains[l]) && (l + 1 == LANES || explains[l + 1] <= explains[l]);
                 if falls && f64::from(explains[l]) > self.least {
@@ -221,7 +224,7 @@ impl pulp::WithSimd for Line<'_> {
     }
 }
 
-/// |eᴴr|²/|e|² at LANES places.
+/// Returns |eᴴr|²/|e|² at LANES positions.
 #[inline(always)]
 fn explained(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; LANES] {
     let (mut re, mut im, mut energy) = ([0.0_f32; LANES], [0.0_f32; LANES], [0.0_f32; LANES]);
@@ -247,11 +250,12 @@ fn explained(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; LANES] 
     out
 }
 
-/// Share of the moving positions that may lie behind a wall, as over the edge of a table.
+/// Share of the moving positions that may be behind a wall, for example over the edge of a table.
 const BEHIND: f64 = 0.02;
 
-/// The mirror images of all `places` in all planes half-way between two of them, those of `hear` on one side alone;
-/// without those that `holds` does not hold and those nearer than `apart` to a place or to each other.
+/// Returns the mirror images of all `places` in all planes half-way between two of them that have nearly all of `hear`
+/// on one side. Excludes those outside the region of `holds`, and those closer than `apart` to a position or to each
+/// other.
 pub(crate) fn images(
     places: &[[f64; 3]],
     hear: &[[f64; 3]],
@@ -274,7 +278,7 @@ pub(crate) fn images(
     found
 }
 
-/// n·x = at, with n of length 1.
+/// Plane n·x = at, with n of length 1.
 struct Plane {
     n: [f64; 3],
     at: f64,
@@ -306,7 +310,7 @@ impl Plane {
     }
 }
 
-/// Candidates without a score, each with every rotation.
+/// Returns candidates without a score, each with every rotation.
 pub(crate) fn as_peaks(places: &[[f64; 3]], quats: &[[f64; 4]]) -> Vec<Peak> {
     let all = |quat: &[f64; 4]| {
         let quat = *quat;

@@ -1,18 +1,18 @@
-//! Rotations as quaternions w, x, y, z: to a matrix, its derivative, and small turns, in double precision.
+//! Rotations as quaternions w, x, y, z: matrix, derivative, and small rotations, in double precision.
 
-/// A matrix by rows.
+/// Matrix by rows.
 pub(crate) type Rows = [[f64; 3]; 3];
 
-/// No rotation.
+/// Identity rotation.
 pub(crate) const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// The quaternion of length 1; no rotation where there is no direction.
+/// Returns the unit quaternion; the identity for a zero quaternion.
 pub(crate) fn unit(q: [f64; 4]) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length > 1e-30 && length.is_finite() { q.map(|x| x / length) } else { IDENTITY }
 }
 
-/// R of a quaternion of length 1.
+/// Returns the matrix R of a unit quaternion.
 pub(crate) fn matrix([w, x, y, z]: [f64; 4]) -> Rows {
     [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -21,7 +21,7 @@ pub(crate) fn matrix([w, x, y, z]: [f64; 4]) -> Rows {
     ]
 }
 
-/// R v.
+/// Returns R v.
 #[inline(always)]
 pub(crate) fn turned(r: &Rows, v: [f64; 3]) -> [f64; 3] {
     [
@@ -31,7 +31,7 @@ pub(crate) fn turned(r: &Rows, v: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// The derivative of [`matrix`] of [`unit()`]: the cotangent of a quaternion of any length, given that of R.
+/// Derivative of [`matrix`] of [`unit()`]: the cotangent of a quaternion of any length, given that of R.
 pub(crate) fn matrix_vjp(q: [f64; 4], d: &Rows) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if !(length > 1e-30 && length.is_finite()) {
@@ -52,7 +52,7 @@ pub(crate) fn matrix_vjp(q: [f64; 4], d: &Rows) -> [f64; 4] {
     std::array::from_fn(|k| (du[k] - u[k] * along) / length)
 }
 
-/// The quaternion of a turn by the vector `by` (radians, world axes) after `q`.
+/// Returns the quaternion of a rotation by the vector `by` (radians, world axes) after `q`.
 pub(crate) fn nudged(q: [f64; 4], by: [f64; 3]) -> [f64; 4] {
     let angle = by.iter().map(|x| x * x).sum::<f64>().sqrt();
     if angle < 1e-30 {
@@ -63,7 +63,7 @@ pub(crate) fn nudged(q: [f64; 4], by: [f64; 3]) -> [f64; 4] {
     unit(product([c, x, y, z], q))
 }
 
-/// Hamilton's product a·b: first b, then a.
+/// Returns Hamilton's product a·b: first b, then a.
 pub(crate) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     [
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -73,9 +73,9 @@ pub(crate) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     ]
 }
 
-/// The normal of the plane that the antennas come closest to lying in: where a plane or a line holds them, exactly.
+/// Returns the normal of the plane that fits the antennas best; exact for antennas in a plane or on a line.
 ///
-/// The eigenvector of the smallest eigenvalue of their covariance, by power iteration on trace·I − covariance.
+/// It is the eigenvector of the smallest eigenvalue of their covariance, by power iteration on trace·I − covariance.
 pub(crate) fn normal(antennas: &[[f64; 3]]) -> [f64; 3] {
     let n = antennas.len().max(1) as f64;
     let mean: [f64; 3] = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / n);
@@ -99,11 +99,11 @@ pub(crate) fn normal(antennas: &[[f64; 3]]) -> [f64; 3] {
     v
 }
 
-/// The quaternions that act on a plane array with this normal as the eight mirrorings diag(±1, ±1, ±1) do, identity
-/// first; those that act alike are listed once.
+/// Returns the quaternions that act on a planar array with this normal as the eight reflections diag(±1, ±1, ±1) do,
+/// identity first, without duplicates.
 ///
-/// Where an odd number of signs is negative, the mirroring and that in the plane of the array together are a rotation,
-/// and the second leaves the array alone.
+/// With an odd number of negative signs, the reflection combined with that in the plane of the array is a rotation, and
+/// the latter does not change the array.
 pub(crate) fn mirrored(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
     let m = normal(antennas);
     let mut found: Vec<[f64; 4]> = Vec::new();
@@ -129,7 +129,7 @@ pub(crate) fn mirrored(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
     found
 }
 
-/// The quaternion of a rotation matrix, from its largest component.
+/// Returns the quaternion of a rotation matrix, from its largest component.
 pub(crate) fn of_matrix(r: &Rows) -> [f64; 4] {
     let squares = [
         1.0 + r[0][0] + r[1][1] + r[2][2],
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn mirrorings_of_a_plane_array_are_rotations() {
-        // An array in the plane x = 0, as on a wall.
+        // Array in the plane x = 0, as on a wall.
         let antennas: Vec<[f64; 3]> = (0..16).map(|k| [0.0, f64::from(k % 4), f64::from(k / 4) + 0.1]).collect();
         let found = mirrored(&antennas);
         assert_eq!(found.len(), 4, "x does not matter, y and z do");
