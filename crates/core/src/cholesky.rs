@@ -1,20 +1,20 @@
-//! `Cholesky`: systems of linear equations with a symmetric positive matrix, in double precision.
+//! `Cholesky`: linear systems with a symmetric positive definite matrix, in double precision.
 
-/// The factor L of a matrix A = L Lᵀ.
+/// Cholesky factor L of a matrix A = L Lᵀ.
 #[derive(Clone, Debug)]
 pub struct Cholesky {
-    /// `[n,n]`, by rows; above the diagonal is what stood in A.
+    /// Elements `[n,n]`, by rows; values above the diagonal are those of A.
     lower: Vec<f64>,
     n: usize,
 }
 
 impl Cholesky {
-    /// Of the matrix `a` `[n,n]`, of which the lower triangle is read; `None` where it is not positive.
+    /// Factors the matrix `a` `[n,n]`, of which the lower triangle is read; `None` if it is not positive definite.
     pub fn new(a: Vec<f64>, n: usize) -> Option<Self> {
         Self::with(a, n, |pivot| (pivot > 0.0 && pivot.is_finite()).then_some(pivot))
     }
 
-    /// The same of a matrix that is positive but for rounding: no pivot is less than `least`.
+    /// Factors a matrix that is positive definite up to rounding: pivots are at least `least`.
     pub fn floored(a: Vec<f64>, n: usize, least: f64) -> Self {
         Self::with(a, n, |pivot| Some(pivot.max(least))).expect("every pivot is taken")
     }
@@ -30,7 +30,7 @@ impl Cholesky {
         Some(Self { lower: a, n })
     }
 
-    /// b becomes the solution x of A x = b.
+    /// Solves A x = b in place.
     pub fn solve(&self, b: &mut [f64]) {
         let (l, n) = (&self.lower, self.n);
         for i in 0..n {
@@ -43,7 +43,7 @@ impl Cholesky {
         }
     }
 
-    /// L⁻¹ `[n,n]`, zero above the diagonal.
+    /// Returns L⁻¹ `[n,n]`, zero above the diagonal.
     pub fn inverse_of_factor(&self) -> Vec<f64> {
         let (l, n) = (&self.lower, self.n);
         let mut inverse = vec![0.0; n * n];

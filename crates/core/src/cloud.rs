@@ -1,9 +1,9 @@
-//! `GaussianCloud`: what is learned, unconstrained, one column a quantity.
+//! `GaussianCloud`: learned parameters before activation, one column per quantity.
 
 use crate::Real;
 use serde::{Deserialize, Serialize};
 
-/// N Gaussians before activation. Also the type of their gradients and of Adam's moments: a cloud is a vector space.
+/// N Gaussians before activation. Gradients and moments of Adam have the same type: a cloud is a vector space.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianCloud {
     /// Centres μ `[N,3]`, metres, world frame.
@@ -12,31 +12,31 @@ pub struct GaussianCloud {
     pub log_scales: Vec<[Real; 3]>,
     /// Rotations `[N,4]` as w, x, y, z; normalised on use.
     pub quats: Vec<[Real; 4]>,
-    /// Opacity o = σ(logit), `[N]`.
+    /// Opacity logits `[N]`; opacity o = σ(logit).
     pub opacity_logits: Vec<Real>,
-    /// The signal s ∈ ℂ as two real channels `[N,2]`.
+    /// Complex signals s as two real channels `[N,2]`.
     pub signals: Vec<[Real; 2]>,
-    /// Columns that the method asked for, such as `harmonics`; and those that this pipeline's pruners asked for, such as
-    /// `mask_logits`, which are absent from a saved model.
+    /// Columns that the method requests, such as `harmonics`, and that pruners request, such as `mask_logits`. Saved
+    /// models do not contain the latter.
     pub extra: Vec<ExtraColumn>,
 }
 
-/// A named column `[N, width]` that a method or a pruner asked for.
+/// Named column `[N, width]` of a method or a pruner.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExtraColumn {
-    /// What it is called.
+    /// Name of the column.
     pub name: String,
-    /// Numbers a Gaussian.
+    /// Number of values per Gaussian.
     pub width: usize,
-    /// Row-major values, `len · width` of them.
+    /// Row-major values, `[len · width]`.
     pub values: Vec<Real>,
 }
 
-/// The names of the five fixed columns, in the order of [`GaussianCloud::columns`].
+/// Names of the five fixed columns, in the order of [`GaussianCloud::columns`].
 pub const COLUMN_NAMES: [&str; 5] = ["means", "log_scales", "quats", "opacity_logits", "signals"];
 
 impl GaussianCloud {
-    /// N rows of zeros and no extra column.
+    /// Creates N rows of zeros without extra columns.
     pub fn zeros(n: usize) -> Self {
         Self {
             means: vec![[0.0; 3]; n],
@@ -48,17 +48,17 @@ impl GaussianCloud {
         }
     }
 
-    /// N.
+    /// Returns the number of Gaussians N.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether N = 0.
+    /// Returns whether N = 0.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// Every column as (name, width, row-major values).
+    /// Returns every column as (name, width, row-major values).
     pub fn columns(&self) -> impl Iterator<Item = (&str, usize, &[Real])> {
         let fixed = [
             (COLUMN_NAMES[0], 3, self.means.as_flattened()),
@@ -70,7 +70,7 @@ impl GaussianCloud {
         fixed.into_iter().chain(self.extra.iter().map(|c| (c.name.as_str(), c.width, c.values.as_slice())))
     }
 
-    /// Every column, to be changed; the same order as [`Self::columns`].
+    /// Returns every column, mutable, in the order of [`Self::columns`].
     pub fn columns_mut(&mut self) -> impl Iterator<Item = (&str, usize, &mut [Real])> {
         let fixed = [
             (COLUMN_NAMES[0], 3, self.means.as_flattened_mut()),
@@ -82,7 +82,7 @@ impl GaussianCloud {
         fixed.into_iter().chain(self.extra.iter_mut().map(|c| (c.name.as_str(), c.width, c.values.as_mut_slice())))
     }
 
-    /// Adds a column of zeros for each of `wanted`, a name and a width, that is missing; errs where one has another width.
+    /// Adds a column of zeros for each missing entry of `wanted` (name and width); fails if a column has another width.
     pub fn complete(&mut self, wanted: &[(&str, usize)]) -> Result<(), String> {
         for &(name, width) in wanted {
             match self.extra(name) {
@@ -97,19 +97,19 @@ impl GaussianCloud {
         Ok(())
     }
 
-    /// The extra column called `name`.
+    /// Returns the extra column `name`.
     pub fn extra(&self, name: &str) -> Option<&ExtraColumn> {
         self.extra.iter().find(|c| c.name == name)
     }
 
-    /// A cloud of the same columns and length, all zero.
+    /// Creates a cloud of the same columns and length, all zero.
     pub fn zeros_like(&self) -> Self {
         let mut zeros = self.clone();
         zeros.columns_mut().for_each(|(_, _, values)| values.fill(0.0));
         zeros
     }
 
-    /// The rows listed, in that order; a row may be listed more than once.
+    /// Returns the listed rows, in that order; rows may repeat.
     pub fn select(&self, rows: &[usize]) -> Self {
         fn pick<T: Copy>(column: &[T], rows: &[usize]) -> Vec<T> {
             rows.iter().map(|&i| column[i]).collect()
@@ -133,17 +133,17 @@ impl GaussianCloud {
     }
 }
 
-/// Where a row of the new cloud comes from.
+/// Origin of a row of a new cloud.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Row {
-    /// The same Gaussian: it keeps the optimiser's moments and its statistics.
+    /// The same Gaussian: it keeps the moments of the optimiser and its statistics.
     Kept(usize),
-    /// A copy of that Gaussian, or one made of several: its moments start at 0.
+    /// A copy of that Gaussian, or one merged from several: its moments start at 0.
     Copied(usize),
 }
 
 impl Row {
-    /// The row of the old cloud.
+    /// Returns the row of the old cloud.
     pub fn source(self) -> usize {
         match self {
             Self::Kept(i) | Self::Copied(i) => i,
@@ -151,11 +151,11 @@ impl Row {
     }
 }
 
-/// What [`crate::Pruner::edit`] makes of a cloud: some Gaussians moved onto others, or merged.
+/// Result of [`crate::Pruner::edit`]: a cloud with moved or merged Gaussians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edit {
-    /// The Gaussians as they shall be, with all columns.
+    /// New Gaussians, with all columns.
     pub cloud: GaussianCloud,
-    /// For each of them the row of the old cloud that it continues.
+    /// Row of the old cloud that each of them continues.
     pub rows: Vec<Row>,
 }

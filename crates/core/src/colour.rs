@@ -1,4 +1,5 @@
-//! Colour scales, even to the eye and safe for the colour-blind: lightness is linear in the value (`OKLab`).
+//! Perceptually uniform colour scales that are safe for colour-blind readers: lightness is linear in the value
+//! (`OKLab`).
 
 /// Red, green, blue.
 pub type Rgb = [u8; 3];
@@ -6,7 +7,7 @@ pub type Rgb = [u8; 3];
 /// Hue (degrees) and chroma of the sequential scale at 0, 1/4, 1/2, 3/4, 1: violet, blue, teal, green, yellow.
 const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175)];
 
-/// From dark violet at 0 to yellow at 1.
+/// Returns a colour from dark violet at 0 to yellow at 1.
 pub fn sequential(value: f64) -> Rgb {
     let t = value.clamp(0.0, 1.0);
     let place = 4.0 * t;
@@ -17,21 +18,21 @@ pub fn sequential(value: f64) -> Rgb {
     oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
 }
 
-/// From blue at −1 over white to vermilion at 1.
+/// Returns a colour from blue at −1 over white to vermilion at 1.
 pub fn diverging(value: f64) -> Rgb {
     let size = value.abs().min(1.0);
     let hue = if value < 0.0 { 256.0 } else { 40.0 };
     oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
 }
 
-/// Once around for values from 0 to 1: light, blue, dark, vermilion and light again. Lightness alone tells it up to the side,
-/// hue tells the side, to the colour-blind too.
+/// Returns a colour of a cyclic scale for values from 0 to 1: light, blue, dark, vermilion and light again. Hue
+/// distinguishes the halves of equal lightness, also for colour-blind readers.
 pub fn cyclic(value: f64) -> Rgb {
     let (sin, cos) = (std::f64::consts::TAU * value).sin_cos();
     oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { 40.0 } else { 256.0 })
 }
 
-/// `OKLab` in polar form to sRGB (Björn Ottosson, 2020); colours outside the gamut are clipped.
+/// Converts `OKLab` in polar form to sRGB (Björn Ottosson, 2020); colours outside the gamut are clipped.
 fn oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
     let (sin, cos) = hue_deg.to_radians().sin_cos();
     let (a, b) = (chroma * cos, chroma * sin);

@@ -1,58 +1,58 @@
-//! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
+//! `DataSource`, `Split`, `Baseline`: data, their division into sets, and reference predictors.
 
 use crate::plugin::{Plugin, registered};
 use crate::{Dataset, Image, Query, Result, Task, plugin_kind, rng::Rng};
 use std::path::Path;
 
-/// Told (done, of how many) while something long is under way, from any thread and in any order.
+/// Progress callback (done, total) of a long operation, called from any thread and in any order.
 pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 
-/// Loads or makes a data set.
+/// Loads or generates a data set.
 ///
-/// Of any plugin, a field that holds a path has the attribute `#[schemars(extend("format" = "path"))]`: a pipeline file
-/// takes it from its own folder.
+/// In every plugin, mark fields that hold a path with `#[schemars(extend("format" = "path"))]`: pipelines resolve them
+/// relative to their own folder.
 #[typetag::serde]
 pub trait DataSource:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress` counts
-    /// links; `&|_, _| {}` where nobody wants to know.
+    /// Loads all data into memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress`
+    /// counts links; pass `&|_, _| {}` to ignore it.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
 
-    /// What it observes, if that is known before it is loaded: a pipeline that does not fit is then refused when it is read,
-    /// at its place.
+    /// Returns the measurement type if it is known before loading. Unsuitable pipelines are then rejected when they are
+    /// read, with the position.
     fn task(&self) -> Option<Task> {
         None
     }
 
-    /// This source for the data in `folder`, if the folder holds files of its layout. See [`recognise`].
+    /// Returns a source for the data in `folder` if it holds files of this layout. See [`recognise`].
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
         let _ = folder;
         None
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(DataSource);
 
-/// The source that reads `folder`: the first by name, of all that are linked, that recognises its layout.
+/// Returns the source for `folder`: the first linked source, by name, that recognises its layout.
 pub fn recognise(folder: &Path) -> Option<Plugin<dyn DataSource>> {
     let source = |name| Plugin::<dyn DataSource>::parse(&format!("{name}()")).ok()?.recognise(folder);
     registered::<dyn DataSource>().into_iter().find_map(source).map(Plugin::from)
 }
 
-/// Divides links into training, validation and test.
+/// Divides links into training, validation and test sets.
 #[typetag::serde]
 pub trait Split:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// Three disjoint sorted lists; train and test are not empty.
+    /// Returns three disjoint sorted lists; training and test set are not empty.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
-    /// Whether the training set is small on purpose, so that a larger test set is no mistake.
+    /// Returns whether the training set is deliberately small, so that a larger test set is accepted.
     fn is_sparse(&self) -> bool {
         false
     }
@@ -60,40 +60,40 @@ pub trait Split:
     /// Checks that the split can run here, for example that its Python class exists.
     ///
     /// # Errors
-    /// Why not, and what to do.
+    /// The message states the reason and the next step.
     fn ready(&self) -> Result<()> {
         Ok(())
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Split);
 
-/// A predictor without Gaussians, scored beside the model in every table.
+/// Reference predictor that is scored next to the model in every table.
 #[typetag::serde]
 pub trait Baseline:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// Its name in tables, such as `3-NN`.
+    /// Returns its name in tables, such as `3-NN`.
     fn name(&self) -> String;
 
-    /// The same where it depends on what is observed.
+    /// Returns its name for a measurement type.
     fn name_for(&self, task: Task) -> String {
         let _ = task;
         self.name()
     }
 
-    /// Whether it predicts observations of `task`.
+    /// Returns whether it predicts observations of `task`.
     fn supports(&self, task: Task) -> bool {
         let _ = task;
         true
     }
 
-    /// Checks whether the baseline supports the observations of `data`. Commands call this before the first training step.
-    /// It must be cheap: sweeps call it once per combination.
+    /// Checks whether the baseline supports the observations of `data`. Commands call this before the first training
+    /// step. It must be cheap: sweeps call it once per combination.
     ///
     /// # Errors
     /// The baseline does not support `data`; the message names the setting to change.
@@ -102,54 +102,52 @@ pub trait Baseline:
         Ok(())
     }
 
-    /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
-    /// empty, on samples of the training part that it leaves out meanwhile.
+    /// Fits to all `known` links. Choices use the validation set; if it is empty, samples held out of the training set.
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Baseline);
 
-/// Predicts what would be observed of a link.
+/// Predicts the observation of a link.
 pub trait Predict: Send + Sync {
-    /// The observation, as large as the data's ([`Observations`](crate::Observations) says how powers and channels are
-    /// arrays); spectra are not clamped. A predictor that learned from one receiver looks at `query.tx` alone.
+    /// Returns the observation with the size of the data ([`Observations`](crate::Observations) describes powers and
+    /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver uses only `query.tx`.
     fn predict(&self, query: Query<'_>) -> Image;
 
-    /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
-    /// those beside it.
+    /// Returns a note below tables of scores, for predictors whose scores are not directly comparable.
     fn note(&self) -> Option<String> {
         None
     }
 
-    /// Whether it was given the scene that made the data, exactly or with errors, instead of learning from spectra: ray
-    /// tracing in that scene, say. It is then a bound, and in no ranking.
+    /// Returns whether it uses the simulated scene (exact or with errors) instead of the training data, as ray tracing
+    /// does. It is then an oracle baseline and not ranked.
     fn knows_scene(&self) -> bool {
         false
     }
 }
 
-/// Which links serve what; indices into [`Dataset::links`](crate::Dataset::links), each list sorted, the lists disjoint.
+/// Training, validation and test links: sorted, disjoint indices into [`Dataset::links`](crate::Dataset::links).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Partition {
-    /// What the model learns from.
+    /// Training links.
     pub train: Vec<usize>,
-    /// What curves and choices look at.
+    /// Validation links, for curves and choices.
     pub validation: Vec<usize>,
-    /// Read once, at the end.
+    /// Test links, read once at the end.
     pub test: Vec<usize>,
 }
 
 impl Partition {
-    /// All but the test part.
+    /// Returns all links except the test set.
     pub fn known(&self) -> Known<'_> {
         Known { train: &self.train, validation: &self.validation }
     }
 
-    /// Numbers of training, validation and test links.
+    /// Returns the sizes of training, validation and test set.
     pub fn sizes(&self) -> [usize; 3] {
         [&self.train, &self.validation, &self.test].map(Vec::len)
     }
@@ -163,7 +161,7 @@ impl Partition {
     }
 }
 
-/// Set of a link. Pages receive its number.
+/// Set of a link. Web pages receive its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum LinkSet {
@@ -177,22 +175,22 @@ pub enum LinkSet {
     Unused = 3,
 }
 
-/// The links that a baseline may learn from; indices into [`Dataset::links`](crate::Dataset::links), two disjoint lists.
+/// Links for the fit of a baseline: two disjoint lists of indices into [`Dataset::links`](crate::Dataset::links).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Known<'a> {
-    /// What a model learns from, too.
+    /// Training links, as for models.
     pub train: &'a [usize],
-    /// What choices are made on, where there are any to make. Then it is learned from like the rest.
+    /// Validation links. Baselines first use them for choices, then for the fit like training links.
     pub validation: &'a [usize],
 }
 
 impl<'a> Known<'a> {
-    /// A training part without validation.
+    /// Creates a training set without validation.
     pub fn train(train: &'a [usize]) -> Self {
         Self { train, validation: &[] }
     }
 
-    /// Training and validation together, sorted.
+    /// Returns training and validation links together, sorted.
     pub fn all(&self) -> Vec<usize> {
         let mut all = [self.train, self.validation].concat();
         all.sort_unstable();

@@ -1,4 +1,4 @@
-//! `Dataset`: what was measured, and where, in columns.
+//! `Dataset`: observations and their positions, in columns.
 
 use crate::words::clean;
 use crate::{
@@ -6,61 +6,60 @@ use crate::{
     Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
 };
 
-/// Everything a data source gives, in columns: transmitters, receivers, links of one with the other, and what was observed
-/// of each link.
+/// All data of a source, in columns: transmitters, receivers, links between them, and the observation of each link.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// What a person should call it.
+    /// Display name.
     pub title: String,
     /// Receivers, bounds and points.
     pub scene: Scene,
-    /// Columns of every observation.
+    /// Number of columns of every observation.
     pub width: usize,
-    /// Rows of every observation.
+    /// Number of rows of every observation.
     pub height: usize,
-    /// What the rows of spectra are; columns go once around.
+    /// Elevations of the rows of spectra; columns cover the full circle.
     pub elevation: Elevation,
-    /// Places of the transmitter, sorted by id.
+    /// Transmitter positions, sorted by ID.
     pub transmitters: Vec<Transmitter>,
-    /// Who was heard by whom, sorted by transmitter, then receiver.
+    /// Links, sorted by transmitter, then receiver.
     pub links: Vec<Link>,
-    /// What was observed of every link, in the same order.
+    /// Observations of the links, in the same order.
     pub observations: Observations,
-    /// What stands where the transmitter's position stands elsewhere, a row a link.
+    /// Input features per link that replace the transmitter position (for example the uplink channel).
     pub features: Option<Features>,
-    /// Whether the transmitters' positions are known. If not, they are zero, and nobody may look at them.
+    /// Whether the data contain transmitter positions. If not, positions are zero and must not be used.
     pub placed: bool,
-    /// The split that comes with the data, if any: links for (train, test).
+    /// Official split of the data, if any: links for (training, test).
     pub official: Option<(Vec<usize>, Vec<usize>)>,
-    /// What the observations were computed from; `None` where they were measured.
+    /// Description of the simulation; `None` for measured data.
     pub simulation: Option<Simulation>,
-    /// What the source holds beside the links.
+    /// Positions and spectra without a counterpart in the source.
     pub unmatched: Unmatched,
 }
 
-/// Halves of samples, which a source leaves out.
+/// Numbers of incomplete samples, which a source leaves out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unmatched {
-    /// Positions without a picture.
+    /// Positions without a spectrum.
     pub positions: usize,
-    /// Pictures without a position.
+    /// Spectra without a position.
     pub pictures: usize,
 }
 
-/// Says of a data set that it is simulated.
+/// Description of simulated data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Simulation {
-    /// The room that was simulated, as the RON text of a scene with every setting written out; `None` where the data do
-    /// not say, or come from no room.
+    /// Simulated room, as the RON text of a scene with all settings; `None` if the data do not state it or have no
+    /// room.
     pub scene: Option<String>,
 }
 
 impl Dataset {
-    /// Measured spectra at one receiver, one a sample, with the surface `points` `[P,3]` that are known (metres; none will
-    /// do). All places are in the user's frame. The bounds hold the points, the samples and the receiver.
+    /// Creates a data set of measured spectra at one receiver, one per sample, with surface `points` `[P,3]` in metres
+    /// (may be empty). Positions are in the user's frame. The bounds contain the points, the samples and the receiver.
     ///
-    /// Rows are elevations from 0 to 90 degrees, there is no official split, nothing is simulated, and nothing was left
-    /// out: who knows better sets these fields.
+    /// Rows are elevations from 0 to 90 degrees; there is no official split, no simulation and no unmatched sample. Set
+    /// these fields afterwards if they differ.
     ///
     /// ```
     /// # use pwrfgs_core::{Dataset, Pose, Sample, Spectra};
@@ -84,7 +83,8 @@ impl Dataset {
         Self::of_links(title, vec![Receiver::new("receiver", receiver)], points, &samples, spectra.into())
     }
 
-    /// Observations of any kind at any number of receivers, one a sample; samples are sorted by id, then receiver.
+    /// Creates a data set of any observations at any number of receivers, one per sample; samples are sorted by ID,
+    /// then receiver.
     ///
     /// ```
     /// # use pwrfgs_core::{Dataset, Observations, Pose, Receiver, Sample};
@@ -98,9 +98,12 @@ impl Dataset {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Config`] where ids decrease, a link comes twice, one id has two places, there are more or fewer
-    /// observations than samples or one that is no number, two receivers have one name or a sample names none, or a place
-    /// is not finite or beyond 1e8 m.
+    /// [`Error::Config`] for invalid input:
+    ///
+    /// - IDs decrease, a link occurs twice, or one ID has two positions.
+    /// - The numbers of observations and samples differ, or an observation is not finite.
+    /// - Two receivers have one name, or a sample has an unknown receiver.
+    /// - A position is not finite or beyond 1e8 m.
     pub fn of_links(
         title: impl Into<String>,
         receivers: Vec<Receiver>,
@@ -140,68 +143,69 @@ impl Dataset {
         })
     }
 
-    /// L, links: one a transmitter where there is one receiver.
+    /// Returns the number of links L: one per transmitter for a single receiver.
     pub fn len(&self) -> usize {
         self.links.len()
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no links.
     pub fn is_empty(&self) -> bool {
         self.links.is_empty()
     }
 
-    /// Link `i` as a row.
+    /// Returns link `i` as a row.
     pub fn sample(&self, i: usize) -> Sample {
         let Link { transmitter, receiver } = self.links[i];
         let Transmitter { id, position } = self.transmitters[transmitter];
         Sample { id, tx: position, receiver }
     }
 
-    /// What tables call link `i`: the id of its transmitter where there is one receiver, else its number from 1.
+    /// Returns the label of link `i` in tables: the ID of its transmitter for a single receiver, otherwise its number
+    /// from 1.
     pub fn label(&self, i: usize) -> u32 {
         if self.scene.receivers.len() == 1 { self.sample(i).id } else { i as u32 + 1 }
     }
 
-    /// All links as rows.
+    /// Returns all links as rows.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = Sample> + Clone + '_ {
         (0..self.len()).map(|i| self.sample(i))
     }
 
-    /// What a predictor is told of link `i`.
+    /// Returns the query for a prediction of link `i`.
     pub fn query(&self, i: usize) -> Query<'_> {
         let Sample { tx, receiver, .. } = self.sample(i);
         Query { tx, receiver, features: self.features.as_ref().map_or(&[], |features| features.of(i)) }
     }
 
-    /// What is observed.
+    /// Returns the measurement type.
     pub fn task(&self) -> Task {
         self.observations.task()
     }
 
-    /// The links of these transmitters, given and returned in ascending order.
+    /// Returns the links of these transmitters; both lists are in ascending order.
     pub fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
         let begin = |t: usize| self.links.partition_point(|link| link.transmitter < t);
         transmitters.iter().flat_map(|&t| begin(t)..begin(t + 1)).collect()
     }
 
-    /// Whether it is simulated, not measured.
+    /// Returns whether the data are simulated.
     pub fn is_simulated(&self) -> bool {
         self.simulation.is_some()
     }
 
-    /// What a pixel of the spectra is: columns go once around, rows are [`Self::elevation`]. The numbers of a power or of a
-    /// channel have no direction.
+    /// Returns the image plane of the spectra: columns cover the full circle, rows are [`Self::elevation`]. The values
+    /// of a power or channel have no direction.
     pub fn plane(&self) -> ImagePlane {
         self.task().plane((self.width, self.height), self.elevation)
     }
 
-    /// What was observed of link `i`, as an array of numbers.
+    /// Returns the observation of link `i` as an array of numbers.
     pub fn image(&self, i: usize) -> Image {
         self.observations.image(i)
     }
 }
 
-/// At least one, with places that can be, each with a name and antennas of its own.
+/// Checks for at least one receiver, valid positions, unique names and antennas.
 fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     if receivers.is_empty() {
         return Err("it has no receiver; give one at least".into());
@@ -224,7 +228,7 @@ fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     Ok(())
 }
 
-/// Rows as columns: every transmitter once, and the links.
+/// Converts rows to columns: every transmitter once, and the links.
 fn columns(samples: &[Sample], receivers: &[Receiver]) -> Result<(Vec<Transmitter>, Vec<Link>), String> {
     let mut transmitters: Vec<Transmitter> = Vec::new();
     let mut links: Vec<Link> = Vec::with_capacity(samples.len());
@@ -258,7 +262,7 @@ fn columns(samples: &[Sample], receivers: &[Receiver]) -> Result<(Vec<Transmitte
     Ok((transmitters, links))
 }
 
-/// Everything from one origin.
+/// Creates a scene relative to one origin.
 fn scene(mut receivers: Vec<Receiver>, points: Vec<[f64; 3]>, transmitters: &[Transmitter]) -> Scene {
     let txs = || transmitters.iter().map(|transmitter| transmitter.position);
     let others: Vec<[f64; 3]> = receivers[1..].iter().map(|receiver| receiver.pose.position).collect();
@@ -270,7 +274,7 @@ fn scene(mut receivers: Vec<Receiver>, points: Vec<[f64; 3]>, transmitters: &[Tr
     Scene { origin, receivers, bounds, points }
 }
 
-/// Smallest and largest corner of the given points.
+/// Returns the smallest and largest corner of the given points.
 fn bounds_of(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
     let nothing = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (low, high) = points.map(Vec3::from_array).fold(nothing, |(low, high), p| (low.min(p), high.max(p)));

@@ -1,35 +1,35 @@
-//! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
+//! `Deformation`: effect of the transmitter position on the Gaussians, `D_Θ` of eq. (5).
 
 use crate::{Cache, Layout, Pose, Real, plugin_kind};
 use std::ops::Range;
 
-/// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
+/// Calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ are stored outside the plugin.
 ///
-/// A batch of B transmitters is one call. All outputs are `[B, N, ·]`: transmitter by transmitter.
+/// A batch of B transmitters is one call. All outputs are `[B, N, ·]`, transmitter by transmitter.
 #[typetag::serde]
 pub trait Deformation:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// What does not depend on weights.
+    /// Returns properties that do not depend on weights.
     fn traits(&self) -> DeformationTraits;
 
-    /// Names, shapes and initial values of the weights Θ.
+    /// Returns names, shapes and initial values of the weights Θ.
     fn layout(&self) -> Layout {
         Layout::default()
     }
 
-    /// Calibration terms of all Gaussians and transmitters. `prepared` is what [`Self::prepare`] made of the same weights,
-    /// centres and pose, or `None`; the result has the same bits.
+    /// Computes calibration terms of all Gaussians and transmitters. `prepared` is the result of [`Self::prepare`] for
+    /// the same weights, centres and pose, or `None`; both give bit-identical results.
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas;
 
-    /// What [`Self::forward`] makes of weights and centres without knowing the transmitter, for a trained model to
-    /// work out once and not at every prediction. `None` where everything waits for the transmitter.
+    /// Precomputes the transmitter-independent part of [`Self::forward`] from weights and centres, for repeated
+    /// predictions. `None` if all computations depend on the transmitter.
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
         let _ = (weights, means, pose);
         None
     }
 
-    /// Adds to `d_weights` (as long as `weights`), and to `d_means` where given, given the cotangents `d` of the output.
+    /// Adds to `d_weights` (length of `weights`), and to `d_means` if given, for the cotangents `d` of the output.
     fn vjp(
         &self,
         inputs: &DeformationInputs<'_>,
@@ -38,48 +38,48 @@ pub trait Deformation:
         d_means: Option<&mut [[Real; 3]]>,
     );
 
-    /// The part of the signals that is linear in the transmitter's numbers, for a start in closed form; `None` where there
-    /// is none.
+    /// Returns the part of the signals that is linear in the transmitter inputs, for an initialisation in closed form;
+    /// `None` without such a part.
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
         let _ = (weights, means, training);
         None
     }
 
-    /// Sets what can be told from the conditions of the training part before the first step.
+    /// Initialises the parameters that depend on the conditions of the training set, before the first step.
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
         let _ = (training, weights);
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Deformation);
 
-/// What a [`Deformation`] depends on, and what it gives.
+/// Inputs and properties of a [`Deformation`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(clippy::struct_excessive_bools)] // independent properties
 pub struct DeformationTraits {
-    /// Numbers that it reads of a transmitter: 3, its position, or the width of the features of the data
+    /// Number of inputs per transmitter: 3 for its position, or the width of the features of the data
     /// ([`Features`](crate::Features)).
     pub inputs: usize,
-    /// Whether scales or rotations depend on the transmitter. If not, a batch shares one projection and one sorting.
+    /// Whether scales or rotations depend on the transmitter. If not, a batch shares one projection and one depth sort.
     pub varies_geometry: bool,
-    /// Whether the signals it gives replace the cloud's own (WRF-GS) instead of being added (P-WRFGS).
+    /// Whether its signals replace those of the cloud (WRF-GS) instead of being added (P-WRFGS).
     pub replaces_signals: bool,
-    /// Whether its terms depend on where the receiver is, so that it can serve only one.
+    /// Whether its terms depend on the receiver position, so that it supports only one receiver.
     pub reads_receiver: bool,
-    /// Whether a Gaussian's terms depend on the centres of all (the released gain of WRF-GS does). Gaussians whose gate
-    /// is closed then stay among the inputs; otherwise they are left out.
+    /// Whether the terms of a Gaussian depend on the centres of all (as the released gain of WRF-GS does). Closed
+    /// Gaussians then remain inputs; otherwise they are left out.
     pub couples_gaussians: bool,
-    /// Numbers that [`Deformation::forward`] and its derivative keep for each Gaussian, whatever the number of transmitters,
-    /// beside the terms themselves: for an estimate of memory before training starts. 0 where they work in small pieces.
+    /// Number of values per Gaussian, independent of the number of transmitters, that [`Deformation::forward`] and its
+    /// derivative store in addition to the terms. Used for memory estimates; 0 if they work in small chunks.
     pub kept_per_gaussian: usize,
 }
 
 impl Default for DeformationTraits {
-    /// Those of a network that reads positions and adds signals.
+    /// Returns the properties of a network that reads positions and adds signals.
     fn default() -> Self {
         Self {
             inputs: 3,
@@ -92,87 +92,87 @@ impl Default for DeformationTraits {
     }
 }
 
-/// Signals s of channel c that are linear in D numbers x of the transmitter and in J functions φ of the centre:
-/// s(c) = Σ φⱼ B(c, k, j) xₖ.
+/// Signals s of channel c that are linear in D inputs x of the transmitter and in J functions φ of the centre: s(c) = Σ
+/// φⱼ B(c, k, j) xₖ.
 #[derive(Clone, Debug)]
 pub struct LinearPart {
-    /// D.
+    /// Number of inputs D.
     pub inputs: usize,
-    /// x of the training part, `[n, D]`.
+    /// Inputs x of the training set, `[n, D]`.
     pub values: Vec<Real>,
-    /// J.
+    /// Number of functions J.
     pub functions: usize,
-    /// φ of every Gaussian, `[N, J]`.
+    /// Functions φ of every Gaussian, `[N, J]`.
     pub basis: Vec<Real>,
-    /// The weights that make signals of anything: set to 0, nothing but the linear part is left.
+    /// Range of weights of the remaining parts of the signals: if they are 0, only the linear part is left.
     pub cleared: std::ops::Range<usize>,
-    /// Where B(c, 0, 0) lies in the weights, for both channels.
+    /// Indices of B(c, 0, 0) in the weights, for both channels.
     pub first: [usize; 2],
 }
 
 impl LinearPart {
-    /// Where B(c, k, j) lies in the weights.
+    /// Returns the index of B(c, k, j) in the weights.
     pub fn place(&self, channel: usize, input: usize, function: usize) -> usize {
         self.first[channel] + input * self.functions + function
     }
 }
 
-/// What [`Deformation::forward`] and its derivative read.
+/// Inputs of [`Deformation::forward`] and its derivative.
 #[derive(Clone, Copy, Debug)]
 pub struct DeformationInputs<'a> {
-    /// Θ.
+    /// Weights Θ.
     pub weights: &'a [Real],
     /// Centres `[N,3]`, metres.
     pub means: &'a [[Real; 3]],
-    /// Transmitters: positions `[B,3]` in metres, or as many numbers each as [`DeformationTraits::inputs`] says.
+    /// Transmitters: positions `[B,3]` in metres, or features of width [`DeformationTraits::inputs`].
     pub txs: Conditions<'a>,
-    /// Receiver.
+    /// Pose of the receiver.
     pub pose: &'a Pose,
 }
 
 impl<'a> DeformationInputs<'a> {
-    /// The inputs of these transmitters.
+    /// Creates the inputs for some transmitters.
     pub fn new(weights: &'a [Real], means: &'a [[Real; 3]], txs: impl Into<Conditions<'a>>, pose: &'a Pose) -> Self {
         Self { weights, means, txs: txs.into(), pose }
     }
 }
 
-/// Calibration terms, each `[B, N]` rows or empty where the deformation leaves that quantity alone.
+/// Calibration terms, each `[B, N]` rows, or empty if the deformation does not change that quantity.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Deltas {
-    /// Added to the scales, metres.
+    /// Terms added to the scales, metres.
     pub scales: Vec<[Real; 3]>,
-    /// Added to the unit quaternions.
+    /// Terms added to the unit quaternions.
     pub quats: Vec<[Real; 4]>,
-    /// Added to (or replacing) the signals.
+    /// Terms added to (or replacing) the signals.
     pub signals: Vec<[Real; 2]>,
 }
 
 impl Deltas {
-    /// Scales, quaternions and signals, row-major.
+    /// Returns scales, quaternions and signals, row-major.
     pub fn columns(&self) -> [&[Real]; 3] {
         [self.scales.as_flattened(), self.quats.as_flattened(), self.signals.as_flattened()]
     }
 
-    /// The same, to be changed.
+    /// Returns scales, quaternions and signals, mutable.
     pub fn columns_mut(&mut self) -> [&mut [Real]; 3] {
         [self.scales.as_flattened_mut(), self.quats.as_flattened_mut(), self.signals.as_flattened_mut()]
     }
 
-    /// Whether the deformation leaves every quantity alone.
+    /// Returns whether there are no terms.
     pub fn is_empty(&self) -> bool {
         self.columns().iter().all(|column| column.is_empty())
     }
 
-    /// Zeros of the same shape.
+    /// Creates zeros of the same shape.
     pub fn zeros_like(&self) -> Self {
         let (scales, quats) = (vec![[0.0; 3]; self.scales.len()], vec![[0.0; 4]; self.quats.len()]);
         Self { scales, quats, signals: vec![[0.0; 2]; self.signals.len()] }
     }
 }
 
-/// A vector for each of B transmitters, `[B, width]`: its position as a rule, metres from the origin; whatever stands in
-/// its place otherwise.
+/// Network input per transmitter, `[B, width]`: its position in metres from the origin, or the features that replace
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions<'a> {
     width: usize,
@@ -180,39 +180,39 @@ pub struct Conditions<'a> {
 }
 
 impl<'a> Conditions<'a> {
-    /// Rows of `width` numbers; half a row at the end is left out.
+    /// Creates rows of `width` numbers; an incomplete last row is left out.
     pub fn new(width: usize, values: &'a [Real]) -> Self {
         let whole = values.len() - values.len() % width.max(1);
         Self { width, values: &values[..whole] }
     }
 
-    /// B, transmitters.
+    /// Returns the number of transmitters B.
     pub fn len(&self) -> usize {
         self.values.len() / self.width.max(1)
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no transmitters.
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
 
-    /// Numbers of each.
+    /// Returns the number of inputs per transmitter.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// All numbers, row by row.
+    /// Returns all inputs, row by row.
     pub fn values(&self) -> &'a [Real] {
         self.values
     }
 
-    /// Some of the transmitters.
+    /// Returns a range of the transmitters.
     pub fn rows(&self, range: Range<usize>) -> Self {
         Self { width: self.width, values: &self.values[range.start * self.width..range.end * self.width] }
     }
 
-    /// The positions `[B,3]`; nothing where they are something else. A deformation that asks for positions says so by
-    /// [`DeformationTraits::inputs`](crate::DeformationTraits::inputs), and is given nothing else.
+    /// Returns the positions `[B,3]`; empty if the inputs are features. A deformation that requests positions by
+    /// [`DeformationTraits::inputs`](crate::DeformationTraits::inputs) always receives positions.
     pub fn positions(&self) -> &'a [[Real; 3]] {
         if self.width == 3 { self.values.as_chunks().0 } else { &[] }
     }

@@ -1,8 +1,8 @@
-//! What the comments in the source say, at hand while the program runs: the one origin of `pwrfgs plugins`, of the comments
-//! in a pipeline that `pwrfgs init` writes, of Python's classes and of the schema for editors.
+//! Doc comments of the source, available at run time. They are the only source of `pwrfgs plugins`, of the comments in
+//! a pipeline that `pwrfgs init` writes, of the Python classes and of the schema for editors.
 //!
-//! A type that derives [`JsonSchema`] has a JSON schema with its doc comments, types and defaults. [`Docs`] is a schema as a
-//! table of fields or variants, in the words of a pipeline file.
+//! A type that derives [`JsonSchema`] has a JSON schema with its doc comments, types and defaults. [`Docs`] presents a
+//! schema as a table of fields or variants, in the notation of a pipeline file.
 
 pub use schemars::{self, JsonSchema};
 use schemars::{Schema, SchemaGenerator};
@@ -11,11 +11,11 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Every type that derives [`JsonSchema`], behind a trait object too.
+/// Access to the documentation of types that derive [`JsonSchema`], also behind a trait object.
 pub trait Documented {
-    /// Its doc comments.
+    /// Returns its doc comments.
     fn docs(&self) -> &'static Docs;
-    /// Its schema, or a reference to one among those of `generator`.
+    /// Returns its schema, or a reference to one in `generator`.
     fn schema(&self, generator: &mut SchemaGenerator) -> Schema;
 }
 
@@ -29,73 +29,73 @@ impl<T: JsonSchema> Documented for T {
     }
 }
 
-/// What may stand in a place.
+/// Type of a field.
 #[derive(Clone, Debug)]
 pub enum Kind {
-    /// A plain value, in words, such as `number`.
+    /// Plain value, described in words, such as `number`.
     Plain(&'static str),
-    /// A struct or enum.
+    /// Struct or enum.
     Of(&'static Docs),
-    /// A plugin of this kind.
+    /// Plugin of this kind.
     Plugin(&'static str),
-    /// This or `None`.
+    /// Value or `None`.
     Optional(Box<Self>),
-    /// Any number of these, in brackets.
+    /// List in brackets.
     List(Box<Self>),
-    /// These, in parentheses.
+    /// Tuple in parentheses.
     Tuple(Vec<Self>),
-    /// These by a name, in braces.
+    /// Map by name, in braces.
     Map(Box<Self>),
 }
 
-/// A struct or enum, in the words of its source.
+/// Documentation of a struct or enum.
 #[derive(Debug)]
 pub struct Docs {
-    /// Its name.
+    /// Name of the type.
     pub name: &'static str,
-    /// Its doc comment.
+    /// Doc comment of the type.
     pub text: &'static str,
-    /// What it is made of.
+    /// Fields or variants of the type.
     pub body: Body,
 }
 
-/// What a type is made of.
+/// Fields or variants of a type.
 #[derive(Debug)]
 pub enum Body {
-    /// A struct.
+    /// Fields of a struct.
     Fields(&'static [Field]),
-    /// An enum.
+    /// Variants of an enum.
     Variants(&'static [Variant]),
 }
 
-/// A field.
+/// Documentation of a field.
 #[derive(Debug)]
 pub struct Field {
-    /// Its name; `_0` for the first of an unnamed list.
+    /// Name of the field; `_0` for the first of an unnamed list.
     pub name: &'static str,
-    /// Its doc comment.
+    /// Doc comment of the field.
     pub text: &'static str,
-    /// Whether it may be left out.
+    /// Whether the field may be omitted.
     pub optional: bool,
-    /// What it takes.
+    /// Type of the field.
     pub kind: Kind,
 }
 
-/// A variant of an enum.
+/// Documentation of a variant of an enum.
 #[derive(Debug)]
 pub struct Variant {
-    /// Its name.
+    /// Name of the variant.
     pub name: &'static str,
-    /// Its doc comment.
+    /// Doc comment of the variant.
     pub text: &'static str,
     /// Whether its fields have names.
     pub named: bool,
-    /// Its fields.
+    /// Fields of the variant.
     pub fields: &'static [Field],
 }
 
 impl Kind {
-    /// The struct or enum that is meant, through `Option`.
+    /// Returns the struct or enum, also inside an `Option`.
     pub fn docs(&self) -> Option<&'static Docs> {
         match self {
             Self::Of(docs) => Some(docs),
@@ -104,7 +104,7 @@ impl Kind {
         }
     }
 
-    /// In words: `number`, `list of Pruner`, `path or None`.
+    /// Describes the type in words: `number`, `list of Pruner`, `path or None`.
     pub fn words(&self) -> String {
         match self {
             Self::Plain(words) => (*words).into(),
@@ -122,7 +122,7 @@ impl Kind {
 }
 
 impl Docs {
-    /// What the schema of a type says. A type is read once and stays in memory.
+    /// Returns the documentation of a type. Each type is read once and stays in memory.
     pub fn of<T: JsonSchema>() -> &'static Self {
         static READ: Mutex<BTreeMap<Cow<'static, str>, &'static Docs>> = Mutex::new(BTreeMap::new());
         let read = || READ.lock().unwrap_or_else(PoisonError::into_inner);
@@ -137,7 +137,7 @@ impl Docs {
         docs
     }
 
-    /// The fields of a struct.
+    /// Returns the fields of a struct.
     pub fn fields(&self) -> &'static [Field] {
         match self.body {
             Body::Fields(fields) => fields,
@@ -145,7 +145,7 @@ impl Docs {
         }
     }
 
-    /// The field of a struct, or of the enum's variant `variant`, that is called `name`.
+    /// Returns the field `name` of a struct, or of variant `variant` of an enum.
     pub fn field(&self, variant: Option<&str>, name: &str) -> Option<&'static Field> {
         let fields = match self.body {
             Body::Fields(fields) => fields,
@@ -155,7 +155,7 @@ impl Docs {
     }
 }
 
-/// Reads schemas that refer to `types` by name.
+/// Reader of schemas that refer to `types` by name.
 struct Reader<'a> {
     types: &'a Map<String, Value>,
 }
@@ -173,7 +173,7 @@ impl Reader<'_> {
         Box::leak(Box::new(Docs { name: kept(name), text: description(schema), body }))
     }
 
-    /// The variants of an enum that one of its schemas stands for.
+    /// Returns the variants that one schema of an enum represents.
     fn variants(&self, schema: &Value) -> Vec<Variant> {
         let text = description(schema);
         let plain = |name: &str| Variant { name: kept(name), text, named: false, fields: &[] };
@@ -201,7 +201,7 @@ impl Reader<'_> {
         holds.into_iter().flatten().map(with_fields).collect()
     }
 
-    /// The fields of a struct, or of a variant with names.
+    /// Returns the fields of a struct, or of a variant with names.
     fn fields(&self, schema: &Value) -> &'static [Field] {
         let required: Vec<&str> =
             schema.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect();
@@ -219,7 +219,7 @@ impl Reader<'_> {
         if nullable { Kind::Optional(Box::new(self.inner_kind(schema))) } else { self.inner_kind(schema) }
     }
 
-    /// The same without `None`.
+    /// Returns the type of a schema without `None`.
     fn inner_kind(&self, schema: &Value) -> Kind {
         if let Some(words) = schema.get("title").and_then(Value::as_str) {
             return Kind::Plain(kept(words));
@@ -252,7 +252,7 @@ impl Reader<'_> {
     }
 }
 
-/// The keyword of a schema whose variants are all plugins of a kind.
+/// Keyword of a schema whose variants are all plugins of a kind.
 pub(crate) const PLUGINS: &str = "x-plugins";
 
 fn description(schema: &Value) -> &'static str {

@@ -1,66 +1,66 @@
-//! What can go wrong, told to a person: each message names the thing and says what to do.
+//! Error type with messages for users: each names the object and the next step.
 
 use crate::words::{clean, told};
 use std::path::{Path, PathBuf};
 
-/// Any failure of the toolkit. `is_input` separates wrong input (exit code 2) from failure (exit code 1).
+/// Error of the toolkit. `is_input` distinguishes invalid input (exit code 2) from other failures (exit code 1).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read.
     #[error("cannot read {}: {source}", shown(path))]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: std::io::Error,
     },
     /// A file or folder could not be written.
     #[error("cannot write {}: {source}", shown(path))]
     Write {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: std::io::Error,
     },
-    /// A file says something that cannot be used.
+    /// The content of a file is invalid.
     #[error("{}:{} {}", shown(path), place(*at), told(message))]
     Input {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Line and column, both counted from 1, where the place is known.
+        /// Line and column, both from 1, if known.
         at: Option<(usize, usize)>,
-        /// What is wrong, and what to do.
+        /// Problem and next step.
         message: String,
     },
-    /// A setting, or a combination of settings, cannot work.
+    /// A setting, or a combination of settings, is invalid.
     #[error("{}", told(.0))]
     Config(String),
-    /// A number left the finite range.
+    /// A number is not finite.
     #[error("{what} is not finite at step {step}; lower the learning rates in `training.optimizer`, then start again")]
     NonFinite {
-        /// The tensor.
+        /// Name of the tensor.
         what: String,
-        /// The training step, counted from 1.
+        /// Training step, from 1.
         step: u64,
     },
-    /// Training removed all Gaussians but one.
+    /// Training removed all Gaussians except one.
     #[error("training: one Gaussian is left at step {step}{}; {advice}", told(removed))]
     Collapsed {
-        /// The training step, counted from 1.
+        /// Training step, from 1.
         step: u64,
         /// `, removed by` the rules, with how many each removed; empty if the step had none.
         removed: String,
-        /// What the pipeline can do about it.
+        /// Advice on the pipeline.
         advice: &'static str,
     },
-    /// Another process is at work in a folder.
+    /// Another process uses the folder.
     #[error("another pwrfgs is at work in {}; wait until it ends, or choose another --out", shown(.0))]
     Busy(PathBuf),
-    /// Someone asked to stop before all was done.
+    /// The operation was cancelled.
     #[error("stopped before all was done")]
     Stopped,
-    /// Anything a plugin wants to say.
+    /// Error of a plugin.
     #[error("{}", told(&.0.to_string()))]
     Plugin(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
@@ -69,27 +69,27 @@ pub enum Error {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// A file that cannot be used, with a position: `line` and `column` count from 1.
+    /// Creates an error for invalid content at a position: `line` and `column` count from 1.
     pub fn at(path: &Path, line: usize, column: usize, message: impl std::fmt::Display) -> Self {
         Self::Input { path: path.into(), at: Some((line, column)), message: message.to_string() }
     }
 
-    /// A file that cannot be used.
+    /// Creates an error for invalid content of a file.
     pub fn input(path: &Path, message: impl std::fmt::Display) -> Self {
         Self::Input { path: path.into(), at: None, message: message.to_string() }
     }
 
-    /// A file that cannot be read.
+    /// Creates an error for a file that cannot be read.
     pub fn read(path: &Path, source: std::io::Error) -> Self {
         Self::Read { path: path.into(), source }
     }
 
-    /// A file that cannot be written.
+    /// Creates an error for a file that cannot be written.
     pub fn write(path: &Path, source: std::io::Error) -> Self {
         Self::Write { path: path.into(), source }
     }
 
-    /// Whether what the user gave is at fault, as against the machine or the arithmetic.
+    /// Returns whether the cause is user input rather than the machine or the arithmetic.
     pub fn is_input(&self) -> bool {
         matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Busy(_) | Self::Plugin(_))
     }
@@ -103,7 +103,7 @@ fn place(at: Option<(usize, usize)>) -> String {
     at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:"))
 }
 
-/// `; did you mean `x`?` for a misspelt name, or nothing where none of the `known` ones is near.
+/// Returns `; did you mean `x`?` for a misspelt name; empty if none of the `known` names is similar.
 pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     if wrong.len() > 100 {
         return String::new(); // no name, and the distance takes time with the square of the length

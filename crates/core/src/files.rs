@@ -1,5 +1,4 @@
-//! Files as everything here treats them: written whole or not at all, text with a place for its faults, and folders that
-//! are never taken from somebody else.
+//! File access: atomic writes, text with positions for errors, and protection of folders of other programs.
 
 mod held;
 mod new_folder;
@@ -14,19 +13,19 @@ use std::hash::{BuildHasher as _, RandomState};
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::path::Path;
 
-/// Largest text file that is read, bytes: 256 MiB. What a person writes is far smaller, and parsers take several times
+/// Maximum size of a text file, bytes: 256 MiB. Text written by people is far smaller, and parsers need several times
 /// as much memory.
 pub const MAX_TEXT: u64 = 1 << 28;
-/// Largest file of numbers that is read whole, bytes: 16 GiB.
+/// Maximum size of a binary file that is read whole, bytes: 16 GiB.
 pub const MAX_NUMBERS: u64 = 1 << 34;
-/// Bytes of a file's name that its temporary file has as well; file systems take 255.
+/// Number of bytes of a file name that its temporary file repeats; file systems allow 255.
 const LONGEST_NAME: usize = 200;
 
-/// Opens a file for reading. All readers of the toolkit go through here, so that none waits for ever: whoever opens a
-/// named pipe waits until somebody writes.
+/// Opens a file for reading. All readers of the toolkit use this function: opening a named pipe would otherwise block
+/// until another process writes to it.
 ///
 /// # Errors
-/// Where there is none, or what stands there is no regular file.
+/// The file does not exist, or is not a regular file.
 #[expect(clippy::disallowed_methods, reason = "this is the one place that looks at what stands there first")]
 pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     let path = path.as_ref();
@@ -36,10 +35,10 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     File::open(path)
 }
 
-/// Refuses what stands at `path` and is no regular file, such as a named pipe or a device. Nothing there is fine.
+/// Rejects a `path` that exists but is not a regular file, such as a named pipe or a device.
 ///
 /// # Errors
-/// [`ErrorKind::InvalidInput`] that says what it is.
+/// [`ErrorKind::InvalidInput`] with the file type.
 pub fn refuse_irregular(path: &Path) -> io::Result<()> {
     match fs::metadata(path) {
         Ok(found) if !found.is_file() => {
@@ -50,7 +49,7 @@ pub fn refuse_irregular(path: &Path) -> io::Result<()> {
     }
 }
 
-/// What is no regular file, in words.
+/// Returns the type of a file that is not regular, in words.
 fn kind(found: FileType) -> &'static str {
     #[cfg(unix)]
     {
@@ -64,7 +63,7 @@ fn kind(found: FileType) -> &'static str {
     if found.is_dir() { "a folder" } else { "a device" }
 }
 
-/// The bytes of a regular file of at most [`MAX_NUMBERS`].
+/// Reads the bytes of a regular file of at most [`MAX_NUMBERS`].
 ///
 /// # Errors
 /// As [`read_at_most`].
@@ -72,19 +71,19 @@ pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
     read_at_most(path.as_ref(), MAX_NUMBERS)
 }
 
-/// The text of a regular file of at most [`MAX_TEXT`], as it is. Of a file that a person writes, see [`read_text`].
+/// Reads the text of a regular file of at most [`MAX_TEXT`], unchanged. For files written by people, see [`read_text`].
 ///
 /// # Errors
-/// As [`read_at_most`], and for what is not UTF-8.
+/// As [`read_at_most`], and for text that is not UTF-8.
 pub fn read_string(path: impl AsRef<Path>) -> io::Result<String> {
     String::from_utf8(read_at_most(path.as_ref(), MAX_TEXT)?)
         .map_err(|e| io::Error::new(ErrorKind::InvalidData, e.utf8_error()))
 }
 
-/// The bytes of a regular file.
+/// Reads the bytes of a regular file.
 ///
 /// # Errors
-/// Where it cannot be opened or read, is no regular file ([`open`]), or has more than `limit` bytes.
+/// The file cannot be opened or read, is not regular ([`open`]), or has more than `limit` bytes.
 pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let size = file.metadata()?.len(); // 0 for some files of the system
@@ -101,8 +100,8 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > limit { refuse() } else { Ok(bytes) }
 }
 
-/// Refuses a path at which neither a file nor a folder can be created: below a file, below a broken link, or with a name
-/// that the file system rejects. Missing folders are accepted. A file or folder at `path` itself is not checked.
+/// Rejects a path at which neither a file nor a folder can be created: below a file, below a broken link, or with a
+/// name that the file system rejects. Missing folders are accepted. A file or folder at `path` itself is not checked.
 ///
 /// # Errors
 /// [`Error::Input`] names the invalid part of the path.
@@ -133,7 +132,7 @@ fn is_bad(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
 }
 
-/// Refuses a path at which no file can be created: as [`check_place`], and the folder of the file must exist.
+/// Rejects a path at which no file can be created: as [`check_place`], and the folder of the file must exist.
 ///
 /// # Errors
 /// [`Error::Input`] names the missing folder.
@@ -152,29 +151,29 @@ pub fn check_file_place(path: &Path) -> Result<()> {
     ))
 }
 
-/// Refuses a path at which no new file can be created: as [`check_file_place`], and the path must not exist.
+/// Rejects a path at which no new file can be created: as [`check_file_place`], and the path must not exist.
 ///
 /// # Errors
 /// [`Error::Config`] if the path exists, else as [`check_file_place`].
 pub fn check_new_file(path: &Path) -> Result<()> {
-    // A broken link too: it may be anything.
+    // Includes broken links, which may point anywhere.
     if path.symlink_metadata().is_ok() {
         return Err(Error::Config(format!("{} exists; choose another name or remove it", path.display())));
     }
     check_file_place(path)
 }
 
-/// Writes a file so that at every instant either the old or the whole new one is there: a temporary file in the same
-/// folder, synced, then renamed.
+/// Writes a file atomically: readers see either the old or the complete new content. Uses a synced temporary file in
+/// the same folder, which is then renamed.
 ///
 /// # Errors
-/// [`Error::Write`]; the old file is then untouched.
+/// [`Error::Write`]; the old file is then unchanged.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace(path, bytes, |_| ()).map(drop)
 }
 
-/// Writes a file as [`write_atomically`] does and returns it open. `prepare` gets the temporary file before the rename, for
-/// example to lock it.
+/// Writes a file as [`write_atomically`] does and returns it open. `prepare` receives the temporary file before the
+/// rename, for example to lock it.
 ///
 /// # Errors
 /// As [`write_atomically`].
@@ -186,8 +185,8 @@ pub fn replace(path: &Path, bytes: &[u8], prepare: impl FnOnce(&File)) -> Result
     write_beside(path, bytes, publish).map_err(|e| Error::write(path, e))
 }
 
-/// Writes a file that is not there yet, whole or not at all. Returns `false` if something is there, which stays: of
-/// several processes that write the same file at once, one gets `true`.
+/// Writes a new file atomically. Returns `false` if the path exists and leaves it unchanged: of several processes that
+/// write the same file at once, one gets `true`.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -200,9 +199,9 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
             let _ = fs::remove_file(temporary); // or who holds the folder meanwhile has
             Ok(())
         }
-        // Whoever holds the folder meanwhile has cleared the temporary file away.
+        // The process that holds the folder has removed the temporary file meanwhile.
         Err(e) if e.kind() == ErrorKind::NotFound => Err(ErrorKind::AlreadyExists.into()),
-        // The file system has no links: the name is taken first, and the bytes follow.
+        // The file system has no links: the file is created first, and its content follows.
         Err(e) if [ErrorKind::PermissionDenied, ErrorKind::Unsupported].contains(&e.kind()) => {
             let mut file = File::create_new(path)?;
             let filled = file.write_all(bytes).and_then(|()| file.sync_all());
@@ -218,11 +217,11 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
     }
 }
 
-/// Writes `bytes` to a synced temporary file beside `path`, which `publish` gives its name; gives the file, still open.
+/// Writes `bytes` to a synced temporary file next to `path`, which `publish` renames; returns the open file.
 fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) -> io::Result<()>) -> io::Result<File> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // the temporary one is longer
-    // By chance, not by process: on a shared disk two machines may have processes of one number.
+    // Random instead of the process ID: on a shared disk, processes of two machines may have equal IDs.
     let number = RandomState::new().hash_one(std::process::id()) as u32;
     let temporary = path.with_file_name(format!(".{name}.{number}.tmp"));
     let mut file = File::create_new(&temporary)?;
@@ -231,7 +230,8 @@ fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) ->
         let _ = fs::remove_file(&temporary);
         return Err(e);
     }
-    // The name itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
+    // The name is durable only after the folder is synced; on file systems without folder sync, the file still has its
+    // name.
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         #[expect(clippy::disallowed_methods, reason = "a folder of our own")]
         let _ = File::open(folder).and_then(|folder| folder.sync_all());
@@ -239,8 +239,8 @@ fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) ->
     Ok(file)
 }
 
-/// Removes what killed processes left in `folder` of the files `names` while they wrote them, `.run.json.123.tmp` say. The
-/// caller holds a lock without which no process writes them. A file that cannot be removed does no harm.
+/// Removes temporary files of `names` that killed processes left in `folder`, for example `.run.json.123.tmp`. The
+/// caller holds the lock that writers of these files need. Files that cannot be removed are ignored.
 pub fn remove_temporaries(folder: &Path, names: &[&str]) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let found = entry.file_name().to_string_lossy().into_owned();
@@ -251,13 +251,13 @@ pub fn remove_temporaries(folder: &Path, names: &[&str]) {
     }
 }
 
-/// SHA-256 as `sha256sum` prints it.
+/// Returns the SHA-256 in the notation of `sha256sum`.
 pub fn digest(bytes: &[u8]) -> String {
     let digits = Sha256::digest(bytes);
     digits.iter().fold(String::with_capacity(64), |text, byte| text + &format!("{byte:02x}"))
 }
 
-/// What was read from `path`; `None` if there is no such file.
+/// Returns the content that was read from `path`; `None` if the file does not exist.
 ///
 /// # Errors
 /// [`Error::Read`].
@@ -269,18 +269,18 @@ pub fn if_found<T>(path: &Path, read: io::Result<T>) -> Result<Option<T>> {
     }
 }
 
-/// A text file as a person writes it: UTF-8, with or without a byte order mark, of at most [`MAX_TEXT`] bytes.
+/// Reads a text file written by a person: UTF-8, with or without a byte order mark, of at most [`MAX_TEXT`] bytes.
 ///
 /// # Errors
-/// Where it cannot be read, or is no such text.
+/// The file cannot be read, or is not such text.
 pub fn read_text(path: &Path) -> Result<String> {
     read_text_at_most(path, MAX_TEXT)
 }
 
-/// The same with another `limit`, bytes.
+/// Reads a text file with another `limit`, bytes.
 ///
 /// # Errors
-/// Where it cannot be read, has more bytes, or is no such text.
+/// The file cannot be read, has more bytes, or is not such text.
 pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
     let text = String::from_utf8(read_at_most(path, limit).map_err(|e| Error::read(path, e))?).map_err(|e| {
         let line = e.as_bytes()[..e.utf8_error().valid_up_to()].split(|b| *b == b'\n').count();
@@ -289,11 +289,11 @@ pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
-/// Refuses a folder that holds anything but what a killed first write of ours leaves there: temporary files and empty
-/// folders. `what` it would have to be, such as `a run folder`, is said; one that does not exist is fine.
+/// Rejects a folder with foreign content, that is anything except temporary files and empty folders of a killed first
+/// write. `what` names the expected type in the message, such as `a run folder`. A missing folder is accepted.
 ///
 /// # Errors
-/// [`Error::Config`] that names what stands there.
+/// [`Error::Config`] that names the content.
 pub fn refuse_foreign(folder: &Path, what: &str) -> Result<()> {
     let is_left = |entry: &DirEntry| {
         let path = entry.path();
@@ -305,10 +305,10 @@ pub fn refuse_foreign(folder: &Path, what: &str) -> Result<()> {
     }
 }
 
-/// Refuses a folder that holds anything at all; one that does not exist is fine.
+/// Rejects a folder that is not empty; a missing folder is accepted.
 ///
 /// # Errors
-/// [`Error::Config`] that names what stands there.
+/// [`Error::Config`] that names the content.
 pub fn refuse_occupied(folder: &Path) -> Result<()> {
     match entries(folder)?.first() {
         None => Ok(()),
@@ -320,11 +320,11 @@ fn holds(entry: &DirEntry) -> String {
     format!("not empty (it holds `{}`); choose another --out", entry.file_name().to_string_lossy())
 }
 
-/// What a folder holds; nothing where it does not exist.
+/// Returns the entries of a folder; none if it does not exist.
 fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
     let folder = folder.components().as_path(); // without a slash at the end, which hides a file
     match fs::read_dir(folder) {
-        // An empty path would be where one stands.
+        // An empty path would be the current directory.
         Err(_) if folder.as_os_str().is_empty() => {
             Err(Error::Config("the path of the folder is empty; name one".into()))
         }

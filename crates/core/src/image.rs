@@ -1,43 +1,43 @@
-//! `Image` and `ImagePlane`: pixels, and what a pixel means as an angle.
+//! `Image` and `ImagePlane`: pixels, and their directions.
 
 use crate::{JsonSchema, Real, consts};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// A spatial spectrum as a picture, row-major `[height, width]`; 1 is the strongest direction.
+/// Spatial spectrum as an image, row-major `[height, width]`; 1 is the strongest direction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
-    /// Columns (azimuth).
+    /// Number of columns (azimuth).
     pub width: usize,
-    /// Rows (elevation).
+    /// Number of rows (elevation).
     pub height: usize,
-    /// `height · width` values.
+    /// Pixel values, `[height · width]`.
     pub pixels: Vec<Real>,
 }
 
 impl Image {
-    /// All zero.
+    /// Creates an image of zeros.
     pub fn zeros(width: usize, height: usize) -> Self {
         Self { width, height, pixels: vec![0.0; width * height] }
     }
 
-    /// From 8-bit grey values: value/255.
+    /// Converts 8-bit grey values: value/255.
     pub fn from_bytes(width: usize, height: usize, bytes: &[u8]) -> Self {
         assert_eq!(bytes.len(), width * height, "an image has width times height pixels");
         Self { width, height, pixels: bytes.iter().map(|&b| Real::from(b) / 255.0).collect() }
     }
 
-    /// To 8-bit grey values: clamped to [0, 1], times 255, rounded.
+    /// Converts to 8-bit grey values: clamped to [0, 1], times 255, rounded.
     pub fn to_bytes(&self) -> Vec<u8> {
         self.pixels.iter().map(|p| (p.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
     }
 
-    /// Every pixel clamped to [0, 1], as metrics and pictures show it.
+    /// Clamps every pixel to [0, 1], as metrics and figures use it.
     pub fn clamped(&self) -> Self {
         Self { pixels: self.pixels.iter().map(|p| p.clamp(0.0, 1.0)).collect(), ..*self }
     }
 
-    /// Index of the strongest pixel; the first in row-major order where several are equal.
+    /// Returns the index of the strongest pixel; ties take the first in row-major order.
     pub fn argmax(&self) -> usize {
         let mut best = 0;
         for (i, p) in self.pixels.iter().enumerate() {
@@ -52,14 +52,14 @@ impl Image {
 /// Angle in degrees as a linear function of a pixel coordinate: `first + step · pixel`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
-    /// Degrees at pixel 0.
+    /// Angle at pixel 0, degrees.
     pub first: f64,
-    /// Degrees a pixel.
+    /// Angle per pixel, degrees.
     pub step: f64,
 }
 
-/// Which elevations the rows of a picture are, degrees in the receiver frame. Row r of H lies at
-/// first + r · (last − first)/H: the bottom row is one step short of `last`, as the last column is of 360° of azimuth.
+/// Elevations of the rows of a spectrum, degrees in the receiver frame. Row r of H is at first + r · (last − first)/H:
+/// the bottom row is one step before `last`, as the last column is one step before 360° of azimuth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(inline, with = "(f64, f64)", title = "two numbers")]
 #[serde(from = "(f64, f64)", into = "(f64, f64)")]
@@ -83,15 +83,15 @@ impl From<Elevation> for (f64, f64) {
 }
 
 impl Elevation {
-    /// The hemisphere in front of the receiver, top row in the plane of the array, as the measured spectra have it.
+    /// Hemisphere in front of the receiver, top row in the plane of the array, as in the measured spectra.
     pub const UPPER: Self = Self { first: 0.0, last: 90.0 };
 
-    /// As an axis over `height` rows.
+    /// Returns the axis over `height` rows.
     pub fn axis(self, height: usize) -> Axis {
         Axis { first: self.first, step: (self.last - self.first) / height as f64 }
     }
 
-    /// What is wrong with it, and what to do.
+    /// Returns the error in invalid elevations, with the next step.
     pub fn fault(self) -> Option<String> {
         let fits = [self.first, self.last].iter().all(|v| (-90.0..=90.0).contains(v));
         if fits && (self.last - self.first).abs() >= 1.0 {
@@ -102,8 +102,8 @@ impl Elevation {
         Some(format!("`elevation` is ({}, {}); {what} (0, 90) or (-90, 90)", self.first, self.last))
     }
 
-    /// What is wrong with a picture of `width` columns around the whole azimuth and `height` rows: the sides of a pixel
-    /// differ by more than `factor`.
+    /// Returns an error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
+    /// the full azimuth and `height` rows.
     pub fn misfit(self, (width, height): (usize, usize), factor: f64) -> Option<String> {
         let [across, up] = [360.0 / width as f64, ((self.last - self.first) / height as f64).abs()];
         if across <= factor * up && up <= factor * across {
@@ -117,33 +117,32 @@ impl Elevation {
     }
 }
 
-/// The grid that a projector draws on, and what its pixels mean.
+/// Pixel grid of a projector, with the directions of its pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImagePlane {
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
-    /// Whether the last column borders on the first (azimuth comes round).
+    /// Whether the last column is adjacent to the first (azimuth wraps around).
     pub wraps: bool,
-    /// Azimuth of a column and elevation of a row in the receiver frame, in degrees; `None` where a pixel has no such
-    /// meaning (the released projection).
+    /// Azimuth of a column and elevation of a row in the receiver frame, degrees; `None` if pixels have no angles (the
+    /// released projection).
     pub angles: Option<(Axis, Axis)>,
-    /// Which pixels of a larger image these are. Not stored: a model draws whole images.
+    /// Sampled pixels of a larger image. Not stored: a model draws whole images.
     #[serde(skip)]
     pub sampling: Sampling,
 }
 
-/// Which pixels of an image a plane holds, and how a projector filters them: every `stride`-th column and row from
-/// `offset` on. Training with a stride draws such a plane; lengths in pixels, such as a projector's filter, stay those of
-/// the whole image.
+/// Sampled pixels of an image and their filter: every `stride`-th column and row from `offset`. Training with a stride
+/// draws such a plane. Lengths in pixels, such as the filter of a projector, are those of the whole image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampling {
-    /// Columns, and rows, of the whole image per pixel.
+    /// Number of columns, and of rows, of the whole image per pixel.
     pub stride: usize,
     /// Column and row of the whole image at the first pixel, less than `stride`.
     pub offset: [usize; 2],
-    /// Variance of the low-pass filter, px² of the whole image; `None` for the projector's own.
+    /// Variance of the low-pass filter, px² of the whole image; `None` for that of the projector.
     pub filter: Option<Real>,
 }
 
@@ -154,17 +153,18 @@ impl Default for Sampling {
 }
 
 impl Sampling {
-    /// Every pixel.
+    /// All pixels.
     pub const WHOLE: Self = Self::every(1);
 
-    /// Every `stride`-th column and row from the first on.
+    /// Returns every `stride`-th column and row from the first.
     pub const fn every(stride: usize) -> Self {
         Self { stride, offset: [0, 0], filter: None }
     }
 }
 
 impl ImagePlane {
-    /// Every `stride`-th column and row of this whole image, from `offset` (column, row) on. `stride` divides both sides.
+    /// Returns every `stride`-th column and row of this whole image, from `offset` (column, row). `stride` must divide
+    /// both sides.
     #[must_use]
     pub fn strided(&self, stride: usize, offset: [usize; 2]) -> Self {
         debug_assert!(
@@ -184,7 +184,7 @@ impl ImagePlane {
         }
     }
 
-    /// The whole image of which this is every stride-th pixel: the inverse of [`Self::strided`].
+    /// Returns the whole image of a strided plane: the inverse of [`Self::strided`].
     pub fn whole(&self) -> Cow<'_, Self> {
         let Sampling { stride, offset, filter } = self.sampling;
         if stride == 1 {
@@ -203,25 +203,25 @@ impl ImagePlane {
         })
     }
 
-    /// The elevations of its rows, to a billionth of a degree; `None` where the plane has no angles.
+    /// Returns the elevations of its rows, rounded to a billionth of a degree; `None` if the plane has no angles.
     pub fn elevation(&self) -> Option<Elevation> {
         // 90/H · H may differ from 90 in the last bit.
         let end = |axis: Axis| ((axis.first + axis.step * self.height as f64) * 1e9).round() / 1e9;
         self.angles.map(|(_, axis)| Elevation { first: axis.first, last: end(axis) })
     }
 
-    /// Whether it shows anything behind the receiver, below the plane of its array.
+    /// Returns whether it includes directions behind the receiver, below the plane of its array.
     pub fn looks_behind(&self) -> bool {
         self.elevation().is_some_and(|shown| shown.first.min(shown.last) < -1e-9)
     }
 
-    /// Azimuth and elevation of a pixel in degrees, or `None` where the plane has no angles.
+    /// Returns azimuth and elevation of a pixel in degrees, or `None` if the plane has no angles.
     pub fn azimuth_elevation_deg(&self, px: Real, py: Real) -> Option<(Real, Real)> {
         self.angles.map(|(az, el)| ((az.first + az.step * px as f64) as Real, (el.first + el.step * py as f64) as Real))
     }
 
-    /// Unit vector in the receiver frame of the pixel at (column `px`, row `py`): the one place where a pixel becomes
-    /// an angle. `None` where the plane has no angles.
+    /// Returns the unit vector in the receiver frame of the pixel at (column `px`, row `py`); the only conversion of
+    /// pixels to directions. `None` if the plane has no angles.
     pub fn direction(&self, px: Real, py: Real) -> Option<[Real; 3]> {
         self.azimuth_elevation_deg(px, py).map(|(az, el)| {
             let (az, el) = (az / consts::DEG, el / consts::DEG);
@@ -230,14 +230,14 @@ impl ImagePlane {
     }
 }
 
-/// Spectra stretched to [0, 1] from their smallest value to their largest.
+/// Scaling of spectra to [0, 1] from their smallest to their largest value.
 pub mod stretch {
     use super::Real;
 
-    /// A picture whose values differ by less than this share of the largest shows nothing but rounding.
+    /// Relative range of pixel values below which an image contains only rounding errors.
     const NO_CONTRAST: Real = 1e-6;
 
-    /// Smallest and largest value; zeros for none. NaN stays out, and shows in the picture itself.
+    /// Returns the smallest and largest value; zeros if empty. NaN is ignored here and remains in the image.
     pub fn range(values: &[Real]) -> (Real, Real) {
         let first = values.first().copied().unwrap_or(0.0);
         let (mut low, mut high) = ([first; 16], [first; 16]);
@@ -262,13 +262,13 @@ pub mod stretch {
         (low.into_iter().fold(first, Real::min), high.into_iter().fold(first, Real::max))
     }
 
-    /// 1/(max − min), or 0 where the picture has no contrast.
+    /// Returns 1/(max − min), or 0 without contrast.
     pub fn gain(low: Real, high: Real) -> Real {
         if high - low > NO_CONTRAST * high { 1.0 / (high - low) } else { 0.0 }
     }
 
-    /// Stretches a picture from its smallest value to its largest, as the readout `MinMax` does: one that is looked at in few
-    /// places has to be stretched again, because between them lie its darkest and its brightest.
+    /// Scales an image from its smallest to its largest value, as the readout `MinMax` does. Sampled pixels must be
+    /// scaled again, because the extreme values of the whole image may be outside the sample.
     pub fn stretch(image: &mut [Real]) {
         let (low, high) = range(image);
         let gain = gain(low, high);

@@ -1,21 +1,21 @@
-//! `Initializer`: where the Gaussians start.
+//! `Initializer`: initial Gaussians.
 
 use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Real, Result, Scene, Task, plugin_kind, rng::Rng};
 use std::sync::atomic::AtomicBool;
 
-/// What an initialiser may look at that reads observations.
+/// Inputs of an initialiser that reads observations.
 pub struct Seen<'a> {
     /// All data.
     pub data: &'a Dataset,
-    /// The links to learn from, and no others.
+    /// Training links; an initialiser may use only these.
     pub train: &'a [usize],
-    /// What an observation is.
+    /// Image plane of an observation.
     pub plane: &'a ImagePlane,
-    /// What the Gaussians are for: it may want more columns than every cloud has.
+    /// Method of the model, which may request further columns.
     pub method: &'a dyn Method,
-    /// Told how far it is.
+    /// Progress callback.
     pub progress: Progress<'a>,
-    /// Set where somebody wants it to end.
+    /// Set to request an early end.
     pub stop: &'a AtomicBool,
 }
 
@@ -25,23 +25,23 @@ impl std::fmt::Debug for Seen<'_> {
     }
 }
 
-/// Makes the first cloud.
+/// Creates the initial cloud.
 ///
-/// Worked example: `pwrfgs_init::Random` in `crates/init/src/random.rs`; the page on writing one is `docs/plugins.md`.
+/// Worked example: `pwrfgs_init::Random` in `crates/init/src/random.rs`; guide: `docs/plugins.md`.
 #[typetag::serde]
 pub trait Initializer:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// The cloud to start from, with at least one Gaussian. `plane` tells whether pixels are angles of the true
-    /// receiver pose (`plane.angles`), for initialisers that place Gaussians where they can be seen.
+    /// Returns the initial cloud with at least one Gaussian. `plane.angles` states whether pixels are angles of the
+    /// true receiver pose, for initialisers that place Gaussians in view.
     ///
     /// # Errors
-    /// Where the scene lacks what is needed, saying what to do instead.
+    /// The scene lacks a required input; the message names the alternative.
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud>;
 
-    /// The cloud to start from, found in what was observed of the links `train`: [`Self::initialize`] where the scene alone
-    /// decides. Where it takes long it tells `progress`, and ends with [`Error::Stopped`](crate::Error::Stopped) once
-    /// `stop` is set; a run that is resumed does not come here again.
+    /// Returns the initial cloud from the observations of the links `train`; by default [`Self::initialize`], which
+    /// uses the scene only. Long searches report to `progress` and end with [`Error::Stopped`](crate::Error::Stopped)
+    /// once `stop` is set. A resumed run does not repeat the search.
     ///
     /// # Errors
     /// As [`Self::initialize`].
@@ -49,27 +49,28 @@ pub trait Initializer:
         self.initialize(&seen.data.scene, seen.plane, rng)
     }
 
-    /// Weights to start from, where it has them; fresh ones where not.
+    /// Returns initial weights; `None` for the standard initialisation.
     ///
     /// # Errors
-    /// Where they do not fit the method.
+    /// The weights do not fit the method.
     fn weights(&self, seen: &Seen<'_>) -> Result<Option<Vec<Real>>> {
         let _ = seen;
         Ok(None)
     }
 
-    /// How many Gaussians it makes, where its settings alone say so.
+    /// Returns the number of Gaussians, if it follows from the settings.
     fn count(&self) -> Option<usize> {
         None
     }
 
-    /// Whether it searches observations of `task`. An initializer that reads no observations supports every task.
+    /// Returns whether it supports observations of `task`. An initialiser that reads no observations supports every
+    /// task.
     fn supports(&self, task: Task) -> bool {
         let _ = task;
         true
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }

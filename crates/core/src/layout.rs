@@ -1,25 +1,24 @@
-//! `Layout`: the weights of a network as they lie in one flat vector.
+//! `Layout`: the weights of a network in one flat vector.
 
 use crate::{Real, rng, rng::Rng};
 
-/// The tensors of a network: those that are learned, in the order in which they lie in the flat weight vector, and those
-/// that are not.
+/// Tensors of a network: learned ones, in the order of the flat weight vector, and constants.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Layout {
     /// Learned tensors.
     pub weights: Vec<WeightSpec>,
-    /// Tensors that follow from a seed in the settings and are never learned, with their numbers. The model file holds
-    /// them, because its other readers cannot draw them again.
+    /// Constant tensors that follow from a seed in the settings, with their values. The model file stores them, because
+    /// other programs cannot reproduce them.
     pub constants: Vec<(WeightSpec, Vec<Real>)>,
 }
 
 impl Layout {
-    /// Numbers in the flat weight vector.
+    /// Returns the length of the flat weight vector.
     pub fn numbers(&self) -> usize {
         self.weights.iter().map(WeightSpec::len).sum()
     }
 
-    /// Fresh weights.
+    /// Draws initial weights.
     pub fn init(&self, rng: &mut Rng) -> Vec<Real> {
         let mut flat = Vec::with_capacity(self.numbers());
         for spec in &self.weights {
@@ -31,8 +30,8 @@ impl Layout {
         flat
     }
 
-    /// Factors on the flat weight vector that silence a share `rate` of the hidden units and multiply the others by
-    /// 1/(1 − rate): dropout, with one draw for all transmitters of a step. `None` if no layer is
+    /// Returns dropout factors on the flat weight vector: they disable a share `rate` of the hidden units and multiply
+    /// the others by 1/(1 − rate), with one draw for all transmitters of a step. `None` if no layer is
     /// [hidden](WeightSpec::hidden).
     pub fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
         self.weights.iter().any(|spec| spec.hidden).then(|| {
@@ -57,34 +56,34 @@ impl Layout {
 /// Name, shape and initial values of a tensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeightSpec {
-    /// Such as `trunk.0.weight`.
+    /// Name, such as `trunk.0.weight`.
     pub name: String,
-    /// Shape, row-major; a linear layer's weight is `[out, in]`.
+    /// Shape, row-major; the weight of a linear layer is `[out, in]`.
     pub shape: Vec<usize>,
-    /// Initial values are uniform within ± this; `None`: zeros.
+    /// Bound of the uniform initial values; `None` for zeros.
     pub bound: Option<f64>,
-    /// Whether its rows are hidden units behind a ReLU, which [`Layout::dropout`] may silence. The bias of such a layer comes
-    /// right after its weight.
+    /// Whether its rows are hidden units before a ReLU, to which [`Layout::dropout`] may apply. The bias of such a
+    /// layer follows its weight directly.
     pub hidden: bool,
 }
 
 impl WeightSpec {
-    /// A tensor that begins with zeros.
+    /// Creates a tensor with initial values of zero.
     pub fn zeros(name: impl Into<String>, shape: Vec<usize>) -> Self {
         Self { name: name.into(), shape, bound: None, hidden: false }
     }
 
-    /// A tensor with initial values uniform within ±`bound`.
+    /// Creates a tensor with initial values uniform within ±`bound`.
     pub fn uniform(name: impl Into<String>, shape: Vec<usize>, bound: f64) -> Self {
         Self { bound: Some(bound), ..Self::zeros(name, shape) }
     }
 
-    /// Numbers in it.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
 
-    /// Whether it holds no number.
+    /// Returns whether it has no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -1,11 +1,9 @@
-//! Plain data, plugin traits and the shared mathematics of pwrfgs. Nothing here reads or writes by itself; [`files`] is how
-//! the other crates do.
+//! Plain data types, plugin traits and shared mathematics of pwrfgs. Only [`files`] accesses the file system.
 //!
-//! Data climbs a ladder: [`GaussianCloud`] (learned) → [`Primitives`] (in space, for one transmitter) → [`Splats`]
-//! (on the image plane) → [`Render`] → [`Image`]. A stage is a function between two rungs, and each trait is a stage:
-//! [`Initializer`], [`Deformation`], [`Projector`], [`Rasterizer`], [`Pruner`], [`Metric`], with [`DataSource`],
-//! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that results
-//! could depend on.
+//! Data pass through these types in order: [`GaussianCloud`] (learned) → [`Primitives`] (in space, for one transmitter)
+//! → [`Splats`] (on the image plane) → [`Render`] → [`Image`]. A stage is a function between two of them, and each
+//! trait is a stage: [`Initializer`], [`Deformation`], [`Projector`], [`Rasterizer`], [`Pruner`], [`Metric`], with
+//! [`DataSource`], [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that affects results.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

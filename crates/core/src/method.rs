@@ -1,61 +1,62 @@
-//! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
+//! `Method`: the interface between training and models. It maps parameters and links to observations, with a backward
+//! pass.
 
 use crate::{
     Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs,
     Origin, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
 };
 
-/// Where observations are made, and what they are: all of a data set that a trained model has to know.
+/// Receivers and measurement type: all properties of a data set that a trained model needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// The place in the user's frame that everything here counts from.
+    /// Origin of all positions, in the user's frame.
     pub origin: Origin,
-    /// Who listens, from the origin.
+    /// Receivers, with poses relative to `origin`.
     pub receivers: Vec<Receiver>,
-    /// What is observed.
+    /// Measurement type.
     pub task: Task,
-    /// The numbers of one observation: of a spectrum, its picture.
+    /// Grid of the values of one observation; for a spectrum, its image plane.
     pub plane: ImagePlane,
-    /// Subcarriers of a channel, Hz; empty for anything else.
+    /// Subcarrier frequencies of a channel, Hz; otherwise empty.
     pub frequencies_hz: Vec<f64>,
 }
 
 impl Frame {
-    /// That of `data`, drawn on `plane`.
+    /// Creates the setup for `data` on the image plane `plane`.
     pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
         let frequencies_hz = data.observations.frequencies_hz().to_vec();
         let (origin, receivers) = (data.scene.origin, data.scene.receivers.clone());
         Self { origin, receivers, task: data.task(), plane, frequencies_hz }
     }
 
-    /// Of spectra that one receiver sees.
+    /// Creates the setup for spectra at one receiver.
     pub fn spectra(origin: Origin, pose: Pose, plane: ImagePlane) -> Self {
         let receivers = vec![Receiver::new("receiver", pose)];
         Self { origin, receivers, task: Task::default(), plane, frequencies_hz: Vec::new() }
     }
 
-    /// Numbers of one observation.
+    /// Returns the number of values per observation.
     pub fn numbers(&self) -> usize {
         self.plane.width * self.plane.height
     }
 
-    /// The first receiver's pose, from the origin.
+    /// Returns the pose of the first receiver, relative to the origin.
     pub fn pose(&self) -> Pose {
         self.receivers.first().map_or(Pose::IDENTITY, |receiver| receiver.pose)
     }
 
-    /// The first receiver's pose in the user's frame.
+    /// Returns the pose of the first receiver in the user's frame.
     pub fn receiver(&self) -> Pose {
         self.origin.world_pose(self.pose())
     }
 
-    /// The elevations that rows of a spectrum are.
+    /// Returns the elevations of the rows of a spectrum.
     pub fn elevation(&self) -> Elevation {
         self.plane.elevation().unwrap_or(Elevation::UPPER)
     }
 
-    /// Conditions `[T, inputs]` of the transmitters of these links, and the links. Equal transmitters that follow one another are
-    /// one.
+    /// Returns the conditions `[T, inputs]` of the transmitters of these links, and the links. Consecutive equal
+    /// transmitters are merged.
     pub fn conditions<'q>(&self, inputs: usize, queries: impl Iterator<Item = Query<'q>>) -> (Vec<Real>, Vec<Link>) {
         let mut conditions: Vec<Real> = Vec::new();
         let mut links: Vec<Link> = Vec::with_capacity(queries.size_hint().0);
@@ -76,45 +77,46 @@ impl Frame {
     }
 }
 
-/// What is learned, as a method reads it.
+/// Learned parameters in the form that a method reads.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameters<'a> {
-    /// The Gaussians; a method may have none.
+    /// Gaussians; a method may have none.
     pub cloud: &'a GaussianCloud,
-    /// What pruners multiply each Gaussian by, opacity and scale alike, `[N]`; `None`: all open.
+    /// Factors of the pruners on opacity and scale of each Gaussian, `[N]`; `None` if all are 1.
     pub gate: Option<&'a [Real]>,
-    /// What they multiply its part in the picture by, and nothing else, `[N]`; `None` without such a gate, and for a method
-    /// that does not [know](MethodTraits::knows_presence) the difference.
+    /// Factors on the blending weight only, `[N]`; `None` without such a gate, and for methods that do not
+    /// [support](MethodTraits::knows_presence) it.
     pub presence: Option<&'a [Real]>,
-    /// Everything else, as [`Method::layout`] names it.
+    /// Weights, in the layout of [`Method::layout`].
     pub weights: &'a [Real],
 }
 
-/// Links whose observations are wanted.
+/// Request for the observations of some links.
 #[derive(Clone, Copy, Debug)]
 pub struct Asked<'a> {
-    /// Of each transmitter.
+    /// Network inputs per transmitter.
     pub conditions: Conditions<'a>,
-    /// Rows of `conditions` and receivers of the frame. Links of a transmitter are next to each other.
+    /// Links as rows of `conditions` and receivers of the frame, grouped by transmitter.
     pub links: &'a [Link],
-    /// Which numbers of each observation; a method that does not [choose](MethodTraits::chooses_pixels) is asked for all.
+    /// Selected values of each observation; always all, if the method does not [support](MethodTraits::chooses_pixels)
+    /// a selection.
     pub pixels: Pixels<'a>,
 }
 
-/// Which numbers of an observation are wanted.
+/// Selected values of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pixels<'a> {
-    /// All of them.
+    /// All values.
     #[default]
     All,
-    /// The same of every link: places in an observation.
+    /// The same values for every link: indices into an observation.
     Same(&'a [usize]),
-    /// One of each link: `[L]` places.
+    /// One value per link: `[L]` indices.
     Own(&'a [usize]),
 }
 
 impl Pixels<'_> {
-    /// How many of a link, of `numbers` that an observation has.
+    /// Returns the number of selected values per link, of `numbers` per observation.
     pub fn of_link(&self, numbers: usize) -> usize {
         match self {
             Self::All => numbers,
@@ -124,32 +126,32 @@ impl Pixels<'_> {
     }
 }
 
-/// Observations, and what the way back needs.
+/// Observations, with the state for the backward pass.
 #[derive(Debug)]
 pub struct Observed {
-    /// `[L, numbers]`, an observation a link, or what [`Asked::pixels`] wants of it.
+    /// Observations `[L, numbers]`, or the values selected by [`Asked::pixels`].
     pub numbers: Vec<Real>,
-    /// Whatever the method wants to find again in [`Method::vjp`].
+    /// State of the forward pass for [`Method::vjp`].
     pub cache: Cache,
 }
 
-/// Derivatives in everything that is learned, and what was seen of each Gaussian.
+/// Derivatives with respect to all learned parameters, with statistics of each Gaussian.
 #[derive(Clone, Debug)]
 pub struct MethodVjp {
-    /// In the columns of the cloud; those that pruners asked for stay 0.
+    /// Derivative with respect to the columns of the cloud; those of pruners stay 0.
     pub cloud: GaussianCloud,
-    /// In the gate, `[N]`.
+    /// Derivative with respect to the gate, `[N]`.
     pub gate: Vec<Real>,
-    /// In the presence, `[N]`.
+    /// Derivative with respect to the existence factor, `[N]`.
     pub presence: Vec<Real>,
-    /// In the weights.
+    /// Derivative with respect to the weights.
     pub weights: Vec<Real>,
-    /// For pruners and densification; zeros where a method draws no splats.
+    /// Statistics for pruners and densification; zeros if the method draws no splats.
     pub seen: CloudStats,
 }
 
 impl MethodVjp {
-    /// Zeros for parameters of this size.
+    /// Creates zeros for parameters of this size.
     pub fn zeros(parameters: &Parameters<'_>) -> Self {
         let n = parameters.cloud.len();
         Self {
@@ -162,37 +164,38 @@ impl MethodVjp {
     }
 }
 
-/// A way from parameters to observations. Parameters are the columns of a [`GaussianCloud`], which pruners and densification
-/// change, and a flat vector of weights with names; settings live in the plugin. Trainer, checkpoint, evaluation and model
-/// file know no more of a model than this.
+/// Maps parameters to observations. Parameters are the columns of a [`GaussianCloud`], which pruners and densification
+/// change, and a flat vector of named weights; settings are stored in the plugin. Trainer, checkpoint, evaluation and
+/// model file use a model only through this trait.
 #[typetag::serde]
 pub trait Method:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// What does not depend on the frame.
+    /// Returns properties that do not depend on the frame.
     fn traits(&self) -> MethodTraits<'_> {
         MethodTraits::default()
     }
 
-    /// Memory that a step over `links`, and `pixels` numbers of each, takes.
+    /// Returns the memory of a step over `links` with `pixels` values each.
     fn cost(&self, frame: &Frame, links: usize, pixels: usize) -> Cost {
         let _ = (frame, links);
         Cost { pixels, ..Cost::default() }
     }
 
-    /// Names, shapes and initial values of the weights.
+    /// Returns names, shapes and initial values of the weights.
     ///
     /// # Errors
-    /// Why it cannot serve the frame: another task, receivers too many, no subcarriers.
+    /// The method does not support the frame: another measurement type, too many receivers, or no subcarriers.
     fn layout(&self, frame: &Frame) -> Result<Layout, String>;
 
-    /// The rows of the cloud that can count, whatever the weights say; [`Self::forward`] gets these alone.
+    /// Returns the rows of the cloud that can affect observations, for any weights; [`Self::forward`] receives only
+    /// these.
     fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         let _ = frame;
         (0..cloud.len()).filter(|&i| gate.is_none_or(|gate| gate[i] != 0.0)).collect()
     }
 
-    /// Observations of the links asked for.
+    /// Returns the observations of the requested links.
     fn forward(&self, frame: &Frame, parameters: &Parameters<'_>, asked: &Asked<'_>) -> Observed;
 
     /// Adds to `sums`, given the cotangents `d` of [`Observed::numbers`].
@@ -206,8 +209,8 @@ pub trait Method:
         sums: &mut MethodVjp,
     );
 
-    /// What each of its Gaussians has to do with the observations asked for, whose true values are `truths`
-    /// `[L, numbers]`.
+    /// Returns statistics of each Gaussian's effect on the requested observations, with measured values `truths` `[L,
+    /// numbers]`.
     fn survey(
         &self,
         frame: &Frame,
@@ -220,14 +223,14 @@ pub trait Method:
         Statistics::zeros(needs, parameters.cloud.len())
     }
 
-    /// What no transmitter changes, worked out once for many predictions.
+    /// Precomputes transmitter-independent values for many predictions.
     fn prepare(&self, frame: &Frame, parameters: &Parameters<'_>) -> Cache {
         let _ = (frame, parameters);
         None
     }
 
-    /// [`Observed::numbers`] of [`Self::forward`], bit for bit, given what [`Self::prepare`] made of the same parameters,
-    /// and how long each stage took.
+    /// Returns [`Observed::numbers`] of [`Self::forward`], bit-identical, from the result of [`Self::prepare`] for the
+    /// same parameters; also returns the time of each stage.
     fn predict(
         &self,
         frame: &Frame,
@@ -241,61 +244,63 @@ pub trait Method:
         (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
     }
 
-    /// Sets what can be told from the links `train` of `data` before the first step, such as the receivers' offsets.
+    /// Initialises the parameters that depend on the training links `train` of `data`, such as the offsets of
+    /// receivers.
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
         let _ = (frame, data, train, cloud, weights);
     }
 
-    /// The Gaussians as they are drawn for a transmitter at `tx` (metres from the origin), or without any; none by default.
+    /// Returns the Gaussians as drawn for a transmitter at `tx` (metres from the origin), or without transmitter; none
+    /// by default.
     fn gaussians(&self, frame: &Frame, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
         let _ = (frame, parameters, tx);
         Activated::default()
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Method);
 
-/// What a [`Method`] gives, and what it can be asked for.
+/// Outputs and supported features of a [`Method`].
 #[derive(Clone, Debug)]
 #[allow(clippy::struct_excessive_bools)] // independent properties
 pub struct MethodTraits<'a> {
-    /// What it gives, where that does not depend on the frame.
+    /// Measurement type, if it does not depend on the frame.
     pub task: Option<Task>,
-    /// Numbers that it reads of a transmitter: 3 for its position.
+    /// Number of inputs per transmitter: 3 for its position.
     pub inputs: usize,
-    /// What its parameters look like in a room.
+    /// Appearance of its Gaussians in a 3D view.
     pub appearance: Appearance,
-    /// What draws its spectra and so gives them their [plane](ImagePlane); the plane of the data by default.
+    /// Projector of its spectra, which determines their [plane](ImagePlane); the plane of the data if `None`.
     pub projector: Option<&'a Plugin<dyn Projector>>,
-    /// What changes its Gaussians with the transmitter.
+    /// Deformation of its Gaussians by the transmitter.
     pub deformation: Option<&'a Plugin<dyn Deformation>>,
-    /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
-    /// `signals`, and saved with the model.
+    /// Further columns of the cloud that it reads, by name and width. Their initial value is zero; they are learned at
+    /// the rate of `signals` and saved with the model.
     pub columns: Vec<(&'static str, usize)>,
-    /// Whether it can be asked for some [pixels](Asked::pixels) alone.
+    /// Whether it supports requests for selected [pixels](Asked::pixels).
     pub chooses_pixels: bool,
-    /// Whether it reads [`Parameters::presence`]; if not, such gates are multiplied into the other.
+    /// Whether it supports [`Parameters::presence`]; if not, such gates are multiplied into the other gate.
     pub knows_presence: bool,
-    /// Whether it can tell what [wants blending](crate::Statistic::wants_blending) of its Gaussians.
+    /// Whether it provides statistics that [require blending](crate::Statistic::wants_blending).
     pub blends: bool,
-    /// Whether its spectra reach from 0 to 1 over the pixels that are drawn, so that a part of a measured spectrum has to be
-    /// stretched over these alone.
+    /// Whether its spectra are scaled from 0 to 1 over the drawn pixels, so that the sampled pixels of a measured
+    /// spectrum must be scaled in the same way.
     pub stretches: bool,
 }
 
 impl MethodTraits<'_> {
-    /// Whether there are Gaussians. If not, there is no initializer, nothing is pruned, and clouds are empty.
+    /// Returns whether the method has Gaussians. If not, there is no initialiser and no pruning, and clouds are empty.
     pub fn has_gaussians(&self) -> bool {
         self.appearance != Appearance::Nothing
     }
 }
 
 impl Default for MethodTraits<'_> {
-    /// Those of a method that reads positions and whose Gaussians are points.
+    /// Returns the properties of a method that reads positions and whose Gaussians are points.
     fn default() -> Self {
         Self {
             task: None,
@@ -312,39 +317,40 @@ impl Default for MethodTraits<'_> {
     }
 }
 
-/// What a model looks like in a room.
+/// Appearance of a model in a 3D view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Appearance {
     /// Gaussians as ellipsoids, with scales, rotations and opacities.
     Ellipsoids,
-    /// Places without a size: sources of waves.
+    /// Points without a size: sources of waves.
     Points,
-    /// Nothing, because there are no Gaussians.
+    /// Empty, because there are no Gaussians.
     Nothing,
 }
 
-/// Gaussians as they are drawn.
+/// Gaussians as drawn.
 #[derive(Clone, Debug, Default)]
 pub struct Activated {
-    /// In space.
+    /// Gaussians in space.
     pub primitives: Primitives,
     /// Signals `[N, channels]`.
     pub signals: Vec<Real>,
-    /// The grey value that each would give alone, were it opaque, `[N]`; `None` where signals exist for a transmitter only.
+    /// Pixel value that each Gaussian would give alone if it were opaque, `[N]`; `None` if signals exist only for a
+    /// given transmitter.
     pub strengths: Option<Vec<Real>>,
 }
 
-/// Memory of a training step, beside what every method takes for its Gaussians and weights.
+/// Memory of a training step, in addition to that of the Gaussians and weights of every method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cost {
-    /// Numbers kept of each Gaussian.
+    /// Number of stored values per Gaussian.
     pub per_gaussian: usize,
-    /// Numbers drawn for each link.
+    /// Number of drawn values per link.
     pub pixels: usize,
-    /// Bytes kept for the way back that do not go with the Gaussians.
+    /// Memory for the backward pass that does not depend on the Gaussians, bytes.
     pub bytes: u64,
-    /// How many links of [a pixel each](Pixels::Own) it had better be asked for at a time: what it keeps for the way back
-    /// then fits in memory. A step of more is taken in parts.
+    /// Maximum number of links with [a pixel each](Pixels::Own) per request, so that the backward pass fits in memory.
+    /// Larger steps are split.
     pub links_at_once: usize,
 }
 

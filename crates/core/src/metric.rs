@@ -1,4 +1,4 @@
-//! `Metric`: how good a prediction is.
+//! `Metric`: quality of predictions.
 
 use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
 
@@ -7,7 +7,7 @@ use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_
 pub trait Metric:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// One or more measurements.
+    /// Returns one or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
     /// Checks whether the metric supports the observations of `data`, as
@@ -20,60 +20,60 @@ pub trait Metric:
         Ok(())
     }
 
-    /// Whether it scores observations of `task`. Metrics of the model itself support every task.
+    /// Returns whether it supports observations of `task`. Metrics of the model support every task.
     fn supports(&self, task: Task) -> bool {
         let _ = task;
         true
     }
 
-    /// What of the test part it has to see at once. What is said here decides how much memory an evaluation takes.
+    /// Returns the number of test samples that it needs at once, which determines the memory of an evaluation.
     fn scope(&self) -> Scope {
         Scope::All
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Metric);
 
-/// What of the test part a metric has to see at once.
+/// Number of test samples that a metric needs at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// One sample: it is shown some at a time and gives [`Values::PerSample`] of them, each of its sample alone.
+    /// One sample: it receives some at a time and returns one of [`Values::PerSample`] for each.
     Sample,
-    /// No sample: the model, or how long it takes. It is shown none.
+    /// No sample: it scores the model or its speed.
     Model,
-    /// Every sample: right whatever the metric does, but all predictions are then held in memory, eight bytes a pixel
-    /// with their truths.
+    /// All samples: correct for every metric, but all predictions are held in memory, eight bytes per pixel with their
+    /// measurements.
     All,
 }
 
-/// What a metric may look at.
+/// Inputs of a metric.
 #[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
-    /// Predictions, not clamped: as many of the test samples, in order, as the metric's [`Scope`] says.
+    /// Predictions of test samples, not clamped, in order; their number follows from the [`Scope`] of the metric.
     pub predictions: &'a [Image],
-    /// What was observed, in the same order.
+    /// Observations, in the same order.
     pub truths: &'a [Image],
-    /// What is observed.
+    /// Measurement type.
     pub task: Task,
-    /// Which links they are of, in the same order; empty where nobody can say.
+    /// Links of the samples, in the same order; empty if unknown.
     pub links: &'a [Link],
-    /// What a pixel means.
+    /// Image plane with the directions of the pixels.
     pub plane: &'a ImagePlane,
     /// Receivers, bounds and points.
     pub scene: &'a Scene,
-    /// The model, or `None` for a baseline.
+    /// Properties of the model, or `None` for a baseline.
     pub model: Option<ModelFacts<'a>>,
-    /// Predicts once, for the next test transmitter in turn, and says how long it took; of a baseline `total` alone.
-    /// `None` where nobody asks.
+    /// Predicts the next test transmitter in turn, and returns the time; for a baseline only `total`. `None` if no
+    /// metric measures time.
     pub timed_prediction: Option<&'a dyn Fn() -> StageTimes>,
 }
 
 impl<'a> Evaluation<'a> {
-    /// Of data as they are seen on `plane`, without anything to score yet.
+    /// Creates an evaluation of data on `plane`, without samples.
     pub fn of(data: &'a Dataset, plane: &'a ImagePlane) -> Self {
         Self {
             predictions: &[],
@@ -95,35 +95,35 @@ impl std::fmt::Debug for Evaluation<'_> {
     }
 }
 
-/// What a metric may know of the model itself.
+/// Properties of a model for metrics.
 #[derive(Clone, Copy, Debug)]
 pub struct ModelFacts<'a> {
     /// Centres `[N,3]`, metres.
     pub means: &'a [[Real; 3]],
-    /// Bytes of the Gaussians in the model file.
+    /// Size of the Gaussians in the model file, bytes.
     pub gaussian_bytes: usize,
-    /// Bytes of the network in the model file.
+    /// Size of the network in the model file, bytes.
     pub network_bytes: usize,
 }
 
-/// Seconds of one prediction, stage by stage.
+/// Time of one prediction per stage, seconds.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StageTimes {
-    /// Deformation network.
+    /// Deformation network, seconds.
     pub network: f64,
-    /// Activation and projection.
+    /// Activation and projection, seconds.
     pub projection: f64,
-    /// What the rasterizer finds before it looks at signals: depth order and tile lists.
+    /// Signal-independent part of the rasterizer, seconds: depth order and tile lists.
     pub sort: f64,
-    /// Signals, blending and readout.
+    /// Signals, blending and readout, seconds.
     pub blending: f64,
-    /// All of it, from position to picture.
+    /// Total from position to spectrum, seconds.
     pub total: f64,
-    /// What no transmitter changes, computed once before the first prediction and not in the total; seconds, as all others.
+    /// Transmitter-independent values, computed once before the first prediction and excluded from the total; seconds.
     pub prepare: f64,
 }
 
-/// Which way is better.
+/// Direction of improvement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
     /// Larger is better.
@@ -132,32 +132,32 @@ pub enum Goal {
     Lower,
 }
 
-/// One result.
+/// Result of a metric.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
     /// Column name in `scores.csv`, such as `ssim` or `eta_0db`.
     pub key: String,
     /// Unit, empty for a pure number.
     pub unit: String,
-    /// Which way is better.
+    /// Direction of improvement.
     pub goal: Goal,
-    /// The numbers.
+    /// Values.
     pub values: Values,
 }
 
-/// The numbers of a [`Measurement`].
+/// Values of a [`Measurement`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// One a test sample; reported as mean, median and bad tail.
+    /// One value per test sample; reported as mean, median and 10th (for errors 90th) percentile.
     PerSample(Vec<f64>),
-    /// One for the whole model.
+    /// One value for the whole model.
     Whole(f64),
-    /// Does not apply here, and why; reported as `n/a`.
+    /// Reason why the metric does not apply; reported as `n/a`.
     NotApplicable(String),
 }
 
 impl Values {
-    /// The mean over the test samples, or the one number; NaN if the metric does not apply.
+    /// Returns the mean over the test samples, or the single value; NaN if the metric does not apply.
     pub fn mean(&self) -> f64 {
         match self {
             Self::PerSample(values) => values.iter().sum::<f64>() / values.len() as f64,

@@ -1,9 +1,9 @@
-//! Distances between points in space: the nearest other point (d² of the paper's initial covariance d²·I), the mean over
-//! the k nearest (the released initial scale), the nearest point of another set (Chamfer distance), and which points are
-//! the k nearest. Points `[N,3]` in metres, results in m².
+//! Distances between points in space: the nearest other point (d² of the paper's initial covariance d²·I), the mean
+//! over the k nearest (the released initial scale), the nearest point of another set (Chamfer distance), and the k
+//! nearest points. Points `[N,3]` in metres, results in m².
 //!
-//! A kd-tree (kiddo) answers all points in parallel. Which of several points at the same distance come last of the k
-//! nearest follows from the points alone; distances say nothing of it.
+//! A kd-tree (kiddo) processes all points in parallel. Ties among the k nearest depend on the points only; distances do
+//! not depend on ties.
 
 use crate::Real;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -12,26 +12,26 @@ use std::num::NonZero;
 
 type Tree = ImmutableKdTree<Real, 3>;
 
-/// |a − b|, in the unit of both.
+/// Returns |a − b|, in the unit of both.
 pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Squared distance of each point to the nearest other point, `[N]`. A duplicate gives 0; a single point, having no
-/// neighbour, gives infinity.
+/// Returns the squared distance of each point to the nearest other point, `[N]`: 0 for a duplicate, infinity for a
+/// single point.
 pub fn nearest_other_squared(points: &[[Real; 3]]) -> Vec<Real> {
     mean_of_k_nearest_squared(points, 1)
 }
 
-/// Mean of the squared distances of each point to its `k` nearest other points, `[N]`; to all others where there are
-/// fewer than `k`. Infinity where there is none, or `k` is 0.
+/// Returns the mean squared distance of each point to its `k` nearest other points, `[N]`; to all others if there are
+/// fewer than `k`. Infinity without other points, or if `k` is 0.
 pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
     let k = k.min(points.len().saturating_sub(1));
     let (Some(tree), true) = (tree(points), k > 0) else { return vec![Real::INFINITY; points.len()] };
     let with_itself = NonZero::<usize>::MIN.saturating_add(k);
     let mean = |point: &[Real; 3]| {
         let found = tree.query(point).nearest_n::<SquaredEuclidean<Real>>(with_itself).execute();
-        // The nearest of all is the point itself or its duplicate: either way at distance 0.
+        // The nearest point is the point itself or its duplicate, at distance 0 in both cases.
         let others = found.iter().skip(1).map(|n| n.distance);
         match found.len() {
             0 | 1 => Real::INFINITY,
@@ -41,14 +41,15 @@ pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
     points.par_iter().map(mean).collect()
 }
 
-/// Squared distance of each point of `from` to the nearest point of `to`, `[from]`; infinity where `to` is empty.
+/// Returns the squared distance of each point of `from` to the nearest point of `to`, `[from]`; infinity if `to` is
+/// empty.
 pub fn nearest_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> Vec<Real> {
     let Some(tree) = tree(to) else { return vec![Real::INFINITY; from.len()] };
     from.par_iter().map(|p| tree.query(p).nearest_one::<SquaredEuclidean<Real>>().execute().distance).collect()
 }
 
-/// The `k` nearest of `points` to each of `from`, nearest first, `[from, k]`: indices, and squared distances. Fewer where
-/// there are fewer points. A point of `from` that is in `points` finds itself.
+/// Returns the `k` nearest of `points` to each of `from`, nearest first, `[from, k]`: indices, and squared distances.
+/// The lists are shorter if there are fewer points. A point of `from` that is in `points` finds itself.
 pub fn k_nearest(from: &[[Real; 3]], points: &[[Real; 3]], k: usize) -> Vec<Vec<(usize, Real)>> {
     let (Some(tree), Some(k)) = (tree(points), NonZero::new(k.min(points.len()))) else {
         return vec![Vec::new(); from.len()];
@@ -62,7 +63,7 @@ pub fn k_nearest(from: &[[Real; 3]], points: &[[Real; 3]], k: usize) -> Vec<Vec<
     from.par_iter().map(find).collect()
 }
 
-/// The tree, or `None` for no points.
+/// Builds the tree; `None` without points.
 fn tree(points: &[[Real; 3]]) -> Option<Tree> {
     if points.is_empty() {
         return None;

@@ -1,26 +1,26 @@
-//! NumPy's array files: what the header says, and how it is written.
+//! NumPy array files: parsing and writing of the header.
 //!
-//! The header is a Python dictionary: `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 90, 360), }`. The crate
-//! `npyz` reads the whole of Python's literals with recursion, believes the header's length, and brings a parser of
-//! grammars; these three are enough.
+//! The header is a Python dictionary: `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 90, 360), }`. This module
+//! parses only these three entries. The crate `npyz` parses all Python literals recursively, does not validate the
+//! header length, and depends on a parser generator.
 
 use crate::{Error, Number, Result};
 use std::io::Read;
 use std::path::Path;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Longest header that is read, bytes; NumPy's own limit is 10,000.
+/// Maximum header length, bytes; NumPy's own limit is 10,000.
 const MAX_HEADER: usize = 1 << 16;
-/// What an array file says of itself.
+/// Header of an array file.
 #[derive(Debug, PartialEq)]
 pub struct Header {
-    /// Such as `<f4`.
+    /// Type, such as `<f4`.
     pub descr: String,
-    /// Whether the first index runs fastest.
+    /// Whether the first index varies fastest.
     pub fortran: bool,
     /// Sizes along every axis.
     pub shape: Vec<usize>,
-    /// Where the numbers begin, bytes.
+    /// Offset of the numbers in the file, bytes.
     pub offset: u64,
 }
 
@@ -61,7 +61,7 @@ impl Header {
         Some((descr.into(), fortran, sizes.map(|n| n.parse().ok()).collect::<Option<_>>()?))
     }
 
-    /// How a number is stored, where it is one of those that spectra can be.
+    /// Returns the number format if spectra support it.
     pub fn number(&self) -> Option<Number> {
         match self.descr.as_str() {
             "|u1" | "<u1" => Some(Number::U8),
@@ -72,18 +72,18 @@ impl Header {
         }
     }
 
-    /// Bytes of all numbers.
+    /// Returns the size of all numbers, bytes.
     pub fn bytes(&self, number: Number) -> Option<u64> {
         self.shape.iter().try_fold(number.bytes() as u64, |all, n| all.checked_mul(*n as u64))
     }
 
-    /// As Python prints it.
+    /// Returns the shape in Python notation.
     pub fn shape_text(&self) -> String {
         format!("[{}]", self.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "))
     }
 }
 
-/// The header of a file of `number`s, to which their bytes are appended, row-major and little endian.
+/// Returns the header of a file of `number`s, to which their bytes are appended, row-major and little endian.
 pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
     let descr = match number {
         Number::U8 => "|u1",
@@ -94,12 +94,12 @@ pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
     npy_header_as(descr, shape)
 }
 
-/// The same for numbers of any type, as NumPy calls it: `<c8` is complex, in single precision.
+/// Returns the header for numbers of any NumPy type: `<c8` is complex in single precision.
 pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
     let comma = if sizes.len() == 1 { "," } else { "" }; // Python's tuple of one
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sizes.join(", "));
-    // Numbers begin at a multiple of 64 bytes, as the format asks; the header ends in a line end.
+    // Numbers begin at a multiple of 64 bytes, as the format requires; the header ends with a newline.
     let length = (10 + text.len() + 1).next_multiple_of(64) - 10;
     let mut bytes = MAGIC.to_vec();
     bytes.extend([1, 0]);

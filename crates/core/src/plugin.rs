@@ -1,8 +1,8 @@
-//! `Plugin<dyn Trait>`: a boxed plugin that reads `Name(field: value, …)` in RON.
+//! `Plugin<dyn Trait>`: a boxed plugin that is read from `Name(field: value, …)` in RON.
 //!
-//! typetag alone would want `{"Name": (field: value)}`. The adapter shows it the one-entry map it expects, so that
-//! positions in error messages stay right, and asks the plugin to check itself, so that a value out of range is
-//! reported where it stands.
+//! typetag alone requires `{"Name": (field: value)}`. The adapter presents the one-entry map that typetag expects, so
+//! that positions in error messages are correct. It then calls the plugin's own check, so that errors of range have a
+//! position too.
 mod adapter;
 
 use crate::did_you_mean;
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Map, json};
 use std::{any::Any, borrow::Cow, fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
 
-/// A plugin of kind `T = dyn Trait`: immutable, shared, cheap to clone.
+/// Plugin of kind `T = dyn Trait`: immutable, shared, cheap to clone.
 #[derive(Debug)]
 pub struct Plugin<T: ?Sized>(Arc<T>);
 
@@ -25,15 +25,15 @@ impl<T: ?Sized> Clone for Plugin<T> {
     }
 }
 
-/// A family of plugins: `dyn Trait` for each plugin trait. Implemented by `plugin_kind!`.
+/// Kind of plugins: `dyn Trait` for each plugin trait. Implemented by `plugin_kind!`.
 pub trait PluginKind: Documented + fmt::Debug + Send + Sync {
-    /// The trait's name, such as `Pruner`.
+    /// Name of the trait, such as `Pruner`.
     const KIND: &'static str;
-    /// The plugin's own `check`.
+    /// Calls the `check` of the plugin.
     fn check_plugin(&self) -> Result<(), String>;
 }
 
-/// Makes a trait with `check` a family of plugins.
+/// Makes a trait with `check` a kind of plugins.
 #[macro_export]
 macro_rules! plugin_kind {
     ($name:ident) => {
@@ -48,7 +48,7 @@ macro_rules! plugin_kind {
 }
 
 impl<T: ?Sized> Plugin<T> {
-    /// The plugin itself.
+    /// Returns the plugin.
     pub fn get(&self) -> &T {
         &self.0
     }
@@ -61,13 +61,13 @@ where
     /// Reads `Name(field: value, …)`.
     ///
     /// # Errors
-    /// The parser's words.
+    /// The message of the parser.
     pub fn parse(text: &str) -> Result<Self, String> {
         ron_options().from_str(text).map_err(|e| e.to_string())
     }
 }
 
-/// One of the plugins that are linked, under its name.
+/// Any of the linked plugins, by name.
 impl<T: ?Sized + PluginKind> JsonSchema for Plugin<T>
 where
     Box<T>: for<'de> Deserialize<'de>,
@@ -87,7 +87,7 @@ where
     }
 }
 
-/// How all RON of this project is read: `Some(..)` may be left out.
+/// Returns the RON options of this project: `Some(..)` may be omitted.
 pub fn ron_options() -> ron::Options {
     use ron::extensions::Extensions;
     ron::Options::default()
@@ -96,21 +96,21 @@ pub fn ron_options() -> ron::Options {
         .with_default_extension(Extensions::IMPLICIT_SOME)
 }
 
-/// Plain data as RON text with all names, which [`read_ron`] gives back as it was.
+/// Writes plain data as RON text with all names; [`read_ron`] restores it exactly.
 pub fn to_ron(value: &impl Serialize) -> String {
     try_to_ron(value).expect("settings are plain data")
 }
 
-/// The same of what plugins of somebody else hold.
+/// Writes data of third-party plugins as RON text with all names.
 ///
 /// # Errors
-/// Where it is no plain data.
+/// The value is not plain data.
 pub fn try_to_ron(value: &impl Serialize) -> Result<String, String> {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
     ron_options().to_string_pretty(value, config).map_err(|e| e.to_string())
 }
 
-/// The name of a plugin, such as `Zero` of `Zero()`.
+/// Returns the name of a plugin, such as `Zero` of `Zero()`.
 pub fn name_of(plugin: &impl Serialize) -> String {
     let text = to_ron(plugin);
     text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
@@ -124,7 +124,7 @@ pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Resu
     ron_options().from_str(text).map_err(|e| crate::Error::at(path, e.span.end.line, e.span.end.col, explain(&e)))
 }
 
-/// What is wrong with a text in RON, with the nearest known name for a misspelt one.
+/// Describes an error in RON text, with the nearest known name for a misspelt one.
 pub fn explain(error: &ron::error::SpannedError) -> String {
     use ron::Error::{
         ExpectedDifferentStructName, MissingStructField, NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier,
@@ -145,17 +145,17 @@ pub fn explain(error: &ron::error::SpannedError) -> String {
     what + &hint
 }
 
-/// Plain settings that check themselves while they are read, so that the message carries a position.
+/// Settings that are checked while they are read, so that messages have a position.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[serde(transparent)]
 pub struct Checked<S>(S);
 
-/// Settings that can be out of range.
+/// Settings with a check of their values.
 pub trait Check {
-    /// What is wrong and what to do.
+    /// Checks the values.
     ///
     /// # Errors
-    /// That sentence.
+    /// The message states problem and next step.
     fn check(&self) -> Result<(), String>;
 }
 
@@ -181,10 +181,10 @@ impl<S> Deref for Checked<S> {
 }
 
 impl<S: Check> Checked<S> {
-    /// Settings that pass their own check.
+    /// Checks settings and wraps them.
     ///
     /// # Errors
-    /// What is wrong with them.
+    /// The message of the check.
     pub fn new(settings: S) -> Result<Self, String> {
         settings.check().map(|()| Self(settings))
     }
@@ -240,7 +240,7 @@ where
     }
 }
 
-/// Names of all plugins of one kind that are linked into this program, sorted.
+/// Returns the names of all linked plugins of one kind, sorted.
 pub fn registered<T: ?Sized>() -> Vec<&'static str>
 where
     Box<T>: for<'de> Deserialize<'de>,
@@ -267,47 +267,47 @@ where
     names
 }
 
-/// What a plugin has worked out and hands out to find again later: only it knows what is inside.
+/// Cached result of a plugin, opaque to all others.
 pub type Cache = Option<Arc<dyn Any + Send + Sync>>;
 
-/// What is in a [`Cache`] that the caller made itself.
+/// Returns the content of a [`Cache`] that the caller created.
 ///
 /// # Panics
-/// Where another plugin made it.
+/// If another plugin created it.
 pub fn cached<T: 'static>(cache: &Cache) -> &T {
     cache.as_ref().and_then(|found| found.downcast_ref()).expect("what is handed back came from this plugin")
 }
 
-/// A family of plugins that are linked into this program, whatever its trait.
+/// Kind of plugins with its linked members, independent of the trait.
 #[derive(Debug)]
 pub struct Family {
-    /// The trait's name, such as `Pruner`.
+    /// Name of the trait, such as `Pruner`.
     pub kind: &'static str,
-    /// All of it that are linked into this program, sorted by name.
+    /// Returns all linked plugins of this kind, sorted by name.
     pub members: fn() -> Vec<Member>,
-    /// A plugin of this kind with every default written out.
+    /// Returns a plugin of this kind with all default values written out.
     ///
     /// # Errors
     /// As [`read_ron`], with the position in the text.
     pub complete: fn(&str) -> crate::Result<String>,
-    /// What the source says of the plugin in a text of this kind; nothing if the text is none.
+    /// Returns the documentation of the plugin in a text of this kind; `None` if the text is not a plugin.
     pub docs: fn(&str) -> Option<&'static Docs>,
 }
 inventory::collect!(Family);
 
-/// One plugin.
+/// One linked plugin.
 #[derive(Clone, Debug)]
 pub struct Member {
-    /// Its name.
+    /// Name of the plugin.
     pub name: &'static str,
-    /// What its source says; nothing where it has no defaults.
+    /// Documentation of the plugin; `None` if it has no default values.
     pub docs: Option<&'static Docs>,
-    /// The plugin with its defaults as RON, or why it has none.
+    /// Plugin with its default values as RON, or the reason why it has none.
     pub text: Result<String, String>,
 }
 
 impl Family {
-    /// That of `T`.
+    /// Returns the kind of `T`.
     pub const fn of<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Self
     where
         Box<T>: for<'de> Deserialize<'de>,
@@ -320,7 +320,7 @@ impl Family {
         }
     }
 
-    /// That of this kind, where there is one.
+    /// Returns the kind of this name.
     pub fn find(kind: &str) -> Option<&'static Self> {
         inventory::iter::<Self>().find(|family| family.kind == kind)
     }

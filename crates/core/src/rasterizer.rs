@@ -1,21 +1,22 @@
-//! `Projector` and `Rasterizer`: from Gaussians in space to splats on the image plane, and from splats to a picture of signals.
+//! `Projector` and `Rasterizer`: from Gaussians in space to splats on the image plane, and from splats to an image of
+//! signals.
 
 use crate::{Cache, Elevation, ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
 
-/// Projects Gaussians onto the picture that a receiver sees.
+/// Projects Gaussians onto the image plane of a receiver.
 ///
 /// A new projection needs no covariance algebra: see `pwrfgs_raster::CameraModel`.
 #[typetag::serde]
 pub trait Projector:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// The grid it draws on, for spectra of `width` by `height` pixels.
+    /// Returns the image plane for spectra of `width` by `height` pixels.
     fn plane(&self, width: usize, height: usize) -> ImagePlane;
 
-    /// The grid for spectra whose rows are these elevations; [`Self::plane`] for those of the hemisphere in front.
+    /// Returns the image plane for spectra with these elevations; [`Self::plane`] for those of the hemisphere in front.
     ///
     /// # Errors
-    /// Why it cannot draw them, and what can.
+    /// The projector does not support them; the message names one that does.
     fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, String> {
         let Elevation { first, last } = elevation;
         if elevation == Elevation::UPPER {
@@ -26,24 +27,26 @@ pub trait Projector:
         ))
     }
 
-    /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0. Opacities may be lowered but never raised: those
-    /// that are too faint for the rasterizer are left out before.
+    /// Returns splats `[N]`, row for row; a Gaussian out of view has radius 0. Opacities may be decreased but not
+    /// increased, because Gaussians below the limit of the rasterizer are removed before.
     ///
-    /// `plane` is a whole image: with a stride, the splats are brought to the coarser pixels afterwards
-    /// ([`Splats::sampled`]), so that a projector needs to know nothing of it.
+    /// `plane` is a whole image. With a stride, the splats are converted to the coarser pixels afterwards
+    /// ([`Splats::sampled`]), so that projectors need no support for it.
     ///
-    /// If [`Sampling::filter`](crate::Sampling::filter) of `plane` is given, it replaces the projector's own low-pass filter:
-    /// the sky of `readout: Received` has one. A projector that draws other elevations ([`Self::plane_of`]) must use it.
+    /// If [`Sampling::filter`](crate::Sampling::filter) of `plane` is given, it replaces the low-pass filter of the
+    /// projector: the sky of `readout: Received` has one. A projector that draws other elevations ([`Self::plane_of`])
+    /// must use it.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
 
-    /// Which Gaussians centred at `means` `[N,3]` may be drawn, whatever their shape: the others need no network. All,
-    /// where the projector does not know better.
+    /// Returns which Gaussians centred at `means` `[N,3]` may be visible, whatever their shape; the others skip the
+    /// network. All by default.
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
         let _ = (pose, plane);
         vec![true; means.len()]
     }
 
-    /// Cotangents of the primitives, given those of the splats' `means2d`, `conics`, `depths` and `opacities`.
+    /// Returns the cotangents of the primitives, given those of `means2d`, `conics`, `depths` and `opacities` of the
+    /// splats.
     fn project_vjp(
         &self,
         primitives: &Primitives,
@@ -53,14 +56,14 @@ pub trait Projector:
         d: &Splats,
     ) -> Primitives;
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Projector);
 
-/// Draws splats. One geometry may carry the signals of many transmitters: `channels` numbers a splat.
+/// Draws splats. One geometry may carry the signals of several transmitters: `channels` values per splat.
 #[typetag::serde]
 pub trait Rasterizer:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
@@ -68,14 +71,14 @@ pub trait Rasterizer:
     /// Draws `signals`, row-major `[N, channels]`.
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render;
 
-    /// What [`Self::forward`] finds before it looks at signals, such as order and tile lists: found once where geometry
-    /// stays and signals change. `None` where there is nothing to find.
+    /// Precomputes the signal-independent part of [`Self::forward`], such as depth order and tile lists, for constant
+    /// geometry with varying signals. `None` without such a part.
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         let _ = (splats, plane);
         None
     }
 
-    /// [`Self::forward`], bit for bit, given what [`Self::prepare`] found for the same splats and plane.
+    /// Runs [`Self::forward`], bit-identical, with the result of [`Self::prepare`] for the same splats and plane.
     fn forward_prepared(
         &self,
         splats: &Splats,
@@ -88,7 +91,7 @@ pub trait Rasterizer:
         self.forward(splats, signals, channels, plane)
     }
 
-    /// Cotangents of splats and signals, given `d_pixels` in the layout of [`Render::pixels`].
+    /// Returns the cotangents of splats and signals, given `d_pixels` in the layout of [`Render::pixels`].
     fn backward(
         &self,
         splats: &Splats,
@@ -99,72 +102,73 @@ pub trait Rasterizer:
         d_pixels: &[Real],
     ) -> RenderVjp;
 
-    /// Whether it blends, front to back: it then reads [`Splats::presence`] and can [`survey`](Self::survey) its weights.
+    /// Returns whether it blends front to back: it then supports [`Splats::presence`] and a [`survey`](Self::survey) of
+    /// its weights.
     fn blends(&self) -> bool {
         false
     }
 
-    /// What each splat has to do with the picture that `render` is; empty where it does not blend.
+    /// Returns statistics of each splat for the image `render`; empty without blending.
     fn survey(&self, splats: &Splats, plane: &ImagePlane, render: &Render, survey: &Survey<'_>) -> Vec<Looked> {
         let _ = (splats, plane, render, survey);
         Vec::new()
     }
 
-    /// Refuses a plane it cannot draw on, when the pipeline is checked.
+    /// Rejects unsupported image planes when the pipeline is checked.
     fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
         let _ = plane;
         Ok(())
     }
 
-    /// The opacity below which it draws nothing of a splat; 0 where every splat counts.
+    /// Returns the opacity below which a splat is not drawn; 0 if every splat is drawn.
     fn faintest(&self) -> Real {
         0.0
     }
 
-    /// Whether it adds up waves: the channels of a transmitter are then the real and the imaginary part of one signal,
-    /// and the readout must take both.
+    /// Returns whether it adds waves: the channels of a transmitter are then the real and the imaginary part of one
+    /// signal, and the readout must use both.
     fn coherent(&self) -> bool {
         false
     }
 
-    /// Refuses settings that cannot work, when the pipeline is read.
+    /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Rasterizer);
 
-/// What [`Rasterizer::survey`] shall look at besides weights; each is left out where it is empty.
+/// Inputs of [`Rasterizer::survey`] in addition to weights; empty ones are skipped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Survey<'a> {
-    /// Absolute errors of the picture, `[height, width]`.
+    /// Absolute errors of the image, `[height, width]`.
     pub errors: &'a [Real],
-    /// Where the error is high, `[height, width]`.
+    /// Pixels with a high error, `[height, width]`.
     pub high: &'a [bool],
-    /// How many splats of each pixel are marked as its first, given what was measured `[height, width]` and the splats' own
-    /// strengths `[N]`.
+    /// Number of top splats to mark per pixel, with the measured spectrum `[height, width]` and the strengths of the
+    /// splats `[N]`.
     pub top: Option<(usize, &'a [Real], &'a [Real])>,
-    /// Signals `[N, channels]` of `render`, and for each pixel the derivative of what is read out there in its own channels,
-    /// `[channels, height, width]`.
+    /// Signals `[N, channels]` of `render`, and per pixel the derivative of the readout by its channels, `[channels,
+    /// height, width]`.
     pub slopes: Option<(&'a [Real], &'a [Real])>,
-    /// Whether the products of geometry's slopes are wanted too.
+    /// Whether the products of the derivatives of the geometry are requested.
     pub fisher: bool,
 }
 
-/// What a survey finds of one splat.
+/// Statistics of one splat in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Looked {
     /// Sum of its blending weights γ·T.
     pub weight: Real,
-    /// The largest of them.
+    /// Maximum of its blending weights.
     pub largest: Real,
-    /// Pixels where it counts.
+    /// Number of pixels in which it is drawn.
     pub pixels: Real,
     /// Sum of its weights times the errors.
     pub error: Real,
-    /// Pixels of high error where it counts.
+    /// Number of high-error pixels in which it is drawn.
     pub high: Real,
-    /// Whether it is among the first of some pixel.
+    /// Whether it is among the top splats of a pixel.
     pub top: bool,
     /// Sum of (∂P̂/∂a)² with a factor a on γ.
     pub sensitivity: Real,
@@ -173,7 +177,7 @@ pub struct Looked {
 }
 
 impl Looked {
-    /// Adds what another part of the picture shows of the same splat.
+    /// Adds the statistics of the same splat in another part of the image.
     pub fn add(&mut self, other: &Self) {
         self.weight += other.weight;
         self.largest = self.largest.max(other.largest);
@@ -186,25 +190,25 @@ impl Looked {
     }
 }
 
-/// A drawn picture.
+/// Drawn image.
 #[derive(Clone, Debug)]
 pub struct Render {
     /// Blended signals, `[channels, height, width]`.
     pub pixels: Vec<Real>,
-    /// Transmittance left behind the last splat, `[height, width]`; empty where nothing hides anything.
+    /// Transmittance behind the last splat, `[height, width]`; empty without occlusion.
     pub transmittance: Vec<Real>,
-    /// Whatever the rasterizer wants to find again in `backward` (tile lists).
+    /// State of the rasterizer for `backward` (tile lists).
     pub cache: Cache,
 }
 
-/// What [`Rasterizer::backward`] finds.
+/// Result of [`Rasterizer::backward`].
 #[derive(Clone, Debug)]
 pub struct RenderVjp {
-    /// Cotangents of `means2d`, `conics`, `opacities` and `depths` (0 where depth decides the order only). Radii carry
+    /// Cotangents of `means2d`, `conics`, `opacities` and `depths` (0 if depth affects only the order). Radii have
     /// none.
     pub splats: Splats,
     /// Cotangents of the signals, `[N, channels]`.
     pub signals: Vec<Real>,
-    /// How much of the picture is each splat's, `[N]`: the sum of its blending weights γ·T over the pixels.
+    /// Sum of the blending weights γ·T of each splat over the pixels, `[N]`.
     pub weights: Vec<Real>,
 }

@@ -1,9 +1,7 @@
-//! The one floating-point type of all kernels, kernels over lanes of vectors, and the dispatch to the widest vectors that the
-//! processor has.
+//! Floating-point type of all kernels, kernels over vector lanes, and dispatch to the widest vectors of the processor.
 //!
-//! `f32` by default; the crate feature `f64` turns every formula into double precision so that hand-written
-//! derivatives can be checked against central differences. Feature-gated rather than generic: a kernel stays a
-//! formula one can read.
+//! `f32` by default; the crate feature `f64` selects double precision to check hand-written derivatives against central
+//! differences. A feature instead of generics keeps kernels readable as formulas.
 
 /// Single precision, or double with the feature `f64`.
 #[cfg(not(feature = "f64"))]
@@ -12,10 +10,10 @@ pub type Real = f32;
 #[cfg(feature = "f64")]
 pub type Real = f64;
 
-/// Three numbers: a position or direction, in metres unless said otherwise.
+/// Position or direction, in metres unless stated otherwise.
 #[cfg(not(feature = "f64"))]
 pub type Vec3 = glam::Vec3;
-/// Three numbers: a position or direction, in metres unless said otherwise.
+/// Position or direction, in metres unless stated otherwise.
 #[cfg(feature = "f64")]
 pub type Vec3 = glam::DVec3;
 
@@ -26,20 +24,20 @@ pub type Mat3 = glam::Mat3;
 #[cfg(feature = "f64")]
 pub type Mat3 = glam::DMat3;
 
-/// The numbers π and 2π, and the conversion from radians to degrees, at the precision of [`Real`].
+/// Constants π and 2π, and the conversion from radians to degrees, at the precision of [`Real`].
 pub mod consts {
     use super::Real;
     /// π.
     pub const PI: Real = std::f64::consts::PI as Real;
     /// 2π.
     pub const TAU: Real = std::f64::consts::TAU as Real;
-    /// Degrees in a radian.
+    /// Degrees per radian.
     pub const DEG: Real = 180.0 / PI;
     /// ln 10.
     pub const LN_10: Real = std::f64::consts::LN_10 as Real;
 }
 
-/// The logistic function σ(x) = 1/(1 + e⁻ˣ).
+/// Returns the logistic function σ(x) = 1/(1 + e⁻ˣ).
 #[inline]
 pub fn sigmoid(x: Real) -> Real {
     if x >= 0.0 {
@@ -50,21 +48,21 @@ pub fn sigmoid(x: Real) -> Real {
     }
 }
 
-/// The inverse of [`sigmoid`]: ln(p/(1-p)) for p in (0, 1).
+/// Returns the inverse of [`sigmoid`]: ln(p/(1-p)) for p in (0, 1).
 #[inline]
 pub fn logit(p: Real) -> Real {
     (p / (1.0 - p)).ln()
 }
 
-/// Multiply and add over the lanes of a row, with explicit vectors: left to itself the compiler vectorises across
-/// channels instead, by gathering.
+/// Multiply-add over the lanes of a row, with explicit vectors: automatic vectorisation would use slow gather
+/// instructions across channels.
 pub trait Lanes: Sized {
-    /// sum += scale · x.
+    /// Computes sum += scale · x.
     fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
-    /// sum += x · y.
+    /// Computes sum += x · y.
     fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
-    /// Two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a multiple of
-    /// 64, so that every vector width makes whole groups of four, which stay in registers.
+    /// Computes two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a
+    /// multiple of 64, so that every vector width forms whole groups of four, which stay in registers.
     fn two_sums<S: pulp::Simd, const N: usize>(
         simd: S,
         sums: &mut [[Self; N]; 2],
@@ -130,10 +128,11 @@ macro_rules! lanes {
 lanes!(f32, as_simd_f32s, as_mut_simd_f32s, splat_f32s, mul_add_f32s);
 lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s);
 
-/// Runs `work` at the widest vectors of this processor. `with_simd` must be `#[inline(always)]`, and so must all it
-/// calls: what is not inlined into the dispatch is compiled for the narrowest. (A closure is not, hence the structs.)
-/// The standard library does not promise it of `zip`, `array::map` and `array::from_fn`, which become calls where a
-/// crate's parts are not optimised together: kernels count their lanes.
+/// Runs `work` with the widest vectors of this processor. `with_simd` and all functions that it calls must be
+/// `#[inline(always)]`: functions that are not inlined are compiled for the narrowest vectors. (Closures are not
+/// inlined, hence the structs.) The standard library does not guarantee inlining of `zip`, `array::map` and
+/// `array::from_fn`, which become calls if the parts of a crate are not optimised together; kernels therefore use
+/// indices.
 #[inline(always)]
 pub fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
     pulp::Arch::new().dispatch(work)

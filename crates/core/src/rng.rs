@@ -1,13 +1,13 @@
-//! Random streams: a stream is a function of (seed, name, step), so a draw added in one place shifts no other, and a
-//! resumed run continues without any saved state. And what is chosen without chance: `evenly`.
+//! Random streams as functions of (seed, name, step). An additional draw in one place does not affect other streams,
+//! and a resumed run needs no saved state. Also the deterministic selection `evenly`.
 
 use crate::Real;
 use rand::{Rng as _, SeedableRng};
 
-/// The generator of every stream.
+/// Generator of all streams.
 pub type Rng = rand_xoshiro::Xoshiro256PlusPlus;
 
-/// The stream called `name` at `step` of the run with `seed`.
+/// Returns the stream `name` at `step` of the run with `seed`.
 pub fn stream(seed: u64, name: &str, step: u64) -> Rng {
     // FNV-1a over the name, then SplitMix64 (inside `seed_from_u64`) spreads the bits.
     let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
@@ -17,32 +17,32 @@ pub fn stream(seed: u64, name: &str, step: u64) -> Rng {
     Rng::seed_from_u64(mixed)
 }
 
-/// Uniform in [0, 1), with 53 bits.
+/// Draws from the uniform distribution on [0, 1), with 53 bits.
 #[inline]
 pub fn uniform_f64(rng: &mut Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Uniform in [0, 1); the same draw in both precisions.
+/// Draws from the uniform distribution on [0, 1); equal draws in both precisions.
 #[inline]
 pub fn uniform(rng: &mut Rng) -> Real {
     uniform_f64(rng) as Real
 }
 
-/// Standard normal (Box and Muller), two uniforms a draw.
+/// Draws from the standard normal distribution (Box and Muller), with two uniform samples per draw.
 #[inline]
 pub fn normal_f64(rng: &mut Rng) -> f64 {
     let u = 1.0 - uniform_f64(rng);
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform_f64(rng)).cos()
 }
 
-/// Standard normal; the same draw in both precisions.
+/// Draws from the standard normal distribution; equal draws in both precisions.
 #[inline]
 pub fn normal(rng: &mut Rng) -> Real {
     normal_f64(rng) as Real
 }
 
-/// Uniform among 0..n; `n` must not be 0.
+/// Draws uniformly from 0..n; `n` must not be 0.
 #[inline]
 pub fn below(rng: &mut Rng, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
@@ -55,7 +55,7 @@ pub fn shuffle<T>(rng: &mut Rng, items: &mut [T]) {
     }
 }
 
-/// At most `count` of `all`, evenly spread.
+/// Returns at most `count` of `all`, evenly spaced.
 pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
     let n = all.len().min(count);
     (0..n).map(|i| all[i * all.len() / n].clone()).collect()

@@ -1,4 +1,4 @@
-//! `Spectra`: all pictures of a data set as one array `[M,H,W]`, in memory or in a file that stays open.
+//! `Spectra`: all spectra of a data set as one array `[M,H,W]`, in memory or in an open file.
 
 #[cfg(test)]
 mod tests;
@@ -10,21 +10,21 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// How a number is stored; little endian.
+/// Storage format of a number; little endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Number {
     /// 8-bit grey: 255 is 1.
     U8,
     /// 16-bit grey: 65,535 is 1.
     U16,
-    /// As it is, 0 to 1.
+    /// Single precision, 0 to 1.
     F32,
-    /// As it is, 0 to 1; read in single precision.
+    /// Double precision, 0 to 1; converted to single precision.
     F64,
 }
 
 impl Number {
-    /// Bytes of one.
+    /// Returns the size of one number, bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 => 1,
@@ -34,7 +34,7 @@ impl Number {
         }
     }
 
-    /// What stands for 1.
+    /// Returns the stored value that represents 1.
     pub fn full_scale(self) -> f64 {
         match self {
             Self::U8 => 255.0,
@@ -43,12 +43,12 @@ impl Number {
         }
     }
 
-    /// Whether it may be infinite, or no number at all.
+    /// Returns whether it may be infinite or NaN.
     pub fn is_float(self) -> bool {
         matches!(self, Self::F32 | Self::F64)
     }
 
-    /// Shows every value, in units of which [`Self::full_scale`] are 1.
+    /// Calls `show` with every value, in units of [`Self::full_scale`].
     pub fn each(self, bytes: &[u8], mut show: impl FnMut(f64)) {
         match self {
             Self::U8 => bytes.iter().for_each(|v| show(f64::from(*v))),
@@ -68,7 +68,7 @@ impl Number {
         }
     }
 
-    /// Every `stride`-th value as a pixel, 1 the strongest.
+    /// Returns every `stride`-th value as a pixel; 1 is the strongest direction.
     fn pixels(self, bytes: &[u8], stride: usize, out: &mut [Real]) {
         match self {
             Self::U8 => put(bytes, stride, out, |v| Real::from(v) / 255.0),
@@ -91,9 +91,9 @@ fn add<T: Copy>(values: &[T], sum: &mut [f64], term: impl Fn(T) -> f64) {
 
 /// Spectra `[M,H,W]`, row-major: a row is an elevation, a column an azimuth, 1 the strongest direction.
 ///
-/// In memory, or in a file that stays open and of which a picture is read when it is wanted. The system keeps what it has
-/// memory for, so that a small file is read once; a large one needs no memory at all. The file must stay as it is:
-/// whoever replaces it does so under another name.
+/// Spectra are in memory, or in an open file from which each is read on demand. The page cache of the system makes
+/// repeated reads of small files fast; large files need no memory. The file must not change: replace it only by a new
+/// file with a rename.
 #[derive(Clone, Debug)]
 pub struct Spectra {
     count: usize,
@@ -110,18 +110,18 @@ enum Store {
 }
 
 impl Spectra {
-    /// 8-bit grey pictures in memory, `width` columns by `height` rows each: 255 is 1.
+    /// Creates 8-bit spectra in memory, `width` columns by `height` rows each: 255 is 1.
     ///
     /// # Errors
-    /// [`Error::Config`] where there is no picture, or half of one.
+    /// [`Error::Config`] without a spectrum, or with an incomplete one.
     pub fn grey(size: (usize, usize), pixels: Vec<u8>) -> Result<Self> {
         Self::in_memory(size, Number::U8, pixels)
     }
 
-    /// Pictures in memory as numbers from 0 to 1, kept as they are.
+    /// Creates spectra in memory as numbers from 0 to 1, stored unchanged.
     ///
     /// # Errors
-    /// [`Error::Config`] where there is no picture, half of one, or a number is not finite.
+    /// [`Error::Config`] without a spectrum, with an incomplete one, or if a number is not finite.
     pub fn float(size: (usize, usize), pixels: &[f32]) -> Result<Self> {
         if let Some(i) = pixels.iter().position(|v| !v.is_finite()) {
             let (width, of_one) = (size.0.max(1), (size.0 * size.1).max(1));
@@ -131,10 +131,10 @@ impl Spectra {
         Self::in_memory(size, Number::F32, pixels.iter().flat_map(|v| v.to_le_bytes()).collect())
     }
 
-    /// Pictures in memory as `number`s.
+    /// Creates spectra in memory in the format `number`.
     ///
     /// # Errors
-    /// [`Error::Config`] where there is no picture, or half of one.
+    /// [`Error::Config`] without a spectrum, or with an incomplete one.
     pub fn in_memory((width, height): (usize, usize), number: Number, bytes: Vec<u8>) -> Result<Self> {
         let of_one = width.checked_mul(height).and_then(|n| n.checked_mul(number.bytes())).unwrap_or(0);
         if of_one == 0 || bytes.is_empty() || !bytes.len().is_multiple_of(of_one) {
@@ -146,10 +146,11 @@ impl Spectra {
         Ok(Self { count: bytes.len() / of_one, width, height, number, store: Store::Memory(bytes) })
     }
 
-    /// Pictures in a file: `shape` `[M,H,W]` numbers, from byte `offset` to the end of the file. Floats are not looked at.
+    /// Opens spectra in a file: `shape` `[M,H,W]` numbers, from byte `offset` to the end of the file. Floating-point
+    /// values are not checked.
     ///
     /// # Errors
-    /// [`Error::Read`]; [`Error::Input`] where the file has another length.
+    /// [`Error::Read`]; [`Error::Input`] if the file has another length.
     pub fn open(path: &Path, offset: u64, number: Number, shape: [usize; 3]) -> Result<Self> {
         let stored = Stored::open(path, offset)?;
         let [count, height, width] = shape;
@@ -169,7 +170,7 @@ impl Spectra {
         }
     }
 
-    /// The same in memory: what happens to the file no longer matters.
+    /// Reads all spectra into memory; later changes of the file have no effect.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -181,32 +182,32 @@ impl Spectra {
         Ok(Self { store, ..self })
     }
 
-    /// M, pictures.
+    /// Returns the number of spectra M.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Never.
+    /// Returns `false`: there is always a spectrum.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// W, columns.
+    /// Returns the number of columns W.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// H, rows.
+    /// Returns the number of rows H.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// How a pixel is stored.
+    /// Returns the storage format of pixels.
     pub fn number(&self) -> Number {
         self.number
     }
 
-    /// Bytes held in memory: none of a file.
+    /// Returns the number of bytes in memory: 0 for a file.
     pub fn bytes_in_memory(&self) -> usize {
         match &self.store {
             Store::Memory(bytes) => bytes.len(),
@@ -214,7 +215,7 @@ impl Spectra {
         }
     }
 
-    /// Picture `i` as it is stored. Where it cannot be read it is black, and [`Self::check`] tells.
+    /// Returns the stored bytes of spectrum `i`; zeros if it cannot be read, which [`Self::check`] reports.
     pub fn raw(&self, i: usize) -> Cow<'_, [u8]> {
         let of_one = self.width * self.height * self.number.bytes();
         match &self.store {
@@ -223,14 +224,14 @@ impl Spectra {
         }
     }
 
-    /// Picture `i`.
+    /// Returns spectrum `i`.
     pub fn image(&self, i: usize) -> Image {
         let mut image = Image::zeros(self.width, self.height);
         self.number.pixels(&self.raw(i), 1, &mut image.pixels);
         image
     }
 
-    /// The pixels of picture `i` that `sampling` names, row-major.
+    /// Returns the pixels of spectrum `i` that `sampling` selects, row-major.
     pub fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
@@ -240,7 +241,7 @@ impl Spectra {
         }
     }
 
-    /// Some of the pixels that [`Self::sampled`] gives of picture `i`.
+    /// Returns some of the pixels that [`Self::sampled`] returns for spectrum `i`.
     pub fn sampled_at(&self, i: usize, sampling: Sampling, places: &[usize], out: &mut [Real]) {
         let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
@@ -252,12 +253,12 @@ impl Spectra {
         }
     }
 
-    /// Adds `weight` times picture `i`, in units of which [`Number::full_scale`] are 1, to `sum`.
+    /// Adds `weight` times spectrum `i`, in units of [`Number::full_scale`], to `sum`.
     pub fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
         self.number.add(&self.raw(i), weight, sum);
     }
 
-    /// Whether all that was read so far could be read. Whoever has read asks, before a number made of it counts.
+    /// Checks that all reads so far succeeded. Callers must check before they use results.
     ///
     /// # Errors
     /// [`Error::Read`] of the file.
@@ -269,19 +270,19 @@ impl Spectra {
     }
 }
 
-/// The bytes of a file from an offset on, read at any place from any thread. The file stays open.
+/// Bytes of a file from an offset, readable at any position from any thread. The file stays open.
 ///
-/// Reads at a position, and no memory map: as fast (a picture is copied once, in microseconds, and then worked on for
-/// milliseconds), without unsafe code, not counted as virtual memory, and a file that is cut short is an error and not a
-/// signal that kills.
+/// Uses positional reads instead of a memory map. They are as fast (copying a spectrum takes microseconds, processing
+/// it milliseconds), need no unsafe code, and do not count as virtual memory. Truncation of the file is an error
+/// instead of a fatal signal.
 #[derive(Debug)]
 struct Stored {
     file: File,
     path: PathBuf,
     offset: u64,
-    /// Of the whole file, bytes.
+    /// Length of the whole file, bytes.
     len: u64,
-    /// The first read that failed.
+    /// First read that failed.
     fault: OnceLock<(io::ErrorKind, String)>,
 }
 
@@ -293,7 +294,7 @@ impl Stored {
         Ok(Self { file, path: path.into(), offset, len, fault: OnceLock::new() })
     }
 
-    /// All of it.
+    /// Reads all bytes.
     fn all(&self) -> Result<Vec<u8>> {
         let read = || {
             let (mut bytes, len) = (Vec::new(), (self.len - self.offset) as usize);
@@ -304,7 +305,7 @@ impl Stored {
         read().map_err(|e| Error::read(&self.path, e))
     }
 
-    /// `len` bytes from `start` on; zeros where they cannot be read, which [`Self::check`] tells.
+    /// Reads `len` bytes from `start`; returns zeros if they cannot be read, which [`Self::check`] reports.
     fn part(&self, start: u64, len: usize) -> Vec<u8> {
         let mut bytes = vec![0; len];
         if let Err(e) = read_exact_at(&self.file, &mut bytes, self.offset + start) {

@@ -1,10 +1,10 @@
-//! The two rungs between a cloud and a picture: `Primitives` in space, `Splats` on the image plane.
+//! Intermediate forms between a cloud and an image: `Primitives` in space, `Splats` on the image plane.
 
 use crate::{ImagePlane, Real, Sampling};
 use std::borrow::Cow;
 
-/// Activated and gated Gaussians in space, ready to be projected, for one transmitter or for a batch of transmitters
-/// that share one geometry.
+/// Activated and gated Gaussians in space, ready for projection, for one transmitter or for a batch of transmitters
+/// with equal geometry.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Primitives {
     /// Centres `[N,3]`, metres, world frame.
@@ -20,54 +20,54 @@ pub struct Primitives {
 /// Gaussians on the image plane.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Splats {
-    /// Centres `[N,2]` in pixels: (column, row); a pixel's centre has whole coordinates.
+    /// Centres `[N,2]` in pixels: (column, row); pixel centres have whole coordinates.
     pub means2d: Vec<[Real; 2]>,
     /// Inverse covariances `[N,3]`, px⁻²: (A, B, C) of A·dx² + 2B·dx·dy + C·dy².
     pub conics: Vec<[Real; 3]>,
-    /// Distances from the receiver `[N]`, metres: the blending order. They are compared in single precision; equal ones are
-    /// blended in the order of rows.
+    /// Distances from the receiver `[N]`, metres: the blending order. They are compared in single precision; ties are
+    /// blended in row order.
     pub depths: Vec<Real>,
-    /// Standard deviations along columns and rows `[N,2]`, px: the roots of the diagonal of the conic's inverse. They say
-    /// how far a splat reaches. Not differentiated.
+    /// Standard deviations along columns and rows `[N,2]`, px: the square roots of the diagonal of the inverse conic.
+    /// They bound the extent of a splat. Not differentiated.
     pub sigmas2d: Vec<[Real; 2]>,
-    /// Radii of three standard deviations `[N]`, px, rounded up; 0 for a Gaussian that does not reach the picture.
+    /// Radii of three standard deviations `[N]`, px, rounded up; 0 for a Gaussian outside the image.
     pub radii: Vec<Real>,
     /// Opacities `[N]`.
     pub opacities: Vec<Real>,
-    /// Factors on γ after it was found to count, `[N]`, as [`crate::Gate::Presence`] has them; empty where all are 1. Only a
-    /// rasterizer that [`blends`](crate::Rasterizer::blends) is given any.
+    /// Factors on γ after the visibility test, `[N]`, as in [`crate::Gate::Presence`]; empty if all are 1. Only a
+    /// rasterizer that [`blends`](crate::Rasterizer::blends) receives them.
     pub presence: Vec<Real>,
 }
 
 impl Primitives {
-    /// N.
+    /// Returns the number of splats N.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether N = 0.
+    /// Returns whether N = 0.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// N rows of zeros, to collect gradients in.
+    /// Creates N rows of zeros for gradients.
     pub fn zeros(n: usize) -> Self {
         Self { means: vec![[0.0; 3]; n], scales: vec![[0.0; 3]; n], quats: vec![[0.0; 4]; n], opacities: vec![0.0; n] }
     }
 }
 
 impl Splats {
-    /// N.
+    /// Returns the number of Gaussians N.
     pub fn len(&self) -> usize {
         self.means2d.len()
     }
 
-    /// Whether N = 0.
+    /// Returns whether N = 0.
     pub fn is_empty(&self) -> bool {
         self.means2d.is_empty()
     }
 
-    /// N rows of zeros, to collect gradients in.
+    /// Creates N rows of zeros for gradients.
     pub fn zeros(n: usize) -> Self {
         Self {
             means2d: vec![[0.0; 2]; n],
@@ -80,8 +80,8 @@ impl Splats {
         }
     }
 
-    /// The splats `[N]` of a whole image in the pixels of a `plane` that holds a part of it ([`Sampling`]): centres, conics,
-    /// standard deviations and radii change their unit.
+    /// Converts splats `[N]` of a whole image to the pixels of a `plane` that samples it ([`Sampling`]): centres,
+    /// conics, standard deviations and radii change their unit.
     #[must_use]
     pub fn sampled(mut self, plane: &ImagePlane) -> Self {
         let Sampling { stride, offset, .. } = plane.sampling;
@@ -100,7 +100,7 @@ impl Splats {
         self
     }
 
-    /// Undoes [`Self::sampled`] `[N]` for the derivative of a projector; radii are rounded up to whole strides.
+    /// Inverse of [`Self::sampled`] `[N]` for the derivative of a projector; radii are rounded up to whole strides.
     pub fn unsampled(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let Sampling { stride, offset, .. } = plane.sampling;
         if stride == 1 {
@@ -118,8 +118,8 @@ impl Splats {
         })
     }
 
-    /// Cotangents `[N]` of the splats on the whole image, given these of the splats on `plane`: the derivative of
-    /// [`Self::sampled`]. Of the columns without a derivative nothing is left.
+    /// Returns the cotangents `[N]` of the splats on the whole image, given those of the splats on `plane`: the
+    /// derivative of [`Self::sampled`]. Columns without a derivative are empty.
     pub fn sampled_vjp(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let stride = plane.sampling.stride;
         if stride == 1 {

@@ -1,15 +1,15 @@
-//! Structural similarity of two spectra, in its two forms: the one that is reported and the one that is trained.
+//! Structural similarity of two spectra: the evaluation form and the training form.
 //!
 //! Both are the mean over windows of (2μ₁μ₂+C₁)(2σ₁₂+C₂) / ((μ₁²+μ₂²+C₁)(σ₁²+σ₂²+C₂)) with C₁ = 0.01², C₂ = 0.03²
-//! (values in [0, 1]). They differ in the window, and so much in value (one pair of spectra: 0.447 and 0.564) that a
-//! number without its form says little:
+//! (values in [0, 1]). They differ in the window, and strongly in value (0.447 and 0.564 for one pair of spectra), so
+//! always state the form:
 //!
-//! * [`evaluation`]: uniform 7x7 windows inside the picture, sample covariance (49/48); equal to scikit-image's
+//! * [`evaluation`]: uniform 7x7 windows inside the image, sample covariance (49/48); equal to scikit-image's
 //!   `structural_similarity(a, b, data_range=1)`.
 //! * [`training()`], the `SSIM` of eq. (9), with its derivative: 11 Gaussian taps of σ = 1.5 px about every pixel, zeros
 //!   beyond the border, covariance `E[xy] − E[x]·E[y]`; as in the released training.
 //!
-//! Neither wraps in azimuth. Pictures are row-major `[height, width]`.
+//! Neither wraps in azimuth. Images are row-major `[height, width]`.
 
 mod training;
 
@@ -17,10 +17,10 @@ use crate::Image;
 use training::{C1, C2};
 pub use training::{Window, training};
 
-/// SSIM as scikit-image reports it, of two pictures of the same size; computed in double precision.
+/// Returns the SSIM of scikit-image for two images of the same size; computed in double precision.
 ///
-/// scikit-image refuses pictures with a side below 7 px; here the window shrinks to the largest odd square that fits.
-/// Two pictures without a pixel are equal: 1.
+/// scikit-image rejects images with a side below 7 px; here the window shrinks to the largest odd square that fits. Two
+/// images without pixels have SSIM 1.
 pub fn evaluation(a: &Image, b: &Image) -> f64 {
     assert_eq!((a.width, a.height), (b.width, b.height), "SSIM compares pictures of one size");
     assert_eq!((a.pixels.len(), b.pixels.len()), (a.width * a.height, a.width * a.height), "pixels fill the picture");
@@ -55,7 +55,7 @@ fn add_row(columns: &mut [Vec<f64>; 5], (a, b): (&[crate::Real], &[crate::Real])
     }
 }
 
-/// Sum of the SSIM of all windows of one row, given the column sums.
+/// Returns the sum of the SSIM of all windows of one row, given the column sums.
 fn sum_of_row(columns: &[Vec<f64>; 5], window: usize) -> f64 {
     let n = (window * window) as f64;
     let sample = if window > 1 { n / (n - 1.0) } else { 1.0 };
@@ -87,7 +87,7 @@ mod tests {
         training(&a.pixels, &b.pixels, (a.width, a.height), &Window::default()).0 as f64
     }
 
-    /// A picture that Python can make too: bytes of a hash of the position, halfway to a ramp where `ramp`.
+    /// Creates an image that Python can reproduce: bytes of a hash of the position, averaged with a ramp if `ramp`.
     fn picture(width: usize, height: usize, seed: u64, ramp: bool) -> Image {
         let pixel = |i: usize| {
             let (x, y) = ((i % width) as u64, (i / width) as u64);

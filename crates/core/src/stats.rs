@@ -1,23 +1,23 @@
-//! What pruners and densification may look at: `Moment`, the `CloudStats` that training gathers step by step, and the
-//! `Statistics` of a pass over training transmitters, where a pruner asks for them.
+//! Inputs of pruners and densification: `Moment`, the `CloudStats` that training accumulates, and the `Statistics` of a
+//! pass over training transmitters that a pruner requests.
 
 use crate::{ImagePlane, Real, RenderVjp, Splats, rng};
 use serde::{Deserialize, Serialize};
 
-/// The three phases of algorithm 1.
+/// Phases of algorithm 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
-    /// `t ≤ M_d`: clone, split and remove.
+    /// Densification, `t ≤ M_d`: clone, split and remove.
     Densify,
-    /// `M_d < t ≤ M_p`: the pruners are asked every `I_p` steps.
+    /// Pruning, `M_d < t ≤ M_p`: pruners run every `I_p` steps.
     Prune,
-    /// `t > M_p`: N is fixed, masks are gone.
+    /// Fine-tuning, `t > M_p`: N is constant, masks are removed.
     Finetune,
 }
 
 impl Phase {
-    /// Lower-case name.
+    /// Returns the lower-case name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Densify => "densify",
@@ -27,31 +27,32 @@ impl Phase {
     }
 }
 
-/// When a pruner is asked; its random draws come from `stream(seed, "pruner …", step)`.
+/// Context of a training step for pruners. Random draws use `stream(seed, "pruner …", step)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moment {
-    /// Training step, counted from 1.
+    /// Training step, from 1.
     pub step: u64,
     /// Phase of algorithm 1.
     pub phase: Phase,
-    /// The pipeline's seed.
+    /// Seed of the pipeline.
     pub seed: u64,
-    /// Which prune step of the pruning phase it is, from 1; 0 at any other step.
+    /// Number of this prune step in the pruning phase, from 1; 0 at all other steps.
     pub round: u64,
-    /// How many there are.
+    /// Number of all prune steps.
     pub rounds: u64,
-    /// `training.target`, the number of Gaussians at the end of pruning; of all pruners only that which has to reach it has it.
+    /// Value of `training.target`, the number of Gaussians at the end of pruning; only for the pruner that must reach
+    /// it.
     pub target: Option<usize>,
 }
 
 impl Moment {
-    /// A step that is no prune step.
+    /// Creates the context of a step that is not a prune step.
     pub fn new(step: u64, phase: Phase, seed: u64) -> Self {
         Self { step, phase, seed, round: 0, rounds: 0, target: None }
     }
 
-    /// How many of `n` Gaussians stay at this prune step, so that at the last one `target` do, and each takes the same
-    /// share. All of them where it is no prune step.
+    /// Returns the number of `n` Gaussians to keep at this prune step: each step removes an equal share, and the last
+    /// one leaves `target`. All of them if this is not a prune step.
     pub fn quota(&self, n: usize, target: usize) -> usize {
         if self.round == 0 || n <= target {
             return n;
@@ -63,10 +64,10 @@ impl Moment {
     }
 }
 
-/// What was seen of each Gaussian since the last densification, and at a prune step what the pruner asked for.
+/// Statistics of each Gaussian since the last densification and, at a prune step, those that the pruner requests.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CloudStats {
-    /// Renders in which it reached the picture, `[N]`.
+    /// Number of renders in which it was visible, `[N]`.
     pub visible: Vec<Real>,
     /// Sum over these of ‖∂L/∂μ′‖ with μ′ in normalised device coordinates (px · 2/W, px · 2/H), `[N]`.
     pub gradient: Vec<Real>,
@@ -74,19 +75,19 @@ pub struct CloudStats {
     pub radius: Vec<Real>,
     /// Sum of blending weights γ·T over pixels and renders, `[N]`.
     pub weight: Vec<Real>,
-    /// What [`crate::Pruner::needs`] names, fresh from a pass at this prune step; empty at any other.
+    /// Statistics of [`crate::Pruner::needs`] from a pass at this prune step; empty at all other steps.
     pub asked: Statistics,
 }
 
 impl CloudStats {
-    /// Zeros for N Gaussians.
+    /// Creates zeros for N Gaussians.
     pub fn zeros(n: usize) -> Self {
         let zeros = || vec![0.0; n];
         Self { visible: zeros(), gradient: zeros(), radius: zeros(), weight: zeros(), ..Self::default() }
     }
 
-    /// Adds what one of `drawings` that share the mean of a loss shows of the Gaussians `rows`: their splats, and the
-    /// derivative `d` of that loss. Each drawing counts with the gradient of its own loss.
+    /// Adds one of `drawings` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of
+    /// that loss. Each drawing counts with the gradient of its own loss.
     pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, drawings: usize) {
         let (half, drawings) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], drawings as Real);
         for (k, &i) in rows.iter().enumerate() {
@@ -100,7 +101,7 @@ impl CloudStats {
         }
     }
 
-    /// Adds what was seen of the same Gaussians at another step.
+    /// Adds the statistics of the same Gaussians at another step.
     pub fn add(&mut self, seen: &Self) {
         for i in 0..self.visible.len() {
             self.visible[i] += seen.visible[i];
@@ -110,7 +111,7 @@ impl CloudStats {
         }
     }
 
-    /// The rows listed, in that order, of what is summed over steps.
+    /// Returns the listed rows of the accumulated statistics, in that order.
     pub fn select(&self, rows: &[usize]) -> Self {
         let pick = |column: &[Real]| rows.iter().map(|&i| column[i]).collect();
         let Self { visible, gradient, radius, weight, .. } = self;
@@ -118,12 +119,12 @@ impl CloudStats {
         Self { visible, gradient, radius, weight, ..Self::default() }
     }
 
-    /// The four columns that are summed over steps, by name.
+    /// Returns the four accumulated columns by name.
     pub fn columns(&self) -> [(&'static str, &[Real]); 4] {
         [("visible", &self.visible), ("gradient", &self.gradient), ("radius", &self.radius), ("weight", &self.weight)]
     }
 
-    /// The same, to be changed.
+    /// Returns the four accumulated columns by name, mutable.
     pub fn columns_mut(&mut self) -> [(&'static str, &mut Vec<Real>); 4] {
         [
             ("visible", &mut self.visible),
@@ -134,8 +135,8 @@ impl CloudStats {
     }
 }
 
-/// A number of each Gaussian. Weights are blending weights γ·T; sums run over the pixels that training looks at and over
-/// the links of the pass.
+/// Statistic per Gaussian. Weights are blending weights γ·T; sums run over the pixels used in training and over the
+/// links of the pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Statistic {
     /// [`Statistics::weight`].
@@ -148,12 +149,12 @@ pub enum Statistic {
     SignalWeight,
     /// [`Statistics::error`] and [`Statistics::high_error`].
     Error {
-        /// A pixel's error is high above this share of the way from the picture's smallest to its largest.
+        /// Threshold of a high error, between the smallest (0) and the largest (1) error of a spectrum.
         high: Real,
     },
     /// [`Statistics::top`].
     Top {
-        /// How many of each pixel.
+        /// Number of top splats per pixel.
         count: usize,
     },
     /// [`Statistics::sensitivity`].
@@ -162,48 +163,48 @@ pub enum Statistic {
     Fisher,
     /// [`Statistics::elimination`].
     Elimination {
-        /// The most Gaussians it is worked out for: the work grows with their square.
+        /// Maximum number of Gaussians for which it is computed: the cost grows with its square.
         most: usize,
     },
 }
 
 impl Statistic {
-    /// Whether it rests on blending weights, which not every rasterizer has. The true loss does not.
+    /// Returns whether it uses blending weights, which not every rasterizer has. The exact loss does not.
     pub fn wants_blending(self) -> bool {
         !matches!(self, Self::Elimination { .. })
     }
 }
 
-/// What a pruner asks a pass for.
+/// Statistics that a pruner requests from a pass.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Needs {
-    /// What is computed; nothing where it is empty.
+    /// Requested statistics; none if empty.
     pub statistics: Vec<Statistic>,
-    /// What is computed too where Gaussians are blended; a pruner that can do without is not refused elsewhere.
+    /// Additional statistics if Gaussians are blended; methods without blending are accepted.
     pub where_blended: Vec<Statistic>,
-    /// How many training transmitters the pass looks at, drawn from the seed at each prune step; 0: all of them.
+    /// Number of training transmitters of the pass, drawn from the seed at each prune step; 0 for all.
     pub transmitters: usize,
 }
 
 impl Needs {
-    /// Nothing, which costs nothing.
+    /// Creates an empty request.
     pub fn nothing() -> Self {
         Self::default()
     }
 
-    /// `statistics` of `transmitters` of the training part (0: all).
+    /// Requests `statistics` over `transmitters` of the training set (0 for all).
     pub fn of(statistics: &[Statistic], transmitters: usize) -> Self {
         Self { statistics: statistics.to_vec(), where_blended: Vec::new(), transmitters }
     }
 
-    /// The same, and `statistics` too where Gaussians are blended.
+    /// Adds `statistics` to the request if Gaussians are blended.
     #[must_use]
     pub fn and_where_blended(mut self, statistics: &[Statistic]) -> Self {
         self.where_blended.extend(statistics);
         self
     }
 
-    /// What is computed of a method that blends, or does not.
+    /// Returns the final request for a method with or without blending.
     #[must_use]
     pub fn settled(mut self, blends: bool) -> Self {
         let more = std::mem::take(&mut self.where_blended);
@@ -211,12 +212,12 @@ impl Needs {
         self
     }
 
-    /// Whether nothing is asked for.
+    /// Returns whether the request is empty.
     pub fn is_nothing(&self) -> bool {
         self.statistics.is_empty()
     }
 
-    /// Which of `count` transmitters a pass at `step` looks at, in order.
+    /// Returns the indices of the transmitters (of `count`) for a pass at `step`, in order.
     pub fn sample(&self, count: usize, seed: u64, step: u64) -> Vec<usize> {
         let mut all: Vec<usize> = (0..count).collect();
         if self.transmitters > 0 && self.transmitters < count {
@@ -228,38 +229,39 @@ impl Needs {
     }
 }
 
-/// What a pass found, `[N]` each; empty where nobody asked for it.
+/// Statistics of a pass, `[N]` each; empty if not requested.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
-    /// Links that the pass looked at.
+    /// Number of links of the pass.
     pub links: usize,
     /// Sum of the weights.
     pub weight: Vec<Real>,
     /// Largest weight in any pixel of any link.
     pub largest_weight: Vec<Real>,
-    /// Sum over links of the weights over the number of pixels that the Gaussian touches.
+    /// Sum over links of the weights divided by the number of covered pixels.
     pub weight_per_area: Vec<Real>,
-    /// Mean over links of Σ ‖s‖·w, with the Gaussian's own signal s for that transmitter.
+    /// Mean over links of Σ ‖s‖·w, with the signal s of the Gaussian for that transmitter.
     pub signal_mean: Vec<Real>,
-    /// Largest over links of Σ ‖s‖·w: what one transmitter needs survives.
+    /// Maximum over links of Σ ‖s‖·w, which keeps Gaussians that one transmitter needs.
     pub signal_max: Vec<Real>,
-    /// Sum of weights times the absolute error of the picture there.
+    /// Sum of weights times the absolute error of the pixel.
     pub error: Vec<Real>,
-    /// Sum over links of the picture's mean absolute error times the number of pixels of high error that it touches.
+    /// Sum over links of the mean absolute error of the spectrum times the number of covered high-error pixels.
     pub high_error: Vec<Real>,
-    /// Whether in some pixel it is among the first by exp(−|‖s‖ − P|)·w, with P what was measured there.
+    /// Whether it is among the top splats of a pixel by exp(−|‖s‖ − P|)·w, with the measured value P.
     pub top: Vec<bool>,
-    /// Sum of (∂P̂/∂a)² with a factor a on γ, at 1: how much the picture changes with the Gaussian's own strength.
+    /// Sum of (∂P̂/∂a)² with a factor a = 1 on γ: the sensitivity of the spectra to the strength of the Gaussian.
     pub sensitivity: Vec<Real>,
-    /// Sum of J Jᵀ with J = ∂P̂/∂(mean, log scale), signals held: the upper triangle of a 6 × 6 matrix, row by row.
+    /// Sum of J Jᵀ with J = ∂P̂/∂(mean, log scale) and constant signals: the upper triangle of a 6 × 6 matrix, row by
+    /// row.
     pub fisher: Vec<[Real; 21]>,
-    /// The place at which backward elimination takes it, from 0: in turn that one goes without which the training loss is
-    /// smallest. Empty above the most that was asked for.
+    /// Order of backward elimination, from 0: each step removes the Gaussian whose removal gives the smallest training
+    /// loss. Empty above the requested maximum.
     pub elimination: Vec<Real>,
 }
 
 impl Statistics {
-    /// Zeros of what `needs` names.
+    /// Creates zeros of the statistics in `needs`.
     pub fn zeros(needs: &Needs, n: usize) -> Self {
         let mut zeros = Self::default();
         for statistic in &needs.statistics {
@@ -280,7 +282,7 @@ impl Statistics {
         zeros
     }
 
-    /// Adds what other links showed of the Gaussians `rows` (those of `other`).
+    /// Adds the statistics of other links for the Gaussians `rows` (those of `other`).
     pub fn add(&mut self, rows: &[usize], other: &Self) {
         self.links += other.links;
         let sums = [
@@ -305,7 +307,7 @@ impl Statistics {
         }
     }
 
-    /// Sums over links become means where the name says so.
+    /// Converts sums over links to means for those statistics that are means.
     pub fn finish(&mut self) {
         let links = self.links.max(1) as Real;
         self.signal_mean.iter_mut().for_each(|v| *v /= links);

@@ -1,7 +1,7 @@
-//! The step's autodiff tape (dfdx), and the one way to put a hand-written kernel on it.
+//! Autodiff tape of a step (dfdx), and the function that adds a hand-written kernel to it.
 //!
-//! A pruner writes forward formulas on [`Trace`]s and gets their derivatives. Heavy stages are [`op`]s: a forward value
-//! computed outside and a vector-Jacobian product called when the gradients run back.
+//! A pruner writes forward formulas on [`Trace`]s and obtains their derivatives. Expensive stages are [`op`]s: a
+//! forward value computed outside the tape, and a vector-Jacobian product called in the backward pass.
 
 use crate::{GaussianCloud, Real};
 use dfdx::prelude::{
@@ -9,14 +9,14 @@ use dfdx::prelude::{
 };
 use dfdx::tensor::Gradients;
 
-/// A vector `[n]` on the step's tape.
+/// Vector `[n]` on the tape of the step.
 pub type Trace = Tensor<(usize,), Real, Cpu, OwnedTape<Real, Cpu>>;
-/// A number on the step's tape.
+/// Scalar on the tape of the step.
 pub type TraceScalar = Tensor<(), Real, Cpu, OwnedTape<Real, Cpu>>;
-/// A vector `[n]` that is not differentiated, or the leaf whose gradient is asked for.
+/// Vector `[n]` outside the tape: a constant, or a leaf whose gradient is requested.
 pub type Leaf = Tensor<(usize,), Real, Cpu>;
 
-/// The columns of a cloud as leaves of the tape; what [`crate::Pruner::gate`] and [`crate::Pruner::penalty`] see.
+/// Columns of a cloud as leaves of the tape, for [`crate::Pruner::gate`] and [`crate::Pruner::penalty`].
 pub struct Traced {
     device: Cpu,
     len: usize,
@@ -30,7 +30,7 @@ impl std::fmt::Debug for Traced {
 }
 
 impl Traced {
-    /// Every column of `cloud` becomes a leaf.
+    /// Makes every column of `cloud` a leaf.
     pub fn new(cloud: &GaussianCloud) -> Self {
         let device = Cpu::default();
         let columns = cloud
@@ -40,51 +40,51 @@ impl Traced {
         Self { device, len: cloud.len(), columns }
     }
 
-    /// N.
+    /// Returns the number of Gaussians N.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// Whether N = 0.
+    /// Returns whether N = 0.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Names of the columns.
+    /// Returns the names of the columns.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The leaf of column `name`, row-major `[N · width]`.
+    /// Returns the leaf of column `name`, row-major `[N · width]`.
     ///
     /// # Panics
-    /// Where no such column exists: a pruner may only name fixed columns and those of its own `columns()`.
+    /// If the column does not exist: a pruner may only name standard columns and its own.
     pub fn leaf(&self, name: &str) -> &Leaf {
         &self.columns.iter().find(|(n, _)| n == name).unwrap_or_else(|| panic!("no column `{name}`")).1
     }
 
-    /// Column `name` on the tape: derivatives taken of it reach the cloud.
+    /// Returns column `name` on the tape: its derivatives reach the cloud.
     pub fn column(&self, name: &str) -> Trace {
         self.leaf(name).leaky_trace()
     }
 
-    /// Opacities o = σ(logit), `[N]`, on the tape.
+    /// Returns opacities o = σ(logit), `[N]`, on the tape.
     pub fn opacities(&self) -> Trace {
         self.column("opacity_logits").sigmoid()
     }
 
-    /// Numbers that are not differentiated.
+    /// Creates constants, which are not differentiated.
     pub fn constant(&self, values: Vec<Real>) -> Leaf {
         let n = values.len();
         self.device.tensor_from_vec(values, (n,))
     }
 
-    /// The device of all tensors.
+    /// Returns the device of all tensors.
     pub fn device(&self) -> &Cpu {
         &self.device
     }
 
-    /// The straight-through gate of eq. (11): forward 1[score ≥ threshold], derivative of the identity.
+    /// Straight-through gate, eq. (11): forward 1[score ≥ threshold], derivative of the identity.
     pub fn straight_through(&self, score: Trace, threshold: Real) -> Trace {
         let soft = values(&score);
         let shift = soft.iter().map(|s| Real::from(u8::from(*s >= threshold)) - s).collect();
@@ -92,13 +92,13 @@ impl Traced {
     }
 }
 
-/// The numbers of a vector. dfdx's own `as_vec` panics on one of length 0, such as the weights of no network.
+/// Returns the values of a vector. dfdx's own `as_vec` panics for length 0, such as the weights without a network.
 pub fn values<T>(vector: &Tensor<(usize,), Real, Cpu, T>) -> Vec<Real> {
     if vector.shape().0 == 0 { Vec::new() } else { vector.as_vec() }
 }
 
-/// Puts a kernel on the tape: `outputs` are its values for `inputs`; `vjp` turns the cotangents of the outputs into
-/// those of the inputs (one vector an input, same lengths).
+/// Adds a kernel to the tape: `outputs` are its values for `inputs`; `vjp` converts the cotangents of the outputs to
+/// those of the inputs (one vector per input, equal lengths).
 pub fn op(
     inputs: Vec<Trace>,
     outputs: Vec<Vec<Real>>,
@@ -134,24 +134,24 @@ pub fn op(
         }
         Ok(())
     });
-    // The tape goes with the first output; the others join it where they meet again.
+    // The tape continues with the first output; the others join it when they are combined.
     let mut tape = Some(tape);
     outputs.into_iter().map(|out| out.put_tape(tape.take().unwrap_or_default())).collect()
 }
 
-/// What a pruner multiplies Gaussians by: a factor `[N]` while training, on the step's tape.
+/// Factor `[N]` of a pruner on Gaussians during training, on the tape of the step.
 #[allow(missing_debug_implementations)] // a tape has no use as text
 pub enum Gate {
-    /// On opacity and scale. A Gaussian whose factor is 0 is left out of the step: it costs nothing and has no derivative.
-    /// What `factor.into()` gives.
+    /// Factor on opacity and scale. A Gaussian with factor 0 is skipped in the step: it has no cost and no derivative.
+    /// Result of `factor.into()`.
     Whole(Trace),
-    /// On the light that it takes, and on nothing else: γ = M·min(0.99, o·G). A Gaussian whose factor is 0 takes part in
-    /// the derivative still, so that it can come back.
+    /// Factor on the absorbed light only: γ = M·min(0.99, o·G). A Gaussian with factor 0 still receives a derivative,
+    /// so that it can come back.
     Presence(Trace),
 }
 
 impl Gate {
-    /// The factor, whatever it is on.
+    /// Returns the factor of either variant.
     pub fn factor(self) -> Trace {
         match self {
             Self::Whole(factor) | Self::Presence(factor) => factor,

@@ -1,14 +1,14 @@
-//! What tests of all crates share: central differences against the hand-written derivative, where data too large for
-//! the repository lie, and one way to say that a test did nothing.
+//! Test tools of all crates: comparison of hand-written derivatives with central differences, paths of shared data, and
+//! reports of skipped tests.
 
 use crate::{Real, npy::Header, rng};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// `what`, such as `data/s23`, in the folder of shared data: measured spectra, reference renders and paths. `None`, told
-/// by [`skipped`], where it is absent. The variable `PWRFGS_SHARED` names that folder, by default `shared` beside the
-/// checkout.
+/// Returns the path of `what`, such as `data/s23`, in the folder of shared data: measured spectra, reference data and
+/// paths. `None`, reported by [`skipped`], if it is absent. The variable `PWRFGS_SHARED` sets that folder, by default
+/// `shared` next to the checkout.
 pub fn shared(what: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
     let path = std::env::var_os("PWRFGS_SHARED").map_or_else(beside, PathBuf::from).join(what);
@@ -19,7 +19,7 @@ pub fn shared(what: &str) -> Option<PathBuf> {
     None
 }
 
-/// An array of NumPy, `shape` and numbers: floats, whole numbers of 8 and 64 bits, truth values.
+/// Reads a NumPy array, shape and values: floats, integers of 8 and 64 bits, booleans.
 pub fn npy(bytes: &[u8]) -> (Vec<usize>, Vec<f64>) {
     let header = Header::read(Path::new("array"), &mut &*bytes).unwrap_or_else(|e| panic!("{e}"));
     let (width, number): (usize, fn([u8; 8]) -> f64) = match header.descr.as_str() {
@@ -35,8 +35,8 @@ pub fn npy(bytes: &[u8]) -> (Vec<usize>, Vec<f64>) {
     (header.shape, values)
 }
 
-/// Says that the test which calls it goes no further, and why: on the terminal, where cargo hides nothing, and as a line
-/// at the end of the file that the variable `PWRFGS_SKIPPED` names, if it does. `tests/all.sh` counts those lines.
+/// Reports that the calling test is skipped, with the reason: on the terminal, where cargo hides nothing, and as a line
+/// at the end of the file in the variable `PWRFGS_SKIPPED`, if set. `tests/all.sh` counts those lines.
 pub fn skipped(why: &str) {
     let test = std::thread::current().name().unwrap_or("a test").to_owned();
     let line = format!("skipped: {test}: {why}\n");
@@ -47,9 +47,9 @@ pub fn skipped(why: &str) {
     }
 }
 
-/// Asserts that `vjp` is the derivative of `f` at `x`: for a random cotangent d, ∂⟨d, f(x)⟩/∂xₖ by central differences
-/// with step `h` agrees with `vjp(x, d)ₖ` to `tolerance`, relative to the larger of the two and of 1 % of the largest
-/// component. Call it in the f64 build: in single precision differences say little.
+/// Asserts that `vjp` is the derivative of `f` at `x`. For a random cotangent d, ∂⟨d, f(x)⟩/∂xₖ by central differences
+/// with step `h` must agree with `vjp(x, d)ₖ` to `tolerance`, relative to the larger of the two and of 1 % of the
+/// largest component. Use the f64 build: differences in single precision are inaccurate.
 pub fn check_vjp(
     name: &str,
     x: &[Real],

@@ -1,4 +1,4 @@
-//! Number of threads: the bound of `--threads`, which holds for the environment as well.
+//! Number of threads: the limit of `--threads`, which also applies to environment variables.
 
 use crate::{Error, Result};
 use std::ops::RangeInclusive;
@@ -8,10 +8,11 @@ pub const COUNTS: RangeInclusive<usize> = 1..=1024;
 /// Variables that set the size of rayon's thread pool; 0 selects one thread per processor.
 const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
 
-/// Refuses an environment in which rayon would start more threads than [`COUNTS`] allows: it starts any number, for minutes.
+/// Rejects environment variables with more threads than [`COUNTS`] allows: rayon would start any number, which takes
+/// minutes.
 ///
 /// # Errors
-/// [`Error::Config`] that names the variable.
+/// [`Error::Config`] with the name of the variable.
 pub fn check_environment() -> Result<()> {
     VARIABLES.into_iter().try_for_each(|name| {
         let value = std::env::var_os(name).unwrap_or_default();

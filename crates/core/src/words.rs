@@ -1,38 +1,38 @@
-//! Words of others, as they are shown: what a file says may hold anything, and reaches a terminal or a page.
+//! Sanitised display of foreign text: file contents may hold control characters and reach a terminal or a web page.
 
 use std::borrow::Cow;
 
 /// First characters of spreadsheet formulas.
 const FORMULA: [char; 4] = ['=', '+', '-', '@'];
-/// Longest token that a message quotes, characters.
+/// Maximum length of a quoted token, characters.
 const TOKEN: usize = 60;
-/// Longest message, characters: what is longer repeats a file. So much of its end is kept, where it says what to do.
+/// Maximum length of a message, characters; longer messages repeat a file. The end, with the next step, is kept.
 const MESSAGE: usize = 1_200;
 const END: usize = 400;
 
-/// A name without control characters, which could steer a terminal, on one line; and without marks that turn the
-/// direction of writing.
+/// Returns a name on one line without control characters, which could change the state of a terminal, and without marks
+/// of text direction.
 pub fn clean(name: &str) -> String {
     name.chars().map(|c| if is_harmless(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
 
-/// Neither a control character nor one that turns the direction of writing.
+/// Returns whether a character is neither a control character nor a mark of text direction.
 fn is_harmless(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// A token of a file between backticks, cut to 60 characters.
+/// Returns a token of a file between backticks, cut to 60 characters.
 pub fn quoted(token: &str) -> String {
     let (cut, is_cut) = first(token, TOKEN);
     format!("`{}{}`", clean(cut), if is_cut { " .." } else { "" })
 }
 
-/// Text for a terminal: lines and tabs stay, what would steer it is shown as a sign for that.
+/// Returns text for a terminal: newlines and tabs are kept, other control characters are replaced by symbols.
 pub fn plain(text: &str) -> String {
     text.chars().map(|c| if is_harmless(c) || c == '\n' || c == '\t' { c } else { '\u{fffd}' }).collect()
 }
 
-/// A message as a person can read it: plain, and without its middle where it repeats much of a file.
+/// Returns a message for users: without control characters, and without its middle if it repeats much of a file.
 pub fn told(message: &str) -> String {
     let (start, is_long) = first(message, MESSAGE - END);
     let count = if is_long { message.chars().count() } else { 0 };
@@ -43,19 +43,19 @@ pub fn told(message: &str) -> String {
     plain(&format!("{start} .. {end}"))
 }
 
-/// Text as a cell of a table. Text that begins with `=`, `+`, `-` or `@` is a formula for spreadsheets: it gets the prefix
-/// `'`, and so does text that begins with `'`. Numbers have no prefix.
+/// Returns text as a cell of a table. Text that begins with `=`, `+`, `-` or `@` is a formula for spreadsheets: it gets
+/// the prefix `'`, and so does text that begins with `'`. Numbers have no prefix.
 pub fn cell(text: &str) -> Cow<'_, str> {
     let is_formula = || text.starts_with(FORMULA) && text.parse::<f64>().is_err();
     if text.starts_with('\'') || is_formula() { format!("'{text}").into() } else { text.into() }
 }
 
-/// The text of a cell, the inverse of [`cell`]: without one `'` at its start.
+/// Returns the text of a cell, the inverse of [`cell`]: without one `'` at its start.
 pub fn text_of(cell: &str) -> &str {
     cell.strip_prefix('\'').unwrap_or(cell)
 }
 
-/// The first `most` characters, and whether there are more.
+/// Returns the first `most` characters, and whether there are more.
 fn first(text: &str, most: usize) -> (&str, bool) {
     text.char_indices().nth(most).map_or((text, false), |(end, _)| (&text[..end], true))
 }

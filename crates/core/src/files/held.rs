@@ -1,4 +1,4 @@
-//! What one process holds against others: files by a lock, folders by an open descriptor.
+//! Exclusive access of one process: files by a lock, folders by an open descriptor.
 
 use crate::{Error, Result};
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -42,24 +42,24 @@ pub fn lock(path: &Path) -> io::Result<File> {
 fn locked(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {
     loop {
         super::refuse_irregular(path)?;
-        // NFS locks only what may be written to.
+        // NFS can lock only writable files.
         let file = match OpenOptions::new().read(true).write(true).open(path) {
             Err(e) if e.kind() == ErrorKind::PermissionDenied => super::open(path)?,
             opened => opened?,
         };
         match take(&file) {
             Err(TryLockError::WouldBlock) => return Ok(None),
-            // A file system without locks is no reason to refuse.
+            // File systems without locks are accepted.
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
-        // Between opening and locking another file may have taken its name.
+        // Another file may have taken the name between opening and locking.
         if is_at(&file, path)? {
             return Ok(Some(file));
         }
     }
 }
 
-/// Whether `path` leads to what `file` has open.
+/// Returns whether `path` leads to the open `file`.
 fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -71,8 +71,8 @@ fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     fs::metadata(path).map(|_| file.metadata().is_ok())
 }
 
-/// A folder that stays the same one if another folder or a link takes its name. On Linux, files are reached through the
-/// open descriptor; other systems have no such path, and files are reached by name there.
+/// Folder that stays the same if another folder or a link takes its name. On Linux, files are accessed through the open
+/// descriptor; other systems have no such path, and files are accessed by name.
 #[derive(Debug)]
 pub struct HeldFolder {
     name: PathBuf,
@@ -100,17 +100,17 @@ impl HeldFolder {
         Ok(by_name())
     }
 
-    /// The path through which files are read and written.
+    /// Returns the path for reading and writing files.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The path that users gave, for messages.
+    /// Returns the path that users gave, for messages.
     pub fn name(&self) -> &Path {
         &self.name
     }
 
-    /// Puts the name of the folder into an error in place of its path.
+    /// Replaces the path in an error by the name of the folder.
     #[must_use]
     pub fn named(&self, error: Error) -> Error {
         let path = |path: PathBuf| match path.strip_prefix(&self.path) {
@@ -132,7 +132,7 @@ impl HeldFolder {
     /// Checks that the name still leads to the folder.
     ///
     /// # Errors
-    /// [`Error::Write`] that says where the files lie now.
+    /// [`Error::Write`] with the current path of the files.
     pub fn check_name(&self) -> Result<()> {
         match &self.folder {
             Some(folder) if !is_at(folder, &self.name).unwrap_or(false) => {
@@ -157,7 +157,7 @@ mod tests {
         fs::write(&path, "1").unwrap();
         let held = try_lock(&path).unwrap().unwrap();
         assert!(try_lock(&path).unwrap().is_none());
-        // Whoever waits for a file that is replaced gets the new one.
+        // A process that waits for a replaced file gets the new one.
         let waiting = std::thread::spawn({
             let path = path.clone();
             move || lock(&path).unwrap()

@@ -1,4 +1,4 @@
-//! `NewFolder`: a folder that is whole or not there.
+//! `NewFolder`: atomic creation of a folder.
 
 use super::refuse_occupied;
 use crate::{Error, Result};
@@ -8,25 +8,25 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Marks a folder under way as ours. It is locked by whoever fills the folder: a killed program no longer holds it.
+/// Marker of a folder in progress. The process that fills the folder locks it; killing the process releases the lock.
 const LOCK: &str = ".pwrfgs-lock";
-/// Most letters of the name that is being made: the rest of a long one is left out.
+/// Maximum length of the target name inside the temporary name; the rest is omitted.
 const LONGEST: usize = 60;
-/// How often removing a folder is tried into which somebody still writes.
+/// Maximum number of attempts to remove a folder while another thread writes to it.
 const ATTEMPTS: usize = 100;
-/// Where a folder goes that is removed.
+/// Suffix of the name of a folder that is being removed.
 const GRAVE: &str = "removed";
 
-/// Folders under way in this process.
+/// Folders in progress in this process.
 static UNDER_WAY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// A folder under way: made beside its place as `.NAME.PID-K.tmp`, renamed when it is whole, removed when it is dropped
-/// before. What a killed program left of the same name is removed when the next one begins.
+/// Folder in progress: created next to its target as `.NAME.PID-K.tmp`, renamed when complete, removed if dropped
+/// before. The next creation removes folders of the same name that killed programs left.
 #[derive(Debug)]
 pub struct NewFolder {
     path: PathBuf,
     out: PathBuf,
-    /// Held as long as the folder is under way; on a file system without locks it tells nobody.
+    /// Lock, held while the folder is in progress; without effect on file systems without locks.
     _lock: File,
 }
 
@@ -34,7 +34,7 @@ impl NewFolder {
     /// Begins the folder that will be `out`.
     ///
     /// # Errors
-    /// Where `out` holds something or is no name for a folder, or the disk refuses.
+    /// `out` is not empty or has no folder name, or writing fails.
     pub fn begin(out: &Path) -> Result<Self> {
         if out.file_name().is_none() || out.is_symlink() {
             return Err(Error::input(out, "is no name for a new folder; choose another"));
@@ -43,10 +43,10 @@ impl NewFolder {
         Self::beside(out)
     }
 
-    /// The same, whatever `out` holds: for something that goes away again.
+    /// Begins a temporary folder, whatever `out` contains.
     ///
     /// # Errors
-    /// Where the disk refuses.
+    /// Writing fails.
     pub fn beside(out: &Path) -> Result<Self> {
         static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may make the same folder twice at once
         let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -62,44 +62,44 @@ impl NewFolder {
         Ok(Self { path, out: out.into(), _lock: lock })
     }
 
-    /// Removes a folder that was published; it is renamed first, so that nobody finds half of it.
+    /// Removes a published folder; it is renamed first, so that no process reads a partial folder.
     ///
     /// # Errors
-    /// Where the disk refuses.
+    /// Removal fails.
     pub fn remove(folder: &Path) -> Result<()> {
         let grave = Self::beside(folder)?;
         fs::rename(folder, grave.path.join(GRAVE)).map_err(|e| Error::write(folder, e))
     }
 
-    /// Removes what killed programs left in `parent`, of any name.
+    /// Removes all folders that killed programs left in `parent`.
     pub fn clear(parent: &Path) {
         clear(parent, None);
     }
 
-    /// Removes all folders under way of this process, which must end next: from here on, a thread that begins, publishes
-    /// or drops a folder waits for ever.
+    /// Removes all folders in progress of this process, which must exit next: afterwards, a thread that begins,
+    /// publishes or drops a folder blocks for ever.
     pub fn abandon_all() {
         let folders = under_way();
         for path in folders.iter() {
-            // Whoever still writes into it makes that fail, until the folder is not there any more.
+            // Removal fails while another thread writes to the folder, so it is repeated.
             _ = (0..ATTEMPTS).find(|_| fs::remove_dir_all(path).is_ok() || !path.exists());
         }
         mem::forget(folders); // still locked
     }
 
-    /// Where its files are written.
+    /// Returns the path for writing its files.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Gives it its name. An empty folder there gives way.
+    /// Renames the folder to its target. An empty folder at the target is replaced.
     ///
     /// # Errors
-    /// Where the disk refuses.
+    /// Renaming fails.
     pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
         let _held = under_way(); // a folder that `abandon_all` empties must not get its name
-        // Where it does not exist, or is not empty, the rename says what matters.
+        // If the target is missing or not empty, the rename reports the relevant error.
         let _ = fs::remove_dir(&self.out);
         fs::rename(&self.path, &self.out).map_err(refuse)?;
         fs::remove_file(self.out.join(LOCK)).map_err(refuse)
@@ -117,7 +117,8 @@ fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
     UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The lock of a new folder. It gets its name when it is locked: nobody sees it free.
+/// Creates the lock of a new folder. The file is locked before it gets its name, so that other processes never find it
+/// unlocked.
 fn locked(folder: &Path) -> std::io::Result<File> {
     let (new, own) = (folder.join(format!("{LOCK}.new")), folder.join(LOCK));
     let lock = File::create_new(&new)?;
@@ -130,7 +131,7 @@ fn short_name(out: &Path) -> String {
     out.file_name().unwrap_or_default().to_string_lossy().chars().take(LONGEST).collect()
 }
 
-/// Removes folders `.NAME.PID-K.tmp` of one name, or of any, whose lock nobody holds.
+/// Removes folders `.NAME.PID-K.tmp` of one name, or of any, that are not locked.
 fn clear(parent: &Path, name: Option<&str>) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let path = entry.path();
@@ -143,7 +144,7 @@ fn clear(parent: &Path, name: Option<&str>) {
     }
 }
 
-/// Whether a file is called as folders under way are: of one name, or of any.
+/// Returns whether a file name is that of a folder in progress, for one name or any.
 fn is_under_way(file: &str, name: Option<&str>) -> bool {
     let parts = || file.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.');
     parts().is_some_and(|(found, middle)| {
@@ -187,7 +188,7 @@ mod tests {
         NewFolder::begin(&here.path().join("x".repeat(250))).unwrap().publish().unwrap();
     }
 
-    /// In a process of its own, which no other test shares.
+    /// Runs in a separate process, which no other test shares.
     #[test]
     fn nothing_is_published_once_all_is_abandoned() {
         const OUT: &str = "PWRFGS_TEST_ABANDONED";

@@ -1,11 +1,11 @@
-//! What typetag is shown of `Name(field: value, …)`: a map with one entry, whose value is a plain struct.
+//! Adapter of `Name(field: value, …)` for typetag: a map with one entry, whose value is a plain struct.
 
 use crate::did_you_mean;
 use serde::de::{self, DeserializeSeed, Deserializer, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, forward_to_deserialize_any};
 use std::fmt;
 
-/// A bare identifier, such as the `LearnableMask` of `LearnableMask(lambda: 0.01)`.
+/// Bare identifier, such as `LearnableMask` in `LearnableMask(lambda: 0.01)`.
 pub(super) struct Name(pub(super) String);
 impl<'de> Deserialize<'de> for Name {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
@@ -23,7 +23,7 @@ impl<'de> Deserialize<'de> for Name {
     }
 }
 
-/// Shows typetag the one-entry map `{name: body}` it expects.
+/// Presents the one-entry map `{name: body}` that typetag expects.
 pub(super) struct Tagged<B>(pub(super) String, pub(super) B);
 impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Tagged<B> {
     type Error = B::Error;
@@ -49,7 +49,7 @@ impl<'de, B: VariantAccess<'de>> MapAccess<'de> for Entry<B> {
     }
 }
 
-/// The variant's body, seen as the plugin struct itself.
+/// Body of the variant, read as the plugin struct itself.
 struct Body<B>(B);
 impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
     type Error = B::Error;
@@ -74,8 +74,8 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
     }
 }
 
-/// Refuses a field that the plugin does not have, at its place and with the nearest name: what passes through typetag's
-/// type-erased deserializer is words, in which names can no longer be told from the rest.
+/// Rejects unknown fields with their position and the nearest name. Errors that pass through typetag's type-erased
+/// deserializer are plain text, from which names cannot be extracted.
 struct Fields<W>(W, &'static [&'static str]);
 impl<'de, W: Visitor<'de>> Visitor<'de> for Fields<W> {
     type Value = W::Value;

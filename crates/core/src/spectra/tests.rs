@@ -1,7 +1,7 @@
 use super::*;
 use std::fs;
 
-/// Two pictures of 3 x 2, counted from `first`, as bytes of each kind.
+/// Creates two spectra of 3 x 2, counted from `first`, as bytes of each format.
 fn kinds() -> [(Number, Vec<u8>); 4] {
     let values = || (0..12u8).map(|v| f64::from(v) / 16.0);
     [

@@ -1,14 +1,15 @@
-//! The trained SSIM and its derivative, once a picture and step: the hot path.
+//! Training SSIM and its derivative, computed once per spectrum and step: a performance-critical path.
 //!
-//! With f the blur, μ₁ = f(P), μ₂ = f(G), σ₁² = f(P²) − μ₁² and so on, A = μ₁²+μ₂²+C₁, B = σ₁²+σ₂²+C₂, C = 2μ₁μ₂+C₁,
-//! D = 2σ₁₂+C₂, the map is m = CD/(AB), and since f is its own adjoint
-//! ∂/∂P Σm = f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂), where ∂m/∂μ₁ counts the μ₁ in the variances too. The two
-//! variances meet as a sum only: f(P² + G²) is blurred once for both.
+//! With f the blur, μ₁ = f(P), μ₂ = f(G), σ₁² = f(P²) − μ₁² and so on, A = μ₁²+μ₂²+C₁, B = σ₁²+σ₂²+C₂, C = 2μ₁μ₂+C₁, D
+//! = 2σ₁₂+C₂, the map is m = CD/(AB). Since f is self-adjoint, ∂/∂P Σm = f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂),
+//! where ∂m/∂μ₁ includes the μ₁ in the variances. Only the sum of the two variances is needed, so f(P² + G²) is blurred
+//! once for both.
 //!
 //! f is separable: rows first, then columns, both through [`blur`], which adds eleven slices. All loops run over blocks
-//! of [`LANES`] numbers and are compiled once for each instruction set (pulp). Every pixel is computed by the same
-//! operations in the same order on all of them, so the bits depend on neither machine nor threads. Innermost loops count:
-//! `zip`, `array::map` and `array::from_fn` are calls where a crate's parts are not optimised together.
+//! of [`LANES`] numbers and are compiled once per instruction set (pulp). Every pixel is computed by the same
+//! operations in the same order on all of them, so that results are bit-identical for all machines and numbers of
+//! threads. Innermost loops use indices: `zip`, `array::map` and `array::from_fn` are calls if the parts of a crate are
+//! not optimised together.
 
 use crate::Real;
 use std::cell::RefCell;
@@ -17,18 +18,18 @@ use std::cell::RefCell;
 pub(super) const C1: f64 = 1e-4;
 /// C₂ = (0.03 · data range)².
 pub(super) const C2: f64 = 9e-4;
-/// Taps of the blur.
+/// Number of taps of the blur.
 const TAPS: usize = 11;
-/// Half of them: the reach of the blur, px.
+/// Reach of the blur, px.
 const REACH: usize = TAPS / 2;
 
-/// The Gaussian window of the trained SSIM: 11 taps along each axis.
+/// Gaussian window of the training SSIM: 11 taps along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window([Real; TAPS]);
 
 impl Window {
-    /// exp(−x²/(2σ²)) at x = −5 … 5, divided by the sum; σ in pixels, above 0 and small enough for 11 taps. Weights that
-    /// single precision cannot see beside the largest are 0: their products would be denormal numbers, which are slow.
+    /// Computes exp(−x²/(2σ²)) at x = −5 … 5, divided by the sum; σ in pixels, above 0 and small enough for 11 taps.
+    /// Weights below the precision of the largest one are 0: their products would be denormal numbers, which are slow.
     pub fn new(sigma: f64) -> Self {
         let weight = |k: usize| (-0.5 * ((k as f64 - REACH as f64) / sigma).powi(2)).exp();
         let raw: [f64; TAPS] = std::array::from_fn(weight).map(|w| if w < 1e-8 { 0.0 } else { w });
@@ -38,13 +39,14 @@ impl Window {
 }
 
 impl Default for Window {
-    /// σ = 1.5 px, as everybody trains it. Written out, so that the bits do not depend on a library's exponential.
+    /// Window of σ = 1.5 px, the usual value in training. Written out, so that results do not depend on the
+    /// exponential of a library.
     fn default() -> Self {
         Self(WEIGHTS)
     }
 }
 
-/// exp(−x²/(2·1.5²)) at x = −5 … 5, divided by the sum.
+/// Values of exp(−x²/(2·1.5²)) at x = −5 … 5, divided by the sum.
 const WEIGHTS: [Real; TAPS] = [
     0.001_028_380_084_479_109_2,
     0.007_598_758_135_239_185,
@@ -58,12 +60,13 @@ const WEIGHTS: [Real; TAPS] = [
     0.007_598_758_135_239_185,
     0.001_028_380_084_479_109_2,
 ];
-/// Numbers handled together.
+/// Number of values processed together.
 const LANES: usize = 16;
 type Block = [Real; LANES];
 
-/// SSIM as it is trained: Gaussian window, zeros beyond the border, mean over all pixels; and its derivative with respect
-/// to every pixel of `prediction`. All are row-major `[height, width]`; 1 for pictures without a pixel.
+/// Returns the training SSIM and its derivative with respect to every pixel of `prediction`. The window is Gaussian
+/// with zeros beyond the border; the mean is over all pixels. All arrays are row-major `[height, width]`; the SSIM of
+/// images without pixels is 1.
 pub fn training(
     prediction: &[Real],
     truth: &[Real],
@@ -85,19 +88,19 @@ pub fn training(
     (value, d)
 }
 
-/// Buffers, kept by each thread for the next picture. Rows are `stride` long, a multiple of [`LANES`] not below the
-/// width; what lies beyond the width is never read as a pixel.
+/// Buffers that each thread reuses. Rows have a length of `stride`, a multiple of [`LANES`] not below the width; values
+/// beyond the width are never read as pixels.
 #[derive(Default)]
 struct Scratch {
     width: usize,
     stride: usize,
-    /// A row with [`REACH`] zeros before it and zeros behind it, for each quantity that is blurred at once.
+    /// Row with [`REACH`] zeros before it and zeros behind it, for each blurred quantity.
     padded: [Vec<Real>; 4],
     /// Rows blurred along themselves: of P, G, P² + G², PG, then of the three derivatives.
     planes: [Vec<Real>; 7],
-    /// One row blurred both ways, for each quantity.
+    /// One row blurred in both directions, for each quantity.
     blurred: [Vec<Real>; 4],
-    /// A row beyond the border.
+    /// Row beyond the border.
     zeros: Vec<Real>,
 }
 
@@ -161,7 +164,7 @@ impl pulp::WithSimd for Job<'_> {
     }
 }
 
-/// Eleven shifted views of one padded row.
+/// Returns eleven shifted views of one padded row.
 #[inline(always)]
 fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
     let mut taps = [padded; TAPS];
@@ -171,7 +174,7 @@ fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
     taps
 }
 
-/// Eleven rows of a plane about row `y`, zeros beyond the border.
+/// Returns eleven rows of a plane about row `y`, zeros beyond the border.
 #[inline(always)]
 fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
     let mut taps = [zeros; TAPS];
@@ -184,7 +187,7 @@ fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> 
     taps
 }
 
-/// `out` = Σ weight · tap, all of one length, a multiple of [`LANES`].
+/// Computes `out` = Σ weight · tap, all of one length, a multiple of [`LANES`].
 #[inline(always)]
 fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
     for (i, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
@@ -199,7 +202,7 @@ fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
     }
 }
 
-/// P, G, P² + G², PG of one row, into the padded rows.
+/// Writes P, G, P² + G², PG of one row into the padded rows.
 #[inline(always)]
 fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
     let (n, [p1, g1, squares, pg]) = (p.len(), padded);
@@ -230,7 +233,7 @@ fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], 
     }
 }
 
-/// The map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the four blurred quantities.
+/// Returns the map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the four blurred quantities.
 #[inline(always)]
 fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
@@ -251,7 +254,7 @@ fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     (map, d)
 }
 
-/// d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels, one row.
+/// Computes d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels for one row.
 #[inline(always)]
 fn gather(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 4], scale: Real) {
     let (n, [mu, variance, covariance, ..]) = (d.len(), blurred);

@@ -39,15 +39,15 @@ fn energy(values: impl Iterator<Item = Real>) -> f64 {
     values.map(|v| (v as f64).powi(2)).sum()
 }
 
-/// Indices of the real and the imaginary part of a gain in an observation of `subcarriers` columns. No other code knows the
-/// layout of a channel in an array, as no other code than [`ImagePlane::direction`](crate::ImagePlane::direction) knows the
-/// direction of a pixel.
+/// Returns the indices of the real and the imaginary part of a gain in an observation of `subcarriers` columns. Only
+/// this function defines the layout of a channel in an array, just as only
+/// [`ImagePlane::direction`](crate::ImagePlane::direction) defines the direction of a pixel.
 pub fn gain_at(antenna: usize, subcarrier: usize, subcarriers: usize) -> [usize; 2] {
     let real = 2 * antenna * subcarriers + subcarrier;
     [real, real + subcarriers]
 }
 
-/// Gains `[.., A, F]` as observations `[.., 2A, F]`.
+/// Converts gains `[.., A, F]` to observations `[.., 2A, F]`.
 pub fn rows_of(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
     let mut rows = vec![0.0; 2 * gains.len()];
     for (i, gain) in gains.iter().enumerate() {
@@ -57,16 +57,16 @@ pub fn rows_of(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
     rows
 }
 
-/// The gains `[.., A, F]` of observations `[.., 2A, F]`.
+/// Converts observations `[.., 2A, F]` to gains `[.., A, F]`.
 pub fn gains_of(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
     let gain = |i: usize| gain_at(i / subcarriers, i % subcarriers, subcarriers).map(|at| rows[at]);
     (0..rows.len() / 2).map(gain).collect()
 }
 
-/// Largest part of a gain: sums of its squares stay finite in single precision.
+/// Maximum real or imaginary part of a gain: sums of its squares stay finite in single precision.
 const MAX_GAIN: f64 = 1e9;
 
-/// What is wrong with a gain, real and imaginary part, and what to do.
+/// Returns the error in a gain, given as real and imaginary part, with the next step.
 pub fn gain_fault([re, im]: [f64; 2]) -> Option<String> {
     let advice = if !(re.is_finite() && im.is_finite()) {
         "give finite numbers".to_owned()
@@ -78,19 +78,19 @@ pub fn gain_fault([re, im]: [f64; 2]) -> Option<String> {
     Some(format!("is {:?}; {advice}", (re, im)))
 }
 
-/// Channels `[L, A, F]`, complex, in memory.
+/// Complex channels `[L, A, F]` in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channels {
-    /// A, antennas of a receiver.
+    /// Number of antennas A per receiver.
     pub antennas: usize,
-    /// Frequencies of the subcarriers `[F]`, Hz.
+    /// Subcarrier frequencies `[F]`, Hz.
     pub frequencies_hz: Vec<f64>,
-    /// Real and imaginary part of every gain.
+    /// Gains as real and imaginary part, `[L, A, F]`.
     pub gains: Vec<[Real; 2]>,
 }
 
 impl Channels {
-    /// The gains of link `i`, `[A, F]`.
+    /// Returns the gains of link `i`, `[A, F]`.
     pub fn of(&self, i: usize) -> &[[Real; 2]] {
         let of_one = self.antennas * self.frequencies_hz.len();
         &self.gains[i * of_one..][..of_one]
@@ -102,7 +102,7 @@ impl Columns for Channels {
         self.gains.len() / (self.antennas * self.frequencies_hz.len())
     }
 
-    /// Subcarriers; real parts of an antenna, then its imaginary parts.
+    /// Columns are subcarriers; rows are the real parts of an antenna, then its imaginary parts.
     fn size(&self) -> (usize, usize) {
         (self.frequencies_hz.len(), 2 * self.antennas)
     }

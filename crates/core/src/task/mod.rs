@@ -1,7 +1,7 @@
-//! `Task`: what is observed of a link. `Observations`: the observations of all links, as flat arrays.
+//! `Task`: measurement type of a link. `Observations`: the observations of all links, as flat arrays.
 //!
-//! All that is said of a task stands in its file: `spectrum.rs`, `power.rs`, `channel.rs`. Code that works for any task
-//! reads the [`Description`]; it does not match on [`Task`].
+//! Each measurement type has one file: `spectrum.rs`, `power.rs`, `channel.rs`. Code for all types reads the
+//! [`Description`]; it does not match on [`Task`].
 
 mod channel;
 mod power;
@@ -14,26 +14,26 @@ use std::borrow::Cow;
 use std::fmt::Debug;
 use std::ops::Deref;
 
-/// Metres a second, in vacuum.
+/// Speed of light in vacuum, m/s.
 pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
 
-/// What is observed of a link. It dereferences to its [`Description`]: `task.plural`, `task.headline.key`.
+/// Measurement type. It dereferences to its [`Description`]: `task.plural`, `task.headline.key`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Task {
-    /// A spatial spectrum: an image of the receiver's sky.
+    /// Spatial spectrum: an image of the receiver's sky.
     #[default]
     Spectrum,
-    /// A received power, one number in dBm.
+    /// Received power, one number in dBm.
     Power,
-    /// A channel: a complex number for every antenna and subcarrier.
+    /// Channel: a complex number per antenna and subcarrier.
     Channel,
 }
 
 impl Task {
-    /// All tasks.
+    /// All measurement types.
     pub const ALL: [Self; 3] = [Self::Spectrum, Self::Power, Self::Channel];
 
-    /// The task with this [`Description::name`].
+    /// Returns the type with this [`Description::name`].
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|task| task.name == name)
     }
@@ -51,26 +51,26 @@ impl Deref for Task {
     }
 }
 
-/// All that is said of a task.
+/// Description of a measurement type.
 #[derive(Debug)]
 pub struct Description {
     /// Name in files and in Python: `power`.
     pub name: &'static str,
-    /// One observation in a sentence: `received power`.
+    /// Singular in a sentence: `received power`.
     pub singular: &'static str,
-    /// Several: `received powers`.
+    /// Plural: `received powers`.
     pub plural: &'static str,
-    /// What tables count, one and several: `link`, `links`.
+    /// Counted unit in tables, singular and plural: `link`, `links`.
     pub counted: [&'static str; 2],
-    /// The first metric, on curves, in examples and during training.
+    /// First metric, on curves, in examples and during training.
     pub headline: Headline,
-    /// What two readings at one position tell about the noise ceiling.
+    /// Estimate of the noise ceiling from two readings at one position.
     pub ceiling: Ceiling,
-    /// The field of a pipeline that selects a method for it, as advice.
+    /// Pipeline field that selects a suitable method, as advice.
     pub method: &'static str,
     /// Name and unit of [`Self::level`].
     pub level_name: [&'static str; 2],
-    /// Whether the numbers of an observation are pixels of an image of the sky, from 0 to 1.
+    /// Whether the values of an observation are pixels of an image of the sky, from 0 to 1.
     pub has_pixels: bool,
     /// Whether an observation is one number in dB that falls with the logarithm of the distance.
     pub is_scalar: bool,
@@ -82,59 +82,60 @@ pub struct Description {
     size_text: fn((usize, usize)) -> Option<String>,
 }
 
-/// The first metric of a task.
+/// First metric of a measurement type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Headline {
-    /// Its key in tables of scores.
+    /// Key in tables of scores.
     pub key: &'static str,
-    /// As a title or a sentence has it.
+    /// Name in titles and sentences.
     pub short: &'static str,
-    /// As an axis has it, with its unit.
+    /// Name on an axis, with its unit.
     pub name: &'static str,
     /// Whether larger is better.
     pub higher: bool,
-    /// The value of a perfect prediction; `None` if it has no limit.
+    /// Value of a perfect prediction; `None` if it is unlimited.
     pub best: Option<f64>,
-    /// Columns of `validation.csv` after the step: its mean, its median, and one number more.
+    /// Columns of `validation.csv` after the step: mean, median, and one further value.
     pub columns: [&'static str; 3],
 }
 
-/// What two readings at one position tell about the noise ceiling.
+/// Estimate of the noise ceiling from two readings at one position.
 #[derive(Debug)]
 pub struct Ceiling {
-    /// The meaning of the row in a table of scores.
+    /// Meaning of the row in a table of scores.
     pub note: &'static str,
-    /// Score of a perfect predictor of the mean reading, per score between two readings.
+    /// Score of a perfect predictor of the mean reading, relative to the score between two readings.
     pub share: f64,
 }
 
 impl Description {
-    /// How strong an observation is, in the unit of [`Self::level_name`].
+    /// Returns the strength of an observation, in the unit of [`Self::level_name`].
     pub fn level(&self, image: &Image) -> f64 {
         (self.level)(image)
     }
 
-    /// The first metric of one prediction.
+    /// Returns the first metric of one prediction.
     pub fn score(&self, prediction: &Image, truth: &Image) -> f64 {
         (self.score)(prediction, truth)
     }
 
-    /// Axes of one observation of `size` (columns, rows) as an array: `[H, W]`, `[]` or `[A, F]`.
+    /// Returns the shape of one observation of `size` (columns, rows) as an array: `[H, W]`, `[]` or `[A, F]`.
     pub fn shape(&self, size: (usize, usize)) -> Vec<usize> {
         (self.shape)(size)
     }
 
-    /// The size of one observation in words, `360 x 90 pixels`; `None` for a single number.
+    /// Returns the size of one observation in words, `360 x 90 pixels`; `None` for a single number.
     pub fn size_text(&self, size: (usize, usize)) -> Option<String> {
         (self.size_text)(size)
     }
 
-    /// A prediction as it is shown and scored: pixels are clamped to [0, 1].
+    /// Returns a prediction as it is displayed and scored: pixels are clamped to [0, 1].
     pub fn shown(&self, prediction: Image) -> Image {
         if self.has_pixels { prediction.clamped() } else { prediction }
     }
 
-    /// The grid of an observation of `size` (columns, rows): columns of pixels go once around, rows are `elevation`.
+    /// Returns the grid of an observation of `size` (columns, rows): columns of pixels cover the full circle, rows are
+    /// `elevation`.
     pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
         let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
         let angles = self.has_pixels.then(|| (azimuth, elevation.axis(height)));
@@ -142,7 +143,7 @@ impl Description {
     }
 }
 
-/// The observations of all links, in the order of the links, as flat arrays. It dereferences to its [`Columns`].
+/// Observations of all links, in the order of the links, as flat arrays. It dereferences to its [`Columns`].
 #[derive(Clone, Debug)]
 pub enum Observations {
     /// Spatial spectra `[L, H, W]`.
@@ -184,51 +185,52 @@ impl Deref for Observations {
     }
 }
 
-/// What observations of any task can do.
+/// Operations on observations of any measurement type.
 ///
-/// An observation of one link can be had as an array of numbers, an [`Image`]: a spectrum is one, a power has one row and
-/// one column, a channel has two rows per antenna (real parts, imaginary parts) and one column per subcarrier.
+/// The observation of one link is available as an array of numbers, an [`Image`]. A spectrum is an image; a power has
+/// one row and one column; a channel has two rows per antenna (real parts, imaginary parts) and one column per
+/// subcarrier.
 #[allow(clippy::len_without_is_empty)] // a data set has at least one link
 pub trait Columns: Debug + Send + Sync {
-    /// L, links.
+    /// Returns the number of links L.
     fn len(&self) -> usize;
 
-    /// Columns and rows of one observation.
+    /// Returns columns and rows of one observation.
     fn size(&self) -> (usize, usize);
 
-    /// Observation `i` as an array of numbers.
+    /// Returns observation `i` as an array of numbers.
     fn image(&self, i: usize) -> Image;
 
-    /// The pixels of image `i` that `sampling` selects, row-major; all numbers of an observation without pixels.
+    /// Returns the pixels of image `i` that `sampling` selects, row-major; all values of an observation without pixels.
     fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let _ = sampling;
         out.iter_mut().zip(self.image(i).pixels).for_each(|(out, v)| *out = v);
     }
 
-    /// Adds `weight` times observation `i`, in units of which [`Self::full_scale`] are 1, to `sum`.
+    /// Adds `weight` times observation `i`, in units of [`Self::full_scale`], to `sum`.
     fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
         sum.iter_mut().zip(self.image(i).pixels).for_each(|(sum, v)| *sum += weight * v as f64);
     }
 
-    /// How a number is stored.
+    /// Returns the storage format of numbers.
     fn number(&self) -> Number {
         if size_of::<Real>() == 8 { Number::F64 } else { Number::F32 }
     }
 
-    /// The value that stands for 1 in [`Self::add`].
+    /// Returns the value that represents 1 in [`Self::add`].
     fn full_scale(&self) -> f64 {
         self.number().full_scale()
     }
 
-    /// Observation `i` as bytes: equal observations have equal bytes.
+    /// Returns observation `i` as bytes: equal observations have equal bytes.
     fn raw(&self, i: usize) -> Cow<'_, [u8]> {
         Cow::Owned(self.image(i).pixels.iter().flat_map(|v| v.to_le_bytes()).collect())
     }
 
-    /// Bytes held in memory.
+    /// Returns the number of bytes in memory.
     fn bytes_in_memory(&self) -> usize;
 
-    /// Whether all reads so far succeeded.
+    /// Checks that all reads so far succeeded.
     ///
     /// # Errors
     /// [`Error::Read`] of the file of spectra.
@@ -236,24 +238,24 @@ pub trait Columns: Debug + Send + Sync {
         Ok(())
     }
 
-    /// Antennas of a receiver; `None` if any number of antennas gives such an observation.
+    /// Returns the number of antennas per receiver; `None` if observations do not depend on it.
     fn antennas(&self) -> Option<usize> {
         None
     }
 
-    /// Frequencies of the subcarriers, Hz; empty if there are none.
+    /// Returns the subcarrier frequencies, Hz; empty without subcarriers.
     fn frequencies_hz(&self) -> &[f64] {
         &[]
     }
 
-    /// What is wrong with the values, and what to do.
+    /// Returns the error in the values, with the next step.
     fn fault(&self) -> Option<String> {
         None
     }
 }
 
 impl Observations {
-    /// What is observed.
+    /// Returns the measurement type.
     pub fn task(&self) -> Task {
         match self {
             Self::Pictures(_) => Task::Spectrum,
@@ -262,25 +264,25 @@ impl Observations {
         }
     }
 
-    /// The spectra; `None` if something else is observed.
+    /// Returns the spectra; `None` for other types.
     pub fn spectra(&self) -> Option<&Spectra> {
         if let Self::Pictures(spectra) = self { Some(spectra) } else { None }
     }
 
-    /// The received powers, dBm; `None` if something else is observed.
+    /// Returns the received powers, dBm; `None` for other types.
     pub fn powers(&self) -> Option<&[Real]> {
         if let Self::Powers(powers) = self { Some(powers) } else { None }
     }
 
-    /// The channels; `None` if something else is observed.
+    /// Returns the channels; `None` for other types.
     pub fn channels(&self) -> Option<&Channels> {
         if let Self::Channels(channels) = self { Some(channels) } else { None }
     }
 
-    /// The spectra, for code that supports nothing else.
+    /// Returns the spectra, for code that supports no other type.
     ///
     /// # Errors
-    /// [`Error::Config`] naming `who` if something else is observed.
+    /// [`Error::Config`] with `who` for other types.
     pub fn pictures(&self, who: &str) -> Result<&Spectra> {
         let have = self.task().plural;
         self.spectra().ok_or_else(|| Error::Config(format!("{who} needs spatial spectra, and these data are {have}")))

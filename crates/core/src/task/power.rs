@@ -16,7 +16,7 @@ pub(super) static POWER: Description = Description {
         best: Some(0.0),
         columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
     },
-    // Both readings are noisy, and independent errors of one size add up to √2 of it.
+    // Both readings are noisy, and independent errors of equal size add up to √2 times that size.
     ceiling: Ceiling {
         note: "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2",
         share: std::f64::consts::FRAC_1_SQRT_2,

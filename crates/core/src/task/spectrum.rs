@@ -1,4 +1,4 @@
-//! Spatial spectra `[L, H, W]`: images of the receiver's sky, 1 the strongest direction.
+//! Spatial spectra `[L, H, W]`: images of the receiver's sky; 1 is the strongest direction.
 
 use super::{Ceiling, Columns, Description, Headline};
 use crate::{Image, Number, Real, Result, Sampling, Spectra, ssim};
