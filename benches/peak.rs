@@ -2,7 +2,7 @@
 //!
 //! `cargo bench -p pwrfgs --bench peak` prints multiply-adds a second (criterion's «elements») for one thread and for
 //! all. `Mlp()` costs 493,312 of them a Gaussian once what depends on the transmitter alone is shared, so N Gaussians
-//! cannot take less than 493,312 N divided by that rate. `docs/performance.md` holds the calculation.
+//! cannot take less than 493,312 N divided by that rate. `docs/lab/performance.md` holds the calculation.
 
 use criterion::{Criterion, Throughput};
 use pulp::{Arch, Simd, WithSimd};

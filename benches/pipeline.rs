@@ -3,7 +3,7 @@
 //! `RAYON_NUM_THREADS=2 cargo bench -p pwrfgs --bench pipeline` takes about ten minutes and ends with the table of
 //! targets; a word after `--` selects, as in `-- predict`. `PWRFGS_MODEL=runs/x/model.safetensors` replaces the small
 //! trained model by one of yours (still called 157). What the numbers were, and against what they are to be read, is in
-//! `docs/performance.md`.
+//! `docs/lab/performance.md`.
 
 mod scene;
 

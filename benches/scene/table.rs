@@ -1,4 +1,4 @@
-//! The medians of this run as the table of `docs/performance.md`.
+//! The medians of this run as the table of `docs/lab/performance.md`.
 
 use serde_json::Value;
 use std::path::PathBuf;
