@@ -56,10 +56,11 @@ test_torch() {
     fi
 }
 
-# A wheel that pip builds from the sources contains the type stubs. Not optimised, so that little is compiled anew.
+# A wheel that pip builds from the sources contains the type stubs. Not optimised and with the features of the tests, so that
+# little is compiled anew.
 test_wheel() {
     rm -rf "$target/python-package/wheel"
-    MATURIN_PEP517_ARGS="--profile dev" "$env/bin/pip" install -q --disable-pip-version-check --no-deps \
+    MATURIN_PEP517_ARGS="--profile dev --features as-tested" "$env/bin/pip" install -q --disable-pip-version-check --no-deps \
         --target "$target/python-package/wheel" ./python
     test_package wheel python/tests/test_types.py
 }
@@ -68,13 +69,13 @@ test_wheel() {
 echo "== Python, f32"
 cargo build "$@" --workspace --lib --bins --tests
 together f32
-test_package f32 python/tests
+test_package f32 python/tests --ignore python/tests/test_types.py # from a wheel below
 test_torch f32
 echo "== Python, from a wheel"
 test_wheel
 echo "== Python, f64: derivatives against central differences"
 # shellcheck disable=SC2086 # a word a package
-cargo build "$@" ${PWRFGS_FORMULAS:--p pwrfgs -p pwrfgs-cli} -p pwrfgs-python --features pwrfgs/f64 --lib --bins --test all
+cargo build "$@" ${PWRFGS_FORMULAS:--p pwrfgs -p pwrfgs-cli -p pwrfgs-python} --features pwrfgs/f64 --lib --bins --test all
 together f64
 test_package f64 python/tests/test_numbers.py
 test_torch f64
