@@ -1,5 +1,4 @@
-//! The commands, one file a verb: what can be said to it, and what it does. The help texts are the first documentation
-//! that a user meets.
+//! The commands, one file each: arguments, help text and action.
 
 mod check;
 mod completions;
@@ -30,46 +29,46 @@ use std::process::ExitCode;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Train, prune, evaluate and report: everything a pipeline says
+    /// Train, prune and evaluate a pipeline
     Run(run::Run),
-    /// Say what a pipeline would do, and the memory and time it would take; train nothing
+    /// Validate a pipeline and estimate its memory and time
     Check(check::Check),
-    /// Run every combination of an experiment with every seed: an ablation
+    /// Run all combinations and seeds of an experiment
     Sweep(sweep::Sweep),
-    /// Predict spectra, received powers or channels for transmitter positions with a trained model
+    /// Predict spectra, received powers or channels at transmitter positions
     Predict(predict::Predict),
     #[cfg(feature = "report")]
-    /// Map what a trained model predicts over a plane: power, level or strongest direction, as pictures and arrays
+    /// Draw radio maps over a plane, as images and arrays
     Map(map::Map),
     #[cfg(feature = "viewer")]
-    /// Open a page where the transmitter can be dragged and the spectrum follows; compare two models
+    /// Show predictions in a browser while you move the transmitter
     View(view::View),
-    /// Score a trained model, and the baselines beside it, on data of your choice
+    /// Score a trained model and the baselines on a data set
     Evaluate(evaluate::Evaluate),
     #[cfg(feature = "report")]
-    /// Compare finished runs: tables and figures as HTML, CSV and LaTeX
+    /// Compare finished runs in tables and figures (HTML, CSV, LaTeX)
     Report(report::Report),
-    /// Write a trained model for other programs: splat viewers, Python
+    /// Convert a trained model for splat viewers or Python
     Export(export::Export),
-    /// Make a data set of your own spectra: NumPy arrays or PNG pictures, and positions
+    /// Import your own spectra from NumPy arrays or PNG images
     Import(import::Import),
     #[cfg(feature = "raytrace")]
-    /// Simulate what is measured in a room that is known exactly, in the layout of measured data
+    /// Simulate a data set in a room by ray tracing
     Simulate(simulate::Simulate),
-    /// Show everything that a pipeline may name: plugins, settings, defaults, what each field does
+    /// List plugins and settings, or describe one of them
     Plugins(plugins::Plugins),
-    /// Look at data before training: pictures, positions, splits with floors and ceiling, whether the pose can be right
+    /// Check a data set before training, with splits and baselines
     Inspect(check::Inspect),
     /// Write a commented pipeline for the data in a folder
     Init(init::Init),
-    /// Print a script that completes commands and options in bash, zsh, fish, elvish or PowerShell
+    /// Print a completion script for a shell
     Completions(completions::Completions),
-    /// Print the manual page, or write all of them into a folder
+    /// Print the manual page, or write all manual pages to a folder
     Man(completions::Man),
 }
 
 impl Command {
-    /// Does it; `threads` is what `--threads` says, and `program` describes the whole command line.
+    /// Runs the command. `threads` is the value of `--threads`; `program` describes the whole command line.
     pub(crate) fn execute(
         &self,
         threads: Option<usize>,

@@ -20,27 +20,27 @@ use std::process::ExitCode;
 #[command(
     name = "pwrfgs",
     version,
-    about = "Pruned 3D Gaussian splatting for wireless radiance fields",
-    long_about = "Pruned 3D Gaussian splatting for wireless radiance fields (P-WRFGS).\n\nLearns, from what was \
-        measured at known transmitter positions (spatial spectra, received powers or channels), a small set of Gaussians \
-        that predicts it at any other position. An experiment is one RON file, a pipeline; a run of it is one folder.",
-    after_long_help = "EXAMPLES\n  A first run, without any download, in about a minute:\n      pwrfgs run \
-        pipelines/quickstart.ron\n  The same with other settings, elsewhere:\n      pwrfgs run pipelines/quickstart.ron \
-        --scale 0.25 --set seed=1 --out runs/short\n  What a transmitter at 3.5, 2.2, 1.2 m would be heard \
-        from:\n      pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out heard\n  Everything that a \
-        pipeline may name:\n      pwrfgs plugins\n\nEXIT CODES\n  0 done, 1 failed, 2 wrong input, 130 interrupted \
-        (the same command goes on)."
+    about = "Predict spatial spectra, received powers or channels with pruned 3D Gaussians (P-WRFGS)",
+    after_help = "\
+EXAMPLES
+  pwrfgs run pipelines/quickstart.ron                   # 1 to 2 minutes, no download
+  pwrfgs run pipelines/quickstart.ron --scale 0.25 --set seed=1 --out runs/short
+  pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
+  pwrfgs plugins                                        # names that a pipeline can use
+
+EXIT CODES
+  0 done, 1 failed, 2 invalid input, 130 interrupted (repeat the command to resume)"
 )]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
-    /// Threads to use [default: all processors]; results do not depend on it
+    /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = count)]
     threads: Option<usize>,
-    /// Say less: errors and results only
+    /// Print only errors and results
     #[arg(short, long, global = true, action = ArgAction::SetTrue, conflicts_with = "verbose")]
     quiet: bool,
-    /// Say more: what happens inside
+    /// Print debug output
     #[arg(short, long, global = true, action = ArgAction::SetTrue)]
     verbose: bool,
 }

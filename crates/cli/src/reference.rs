@@ -1,5 +1,5 @@
-//! Everything that can stand in a pipeline or an experiment, from the comments and defaults in the source: what
-//! `pwrfgs plugins` prints and `pwrfgs init` writes as comments.
+//! Plugins, settings and types of pipelines and experiments, from comments and defaults in the source. `pwrfgs plugins`
+//! prints them; `pwrfgs init` writes them as comments.
 
 pub(crate) mod commented;
 pub(crate) mod markdown;
@@ -11,16 +11,16 @@ use pwrfgs_core::docs::{Body, Docs, Field, Kind};
 use pwrfgs_core::plugin::{Family, to_ron};
 use std::path::Path;
 
-/// Not a field: the file itself.
+/// Stands for the experiment file, which no field holds.
 const EXPERIMENT: &str = "experiment";
 
-/// Some topics under a heading.
+/// Topics under one heading.
 pub(crate) struct Chapter {
-    /// Such as `Pruner`.
+    /// Heading, such as `Pruner`.
     pub(crate) name: String,
-    /// The pipeline's field that takes it.
+    /// Field of the pipeline that holds such plugins.
     pub(crate) field: Option<&'static str>,
-    /// What it is for, a sentence.
+    /// Purpose, one sentence.
     pub(crate) about: String,
     pub(crate) topics: Vec<Topic>,
 }
@@ -28,14 +28,14 @@ pub(crate) struct Chapter {
 /// A struct, an enum or a plugin.
 pub(crate) struct Topic {
     pub(crate) name: String,
-    /// The fields that lead to it: `loss` for `Loss`.
+    /// Fields of this type: `loss` for `Loss`.
     pub(crate) fields: Vec<&'static str>,
     pub(crate) docs: Option<&'static Docs>,
-    /// How it reads with its defaults, or why there are none.
+    /// Value with all defaults, or the reason why there is none.
     pub(crate) value: Result<Value, String>,
 }
 
-/// The whole, in the order of a pipeline's fields.
+/// All chapters, in the order of the fields of a pipeline.
 pub(crate) fn chapters() -> Vec<Chapter> {
     let pipeline = example();
     let mut settings = Vec::new();
@@ -54,13 +54,13 @@ pub(crate) fn chapters() -> Vec<Chapter> {
     let whole = Chapter {
         name: "Pipeline".into(),
         field: None,
-        about: "A run, as `pwrfgs run` reads it.".into(),
+        about: "Settings of one run, as `pwrfgs run` reads them.".into(),
         topics: vec![Topic { name: "Pipeline".into(), fields: Vec::new(), docs, value: pipeline }],
     };
     let settings = Chapter {
         name: "Settings".into(),
         field: None,
-        about: "What a pipeline gives without naming a plugin.".into(),
+        about: "Settings of a pipeline that are not plugins.".into(),
         topics: settings,
     };
     let mut all = vec![whole, settings];
@@ -69,7 +69,7 @@ pub(crate) fn chapters() -> Vec<Chapter> {
     all
 }
 
-/// A pipeline with nothing but what it must have.
+/// Pipeline with only the required fields.
 pub(crate) fn example() -> Result<Value, String> {
     let required = Pipeline::REQUIRED.map(|(field, value)| format!("{field}: {value}")).join(", ");
     let pipeline =
@@ -77,7 +77,7 @@ pub(crate) fn example() -> Result<Value, String> {
     Value::new(to_ron(&pipeline))
 }
 
-/// All plugins of one kind, and the types of their fields.
+/// Chapter of all plugins of one kind and the types of their fields.
 fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
     let mut topics = Vec::new();
     let mut types = Vec::new();
@@ -92,7 +92,7 @@ fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
     Chapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
 }
 
-/// The experiment file.
+/// Chapter of the experiment file.
 fn experiment() -> Chapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
@@ -100,11 +100,11 @@ fn experiment() -> Chapter {
     if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
         slurm.value = Value::new(to_ron(&Slurm::default()));
     }
-    let about = "A sweep, as `pwrfgs sweep` reads it.".into();
+    let about = "Settings of a sweep, as `pwrfgs sweep` reads them.".into();
     Chapter { name: "Experiment".into(), field: None, about, topics }
 }
 
-/// A type that `field` leads to, and all types that it leads to, each once.
+/// Collects the type of `field` and, recursively, the types of its fields, each once.
 fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<Topic>) {
     if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
         if !known.fields.contains(&field) {
@@ -116,7 +116,7 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
         name: docs.name.into(),
         fields: if field == EXPERIMENT { Vec::new() } else { vec![field] },
         docs: Some(docs),
-        value: value.cloned().ok_or_else(|| "it has no defaults".into()),
+        value: value.cloned().ok_or_else(|| "a required field has no default".into()),
     });
     match docs.body {
         Body::Fields(fields) => parts(fields, value, topics),
@@ -133,7 +133,7 @@ fn parts(fields: &'static [Field], value: Option<&Value>, topics: &mut Vec<Topic
     }
 }
 
-/// Through options, lists and maps.
+/// Kind inside options, lists and maps.
 fn inner(kind: &Kind) -> Kind {
     match kind {
         Kind::Optional(kind) | Kind::List(kind) | Kind::Map(kind) => inner(kind),
@@ -142,14 +142,14 @@ fn inner(kind: &Kind) -> Kind {
 }
 
 impl Chapter {
-    /// Whether it is meant by `name`, in lower case.
+    /// Whether `name`, in lower case, names the chapter.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.field.is_some_and(|field| field == name)
     }
 }
 
 impl Topic {
-    /// Whether it is meant by `name`, in lower case.
+    /// Whether `name`, in lower case, names the topic.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.fields.contains(&name)
     }

@@ -152,14 +152,16 @@ fn paths_of_a_pipeline_are_relative_to_it_and_those_of_set_to_where_one_stands()
 }
 
 #[test]
-fn plugins_lists_every_kind_and_single_ones() {
+fn plugins_lists_names_kinds_and_one_plugin() {
     let here = Path::new(".");
     let all = stdout(&succeed(here, &["plugins"]));
-    for word in
-        ["Pruner (field `pruners`)", "LearnableMask(", "lambda: 0.01", "Mercator", "NearestNeighbours", "Teacher"]
-    {
+    for word in ["Pruner (pruners)", "LearnableMask,", "Mercator", "NearestNeighbours", "Teacher", "--markdown"] {
         assert!(all.contains(word), "{word} is not in {all}");
     }
+    assert!(all.lines().count() <= 40 && all.lines().all(|line| line.chars().count() <= 100), "one screen: {all}");
+    let kind = stdout(&succeed(here, &["plugins", "pruners"]));
+    assert!(kind.contains("Pruner (field `pruners`)") && kind.contains("  TopK: Keeps"), "{kind}");
+    assert!(!kind.contains("Mercator") && !kind.contains("lambda: 0.01"), "first sentences only: {kind}");
     let one = stdout(&succeed(here, &["plugins", "TopK"]));
     assert!(one.contains("keep") && !one.contains("LearnableMask"), "{one}");
     refuse(here, &["plugins", "TopQ"], 2, &["did you mean `TopK`"]);

@@ -37,14 +37,15 @@ fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
 fn everything_that_a_pipeline_may_name_can_be_asked_for() {
     let here = Path::new(".");
     let said = |name: &str| stdout(&succeed(here, &["plugins", name]));
-    let asked: [(&str, &[&str]); 9] = [
+    let asked: [(&str, &[&str]); 10] = [
         ("training", &["Training(", "// Number of training steps M. [whole number]", "steps: 200000"]),
         ("optimizer", &["log_scales: Constant(0.005)", "Schedule: Constant, LogLinear, Cosine"]),
         ("densify", &["gradient_threshold"]),
         ("loss", &["ssim_weight: 0.2"]),
         ("readout", &["MinMax: "]),
         ("Schedule", &["LogLinear(first: number"]),
-        ("pruner", &["LearnableMask(", "TopK(", "// Weight λ of the penalty"]),
+        ("pruner", &["LearnableMask: ", "TopK: "]),
+        ("LearnableMask", &["LearnableMask(", "// Weight λ of the penalty", "lambda: 0.01"]),
         ("Pipeline", &["// Random seed of the run"]),
         ("slurm", &["cpus: 2"]),
     ];
@@ -52,7 +53,7 @@ fn everything_that_a_pipeline_may_name_can_be_asked_for() {
         let text = said(name);
         assert!(words.iter().all(|word| text.contains(word)), "{name}: {text}");
     }
-    assert!(said("LearnableMask").contains("A mask that crosses the threshold cannot come back"), "the whole comment");
+    assert!(said("LearnableMask").contains("A mask that has closed cannot reopen"), "the whole comment");
     refuse(here, &["plugins", "optimiser"], 2, &["did you mean `Optimizer`"]);
     refuse(here, &["plugins", "trainin"], 2, &["did you mean `Training`"]);
 }

@@ -17,14 +17,18 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Reads the pipeline, loads the data, divides them, makes the Gaussians and tries one step; writes \
-    nothing. Describes the data: extent, units, distance of the test set, and whether the recorded pose can be right; \
-    `pwrfgs inspect` gives the details. What it refuses, `pwrfgs run` would refuse. Warns of settings without effect. Memory and time are those of the Gaussians \
-    at the start: densification makes both larger, pruning smaller.\n\nEXAMPLES\n  pwrfgs check pipelines/s23-laptop.ron\n  pwrfgs check \
-    pipelines/pwrfgs.ron --scale 0.1"
+    after_help = "\
+Loads the data, makes the split and the initial Gaussians and tries one step; writes no files.
+Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
+Describes the data briefly; `pwrfgs inspect` gives the details. Memory and time hold for the initial
+Gaussians: densification increases them, pruning decreases them.
+
+EXAMPLES
+  pwrfgs check pipelines/s23-laptop.ron
+  pwrfgs check pipelines/pwrfgs.ron --scale 0.1"
 )]
 pub(crate) struct Check {
-    /// The file of a pipeline, or a run folder
+    /// Pipeline file or run folder
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
@@ -88,17 +92,21 @@ fn text(p: &Preview) -> String {
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Prints positions, values, unusual spectra, whether the recorded pose can be right, and for each split \
-    the distance from test to training transmitters and the scores of baselines. Trains nothing and writes nothing.\n\n\
-    A pipeline gives its data, split, baselines, metrics and seed; a folder of data is read with all defaults.\n\nEXAMPLES\n  \
-    pwrfgs inspect data/s23\n  pwrfgs inspect pipelines/quickstart.ron\n  pwrfgs inspect pipelines/s23-array.ron \
-    --set data.root=/where/it/is/s23"
+    after_help = "\
+Prints positions, values, unusual spectra and a check of the recorded receiver pose. For each split
+it prints the distance from test to training transmitters, the scores of the baselines and the noise
+ceiling. A pipeline sets data, split, baselines, metrics and seed; a data folder uses the defaults.
+
+EXAMPLES
+  pwrfgs inspect pipelines/quickstart.ron
+  pwrfgs inspect data/s23
+  pwrfgs inspect pipelines/s23-array.ron --set data.root=data/s23"
 )]
 pub(crate) struct Inspect {
-    /// A folder of data (the layouts of NeRF2, arrays as `pwrfgs import` writes them, channels), a pipeline file, or a run folder
+    /// Data folder (layouts in docs/data.md), pipeline file or run folder
     #[arg(value_name = "DATA")]
     pub(crate) data: PathBuf,
-    /// Change a setting, such as data.root=data/other or 'split=Random(test: 0.3)'
+    /// Change a setting, such as 'split=Random(test: 0.3)'; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
 }

@@ -1,4 +1,4 @@
-//! `pwrfgs completions` and `pwrfgs man`: what a shell and a manual want to know, from the command line's own definition.
+//! `pwrfgs completions` and `pwrfgs man`: completion scripts and manual pages, generated from the command line.
 
 use crate::output;
 use clap::{Args, Command};
@@ -8,22 +8,27 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "EXAMPLES\n  pwrfgs completions bash > ~/.local/share/bash-completion/completions/pwrfgs\n  pwrfgs \
-    completions zsh > ~/.zfunc/_pwrfgs    # with `fpath+=~/.zfunc` before compinit in ~/.zshrc\n  pwrfgs completions fish > \
-    ~/.config/fish/completions/pwrfgs.fish"
+    after_help = "\
+EXAMPLES
+  pwrfgs completions bash > ~/.local/share/bash-completion/completions/pwrfgs
+  pwrfgs completions fish > ~/.config/fish/completions/pwrfgs.fish
+  pwrfgs completions zsh > ~/.zfunc/_pwrfgs   # needs `fpath+=~/.zfunc` before compinit in ~/.zshrc"
 )]
 pub(crate) struct Completions {
-    /// Which shell
+    /// Shell
     #[arg(value_name = "SHELL")]
     pub(crate) shell: Shell,
 }
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "EXAMPLES\n  pwrfgs man | man -l -\n  pwrfgs man --out ~/.local/share/man/man1    # then: man pwrfgs-run"
+    after_help = "\
+EXAMPLES
+  pwrfgs man | man -l -
+  pwrfgs man --out ~/.local/share/man/man1    # then: man pwrfgs-run"
 )]
 pub(crate) struct Man {
-    /// Write pwrfgs.1 and a page for each command into this folder; without it the first page is printed
+    /// Folder for pwrfgs.1 and a page per command [default: print pwrfgs.1]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -17,25 +17,29 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Reads the pipeline.ron that lies beside the model for data, split, metrics and baselines; \
-    --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nSeveral \
-    models are scored as an ensemble: the mean of what they predict, pictures each clamped to [0, 1]. Runs that differ in \
-    their seed alone have the same test samples unless the split is random; give those that do.\n\nEXAMPLES\
-    \n  pwrfgs evaluate runs/s23/model.safetensors --set data.root=data/other-day\n  pwrfgs \
-    evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again\n  pwrfgs \
-    evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
+    after_help = "\
+Data, split, metrics and baselines come from pipeline.ron next to the model; --set changes them.
+Prints the score table; --out also writes scores.csv, samples.csv and report.html.
+Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
+They need a common test set: use runs whose split does not depend on the seed.
+
+EXAMPLES
+  pwrfgs evaluate runs/quickstart/model.safetensors
+  pwrfgs evaluate runs/quickstart/model.safetensors --set 'metrics=[Ssim(), L1()]' --out scored
+  pwrfgs evaluate runs/s23-laptop/model.safetensors --set data.root=data/s23
+  pwrfgs evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
 )]
 pub(crate) struct Evaluate {
-    /// The trained model, model.safetensors of a run folder; several are scored as an ensemble
+    /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
-    /// The pipeline file [default: pipeline.ron beside the first model]
+    /// Pipeline file [default: pipeline.ron next to the first model]
     #[arg(long, value_name = "FILE")]
     pub(crate) pipeline: Option<PathBuf>,
-    /// Change a setting, such as data.root=data/other-day
+    /// Change a setting, such as data.root=data/other; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
-    /// Where to write scores and report; nothing is written without it
+    /// Output folder for scores and report [default: write no files]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -14,34 +14,36 @@ type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "The PLY file has the binary layout of 3D Gaussian splatting, which splat viewers open: x y \
-    z (metres, world frame), nx ny nz (0), f_dc_0..2 (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x \
-    y z). The colour tells how strong the signal of a Gaussian is: the pixel it would give alone, were it opaque, from \
-    dark violet at 0 to yellow at 1, the full scale of the spectra; f_dc = (rgb - 0.5) / 0.28209479177387814. The NPZ \
-    file has the tensors of the model, the pose of the receiver and the image plane, as docs/model-format.md lists \
-    them.\n\nThe deformation network changes scales, rotations and signals with the transmitter. Without --tx the PLY \
-    file shows the base parameters, to which the network's terms are added (mid-grey where the network gives the whole \
-    signal); with --tx it shows what is drawn for that transmitter, and the NPZ file has these numbers too.\n\nOf \
-    an ensemble the PLY file has the Gaussians of all members, one member after the other, with a property `member` \
-    counted from 0 (a viewer blends them all: pick one to look at), and the NPZ file has the arrays of member 0 as \
-    members.0.means and so on.\n\nA file that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export \
-    runs/quickstart/model.safetensors --ply office.ply\n  pwrfgs export runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --ply office-at.ply --npz office-at.npz"
+    after_help = "\
+PLY   binary layout of 3D Gaussian splatting: x y z (metres, world frame), nx ny nz (0), f_dc_0..2
+      (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x y z). The colour shows the
+      pixel of an opaque Gaussian alone, from dark violet (0) to yellow (1, full scale):
+      f_dc = (rgb - 0.5) / 0.28209479177387814
+NPZ   all tensors, receiver pose and image plane (docs/model-format.md)
+--tx  Without it, the PLY file has the base parameters before the network's changes (mid-grey if the
+      network sets the signal); with it, both files have the values for that transmitter.
+An ensemble: PLY holds all members with a property `member` (0, 1, ..; viewers blend them all, so
+select one); NPZ names its arrays members.0.means, .. Existing files are never overwritten.
+
+EXAMPLES
+  pwrfgs export runs/quickstart/model.safetensors --ply office.ply
+  pwrfgs export runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz"
 )]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {
-    /// The trained model, model.safetensors of a run folder
+    /// Trained model (model.safetensors of a run)
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
-    /// The Gaussians for splat viewers
+    /// Write the Gaussians as PLY for splat viewers
     #[arg(long, value_name = "FILE")]
     pub(crate) ply: Option<PathBuf>,
-    /// All numbers of the model for numpy.load
+    /// Write all arrays of the model for numpy.load
     #[arg(long, value_name = "FILE")]
     pub(crate) npz: Option<PathBuf>,
-    /// The model itself with its network in 16-bit numbers, about half as large
+    /// Write the model with a 16-bit network, about half the size
     #[arg(long, value_name = "FILE")]
     pub(crate) half: Option<PathBuf>,
-    /// The Gaussians as they are for a transmitter at this position in metres, world frame
+    /// Transmitter position in metres, world frame, for which to export
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
 }

@@ -11,44 +11,49 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Spectra are [M, H, W]: M pictures of H rows (elevation) and W columns (azimuth), linear (no \
-    decibels), 1 the strongest direction. uint8 (255 is 1), uint16 (65535 is 1), float32 and float64 keep their \
-    precision (float64 becomes float32). Any number of them passes through little memory. The folder holds spectra.npy, \
-    tx.npy, gateway_info.yml and manifest.json; add train_index.txt and test_index.txt (ids, one a line, counted from 1) \
-    for a split of its own. A folder that holds anything is never touched.\n\nEXAMPLES\n  In Python: \
-    numpy.save(\"s.npy\", spectra); numpy.save(\"tx.npy\", positions)\n      pwrfgs import --spectra s.npy --tx tx.npy \
-    --receiver 5,0.26,0 --orientation 0,0,0,1 --out data/mine\n  numpy.savez(\"all.npz\", spectra=s, tx=p)\n      \
-    pwrfgs import --spectra all.npz --receiver 5,0.26,0 --orientation 0,0,0,1 --out data/mine\n  16-bit pictures \
-    00001.png .. and a table with columns x, y, z:\n      pwrfgs import --spectra pictures --tx tx.csv --receiver \
-    5,0.26,0 --orientation 0,0,0,1 --out data/mine\n  Floats from 0 to 255:\n      pwrfgs import --spectra s.npy --tx \
-    tx.npy --receiver 5,0.26,0 --orientation 0,0,0,1 --scale 0.00392156862745098 --out data/mine"
+    after_help = "\
+Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
+from 0 to 1, the strongest direction. Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
+float64, stored as float32. The import needs little memory for any number of spectra.
+Writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed split, add
+train_index.txt and test_index.txt (one id per line, from 1).
+
+EXAMPLES
+  python3 -c \"from numpy import *; r = random.rand; savez('my.npz', spectra=r(9,90,360), tx=r(9,3))\"
+  pwrfgs import --spectra my.npz --receiver 5,1,0 --orientation 0,0,0,1 --out data/my
+  pwrfgs import --spectra s.npy --tx tx.npy --receiver 5,1,0 --orientation 0,0,0,1 --out data/my2
+  pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3"
 )]
 pub(crate) struct Import {
-    /// The spectra: array .npy, archive .npz (FILE.npz:NAME names an array), or folder of grey PNG, 8 or 16 bits
+    /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
     #[arg(long, value_name = "PATH")]
     pub(crate) spectra: PathBuf,
-    /// The transmitters in metres: .npy or .npz [M, 3], or .csv with columns x, y, z [default: `tx` of the same .npz]
-    #[arg(long, value_name = "FILE")]
+    /// Transmitter positions in metres.
+    #[arg(
+        long,
+        value_name = "FILE",
+        help = "Transmitter positions in metres: .npy or .npz [M, 3], or .csv with\ncolumns x, y, z [default: array tx of the .npz of the spectra]"
+    )]
     pub(crate) tx: Option<PathBuf>,
-    /// Position of the receiver in metres
+    /// Receiver position in metres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) receiver: String,
-    /// Orientation of the receiver: the unit quaternion that turns its axes into the world's; 0,0,0,1 for none
-    #[arg(long, value_name = "X,Y,Z,W", allow_hyphen_values = true)]
+    /// Unit quaternion x,y,z,w, receiver to world; 0,0,0,1: no rotation
+    #[arg(long, value_name = "QUAT", allow_hyphen_values = true)]
     pub(crate) orientation: String,
-    /// Elevations where the top row begins and the bottom row ends, degrees [default: 0,90]
+    /// Elevation of the top and bottom edge, degrees [default: 0,90]
     #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true)]
     pub(crate) elevation: Option<String>,
-    /// The folder to make
+    /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// What the data set is called [default: the folder's name]
+    /// Name of the data set [default: name of the folder]
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Multiply every value, so that they are from 0 to 1
+    /// Factor for all values, so that they range from 0 to 1
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true)]
     pub(crate) scale: Option<f64>,
-    /// The spectra are simulated: titles and tables say so
+    /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
 }

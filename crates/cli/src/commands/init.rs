@@ -19,16 +19,21 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Looks at the data: spectra, received powers or channels in the layouts of NeRF2, or channels as an \
-    array (docs/data.md, docs/links.md); positions, index files, a point cloud. The pipeline it writes runs as it is; every line says what it does. Where the data bring no index files it suggests a \
-    split that holds out space, so that no test transmitter stands beside a training one. Nothing is ever \
-    overwritten.\n\nEXAMPLES\n  pwrfgs init data/s23\n  pwrfgs init data/s23 --out pipelines/mine.ron"
+    after_help = "\
+Reads spectra, received powers or channels in the layouts of docs/data.md, with index files and a
+point cloud if present. The pipeline runs as written; comments explain the settings. Without index
+files, it uses a split that holds out cells of space, so that no test transmitter is close to a
+training transmitter. Existing files are never overwritten.
+
+EXAMPLES
+  pwrfgs init data/s23
+  pwrfgs init data/s23 --out pipelines/mine.ron"
 )]
 pub(crate) struct Init {
-    /// The folder with the data
+    /// Folder with the data
     #[arg(value_name = "FOLDER", default_value = ".")]
     pub(crate) folder: PathBuf,
-    /// The pipeline file [default: NAME.ron where you stand, after the folder]
+    /// Pipeline file [default: ./NAME.ron, from the name of the folder]
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -26,39 +26,50 @@ const HEADER: &str = "array,picture,quantity,unit,receiver,columns_axis,first_co
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "A radio map: the model is asked for a transmitter at every place of a grid on a plane, and what a \
-    receiver would observe of it is drawn.\n\nWHAT IS MAPPED\n  received powers   power in dBm at each receiver, and at the \
-    strongest of them\n  spectra           azimuth and elevation of the strongest direction (degrees, receiver's frame; \
-    arrows show it in the room) and its level; with --of mean the mean level\n  channels          mean power over antennas \
-    and subcarriers, dB\n\nFILES\n  power.npy (or power-NAME.npy where there are several receivers) and so on: float32 [rows, \
-    columns], the lowest row first; power.png: the same as a picture, receivers as squares; map.csv: for each array its \
-    quantity, receiver, and where its rows and columns lie in metres. The folder is whole or not there.\n\nWithout --bounds the \
-    map holds the middle nine tenths of the model's Gaussians and all receivers, which may be more or less than the room: \
-    a model knows nothing where nobody measured, and says something nevertheless.\n\nEXAMPLES\n  pwrfgs map \
-    runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01\n  pwrfgs map \
-    runs/quickstart/model.safetensors --plane z=1.2 --of direction --bounds 0,8,0,6 --out directions\n  python3 -c \"import \
-    numpy; m = numpy.load('g01/power-g01.npy'); print(m.shape, m.max())\""
+    after_help = "\
+QUANTITIES
+  powers    power in dBm at each receiver, and at the strongest receiver
+  spectra   direction: azimuth and elevation of the strongest direction (degrees, receiver frame;
+            arrows show it in the room); level: its value; mean: the mean pixel
+  channels  mean power over antennas and subcarriers in dB
+FILES
+  power.npy  float32 [rows, columns], lowest row first (power-NAME.npy for several receivers)
+  power.png  the same array as an image, with receivers as squares
+  map.csv    quantity, receiver and grid of each array
+Without --bounds, the map covers the central 90 % of the Gaussians and all receivers, which may
+differ from the room. Far from measured positions, predictions are extrapolations.
+
+EXAMPLES
+  pwrfgs map runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01
+  pwrfgs map runs/quickstart/model.safetensors --plane z=1.2 --of direction --out directions
+  python3 -c \"import numpy; print(numpy.load('directions/azimuth.npy').shape)\""
 )]
 pub(crate) struct Map {
-    /// The trained model, model.safetensors of a run folder; several predict as an ensemble
+    /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
-    /// The coordinate that stays, and where in metres, such as z=1.2; x and y as well
+    /// Plane, by its fixed coordinate in metres: z=1.2, x=0.5 or y=-3
     #[arg(long, value_name = "AXIS=M")]
     pub(crate) plane: String,
-    /// Metres between two places
+    /// Grid spacing in metres
     #[arg(long, value_name = "M", default_value_t = 0.1)]
     pub(crate) step: f64,
-    /// Ends of the map in metres: the first coordinate of the plane from and to, then the second
+    /// Extent in metres of the first and second free coordinate
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
     pub(crate) bounds: Option<String>,
-    /// A receiver that is mapped, by its name in the data; may be given several times [default: all]
+    /// Map only this receiver (name in the data set); repeatable
     #[arg(long, value_name = "NAME")]
     pub(crate) receiver: Vec<String>,
-    /// What is mapped; may be given several times [default: power, or direction and level]
-    #[arg(long, value_enum)]
+    /// Quantity: power, level, mean or direction; repeatable.
+    #[arg(
+        long,
+        value_enum,
+        value_name = "QUANTITY",
+        hide_possible_values = true,
+        help = "Quantity: power, level, mean or direction; repeatable\n[default: power, or direction and level for spectra]"
+    )]
     pub(crate) of: Vec<Of>,
-    /// The folder to write; it must not hold anything
+    /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
 }

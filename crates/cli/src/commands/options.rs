@@ -15,13 +15,19 @@ const LISTED: usize = 12;
 
 #[derive(Debug, Args)]
 pub(crate) struct Changes {
-    /// Change a setting, such as training.batch=16 or pruners.LearnableMask.lambda=0.05; a plugin with other fields is
-    /// given whole, such as 'split=Random(test: 0.3)'. What the axis of a sweep says wins
-    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    /// Change a setting, such as training.batch=16 or 'split=Random(test: 0.3)'.
+    #[arg(
+        long = "set",
+        value_name = "FIELD=VALUE",
+        help = "Change a setting, such as training.batch=16 or\n'split=Random(test: 0.3)'; repeatable; sweep axes override it"
+    )]
     set: Vec<String>,
-    /// Multiply every count of steps, the schedules' too: 0.25 for a quarter of the training. Below 1 it also divides the
-    /// learning rates of masks, up to 0.1, so that they close in time
-    #[arg(long, value_name = "FACTOR")]
+    /// Multiply all step counts, such as 0.25.
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        help = "Multiply all step counts, such as 0.25; below 1, also divide the\nlearning rates of masks by it (up to 0.1), so that they still close"
+    )]
     scale: Option<f64>,
 }
 

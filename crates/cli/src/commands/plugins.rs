@@ -1,4 +1,4 @@
-//! `pwrfgs plugins`: everything that a pipeline may name, written as a pipeline would have it.
+//! `pwrfgs plugins`: lists and describes plugins and settings, in the notation of a pipeline.
 
 use crate::output;
 use crate::reference::commented::{Style, takes};
@@ -15,16 +15,23 @@ use std::fmt::Write as _;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "NAME is a plugin (LearnableMask), all of a kind (Pruner, or its field pruners), settings \
-    (training, optimizer, densify, loss), a type (Readout, Schedule), or Pipeline and Experiment for their own fields. Every \
-    field is shown with its default, what it takes and what it does; these are the comments of the source.\n\nEXAMPLES\n  pwrfgs plugins LearnableMask\n  pwrfgs plugins training\n  pwrfgs plugins \
-    readout\n  pwrfgs plugins --schema > pwrfgs.schema.json"
+    after_help = "\
+Without NAME, it lists all names. A kind (Pruner, or its field pruners) lists its plugins. A plugin
+(LearnableMask), settings (training, optimizer, loss), a type (Schedule), Pipeline or Experiment
+show each field with its default, type and description.
+
+EXAMPLES
+  pwrfgs plugins
+  pwrfgs plugins pruners
+  pwrfgs plugins LearnableMask
+  pwrfgs plugins --markdown > docs/reference.md
+  pwrfgs plugins --schema > pwrfgs.schema.json"
 )]
 pub(crate) struct Plugins {
-    /// Only this: a plugin, a kind of plugins, settings or a type
+    /// Kind, plugin, settings or type [default: list all names]
     #[arg(value_name = "NAME")]
     pub(crate) name: Option<String>,
-    /// Everything as one page of Markdown
+    /// Print the complete reference as Markdown
     #[arg(long, conflicts_with = "name")]
     pub(crate) markdown: bool,
     /// Print the JSON schema of pipeline and experiment files
@@ -32,42 +39,73 @@ pub(crate) struct Plugins {
     pub(crate) schema: bool,
 }
 
-/// Signs a line.
+/// Characters per line.
 const WIDTH: usize = 110;
+/// Characters per line of the list of all names.
+const NARROW: usize = 100;
 
 pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
-    if arguments.markdown || arguments.schema {
-        return output::result(&if arguments.schema { schema() } else { markdown::page(&chapters()) });
-    }
     let chapters = chapters();
-    let wanted = arguments.name.as_deref().map(str::to_lowercase);
+    let text = match &arguments.name {
+        _ if arguments.schema => schema(),
+        _ if arguments.markdown => markdown::page(&chapters),
+        None => all_names(&chapters),
+        Some(name) => described(name, &chapters)?,
+    };
+    output::result(&text)
+}
+
+/// Names of all kinds, plugins, settings and types.
+fn all_names(chapters: &[Chapter]) -> String {
+    let heads: Vec<String> = chapters
+        .iter()
+        .map(|chapter| chapter.field.map_or_else(|| chapter.name.clone(), |field| format!("{} ({field})", chapter.name)))
+        .collect();
+    let column = heads.iter().map(|head| head.chars().count() + 2).max().unwrap_or(0);
+    let mut out = format!("{:column$}{}\n", "kind (field)", "plugins; settings and types");
+    for (chapter, head) in chapters.iter().zip(&heads) {
+        let is_type = |topic: &&Topic| chapter.field.is_some() && !topic.fields.is_empty();
+        let names = |types: bool| {
+            let topics = chapter.topics.iter().filter(|topic| is_type(topic) == types);
+            topics.map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ")
+        };
+        let parts: Vec<String> = [names(false), names(true)].into_iter().filter(|names| !names.is_empty()).collect();
+        out += &wrapped(&parts.join("; "), [&format!("{head:column$}"), &" ".repeat(column)], NARROW);
+    }
+    out + "\npwrfgs plugins KIND lists a kind; pwrfgs plugins NAME shows fields, defaults and descriptions;\n\
+           pwrfgs plugins --markdown prints the complete reference\n"
+}
+
+/// The list of a kind, or everything about a plugin, settings or a type.
+fn described(name: &str, chapters: &[Chapter]) -> Result<String> {
+    let wanted = name.to_lowercase();
     let mut out = String::new();
-    for chapter in &chapters {
-        let whole = wanted.as_deref().is_none_or(|w| chapter.is_called(w));
-        let chosen = |t: &&Topic| whole || wanted.as_deref().is_some_and(|w| t.is_called(w));
-        let mut topics = chapter.topics.iter().filter(chosen).peekable();
-        if topics.peek().is_some() {
+    for chapter in chapters {
+        let topics = || chapter.topics.iter().filter(|topic| topic.is_called(&wanted));
+        let is_kind = chapter.is_called(&wanted);
+        if is_kind || topics().next().is_some() {
             let field = chapter.field.map_or_else(String::new, |field| format!(" (field `{field}`)"));
             _ = writeln!(out, "{}{field}: {}", chapter.name, chapter.about);
         }
-        topics.for_each(|topic| write_topic(&mut out, topic, !whole));
+        topics().for_each(|topic| write_topic(&mut out, topic));
+        let others = chapter.topics.iter().filter(|topic| is_kind && !topic.is_called(&wanted));
+        others.for_each(|topic| write_summary(&mut out, topic));
     }
-    if out.is_empty() {
-        return Err(unknown(arguments.name.as_deref().unwrap_or_default(), &chapters));
-    }
-    output::result(&out)
+    if out.is_empty() { Err(unknown(name, chapters)) } else { Ok(out) }
 }
 
-/// A topic; `full` with all of its comment.
-fn write_topic(out: &mut String, topic: &Topic, full: bool) {
-    let paragraphs = topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text));
-    let about =
-        if full { String::new() } else { topic.docs.map_or_else(String::new, |docs| prose::summary(docs.text)) };
-    _ = writeln!(out, "  {}{}{about}", markdown::title(topic), if about.is_empty() { "" } else { ": " });
-    if full {
-        for paragraph in &paragraphs {
-            out.push_str(&wrapped(paragraph, ["      "; 2], WIDTH));
-        }
+/// The name of a topic and the first sentence of its comment.
+fn write_summary(out: &mut String, topic: &Topic) {
+    let summary = topic.docs.map_or_else(String::new, |docs| prose::summary(docs.text));
+    let colon = if summary.is_empty() { "" } else { ": " };
+    out.push_str(&wrapped(&format!("{}{colon}{summary}", markdown::title(topic)), ["  ", "      "], WIDTH));
+}
+
+/// A topic with its whole comment and all of its fields.
+fn write_topic(out: &mut String, topic: &Topic) {
+    _ = writeln!(out, "  {}", markdown::title(topic));
+    for paragraph in topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text)) {
+        out.push_str(&wrapped(&paragraph, ["      "; 2], WIDTH));
     }
     match (topic.docs, &topic.value) {
         (Some(Docs { body: Body::Variants(variants), .. }), _) => {
@@ -86,11 +124,11 @@ fn write_topic(out: &mut String, topic: &Topic, full: bool) {
                 out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
-        (None, Err(why)) => _ = writeln!(out, "      (not without fields: {why})"),
+        (None, Err(why)) => _ = writeln!(out, "      (no defaults: {why})"),
     }
 }
 
-/// No such name; the nearest helps.
+/// The error for an unknown name, with the nearest one.
 fn unknown(name: &str, chapters: &[Chapter]) -> Error {
     let names = chapters.iter().flat_map(|c| {
         let topics = c.topics.iter().flat_map(|t| t.fields.iter().copied().chain([t.name.as_str()]));
@@ -98,27 +136,27 @@ fn unknown(name: &str, chapters: &[Chapter]) -> Error {
     });
     let hint = did_you_mean(name, names);
     let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
-    Error::Config(format!("nothing that a pipeline may name is called `{name}`{hint} (`pwrfgs plugins` lists all)"))
+    Error::Config(format!("unknown plugin, kind or setting `{name}`{hint} (`pwrfgs plugins` lists all)"))
 }
 
-/// A file of pwrfgs: `Name(field: value)` in RON is `{"Name": {"field": value}}` here.
+/// A pipeline or experiment file: `Name(field: value)` in RON is `{"Name": {"field": value}}` here.
 #[derive(JsonSchema)]
-#[expect(dead_code, reason = "its schema alone is of use")]
+#[expect(dead_code, reason = "only its schema is used")]
 enum File {
-    /// A run, as `pwrfgs run` reads it.
+    /// Pipeline of one run, as `pwrfgs run` reads it.
     Pipeline(Box<Pipeline>),
-    /// A sweep, as `pwrfgs sweep` reads it.
+    /// Experiment of many runs, as `pwrfgs sweep` reads it.
     Experiment(Box<Experiment>),
 }
 
-/// The JSON schema of pipeline and experiment files, for editors and programs that write such files.
+/// JSON schema of pipeline and experiment files, for editors and programs.
 fn schema() -> String {
     let mut schema = schema_for!(File).to_value();
     shorten(&mut schema);
     format!("{schema:#}\n")
 }
 
-/// Writes defaults in single precision with the digits of single precision.
+/// Shortens single-precision defaults to the digits of single precision.
 fn shorten(value: &mut Value) {
     match value {
         Value::Number(number) if number.is_f64() => {

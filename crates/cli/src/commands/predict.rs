@@ -19,43 +19,44 @@ const CHUNK: usize = 64;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Needs nothing but the model file. What is written depends on what the model was trained on; \
-    the folder is whole or not there. One that holds anything, an earlier prediction too, is not touched.\n\nSPECTRA\n  For the first position 00001.npy (float32, rows are \
-    elevation, columns azimuth) and 00001.png (8-bit grey), and so on; predictions.csv has row, x, y, z, strongest \
-    direction (azimuth and elevation in degrees), its value, and the milliseconds it took. With --stacked all arrays are \
-    one, spectra.npy [positions, rows, columns], which may be larger than memory.\nRECEIVED POWERS\n  predictions.csv has a \
-    row for every position and receiver: row, x, y, z, receiver, dbm, ms.\nCHANNELS\n  For every position and receiver \
-    00001.npy (complex64, rows are antennas, columns subcarriers), with --stacked all in channels.npy [rows of \
-    predictions.csv, antennas, subcarriers]; predictions.csv has row, x, y, z, receiver, db (mean power of the gains) and \
-    ms.\n\nSeveral models predict as an ensemble: the mean of what they say, pictures each clamped to [0, 1]. How far they \
-    differ, the standard deviation of every number, is then written beside, as 00001-spread.npy and .png (white is 0.5) or \
-    spread.npy, and of powers as a column spread_db: do not trust a prediction where it is large.\n\nEXAMPLES\n  pwrfgs \
-    predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out heard\n  pwrfgs predict runs/a-0/model.safetensors \
-    runs/a-1/model.safetensors --tx-csv positions.csv --out heard\n  pwrfgs predict runs/quickstart/model.safetensors \
-    --tx-csv walk.csv --stacked --no-png --out walk\n  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv \
-    --receiver g01 --receiver g07 --out walk"
+    after_help = "\
+Needs only the model file. Writes all files or none. predictions.csv has a row per position and
+receiver, with the latency in ms and:
+  spectra   azimuth and elevation of the strongest direction in degrees, and its value
+  powers    power in dBm
+  channels  mean power of the gains in dB
+Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, ..; channels are
+complex64 [antennas, subcarriers] in 00001.npy, .. --stacked: spectra.npy or channels.npy.
+An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
+deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
+
+EXAMPLES
+  pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
+  printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
+  pwrfgs predict runs/quickstart/model.safetensors --tx-csv walk.csv --stacked --no-png --out walk
+  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --out walk-g01"
 )]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
-    /// The trained model, model.safetensors of a run folder; several, or the file of an ensemble, predict as one
+    /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
-    /// A CSV file with columns x, y, z in metres; others are ignored
+    /// CSV file of positions: columns x, y, z in metres, others are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
-    /// The folder to write to; made where it is missing
+    /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// A receiver that shall listen, by its name in the data; may be given several times [default: all]
+    /// Predict only for this receiver (name in the data set); repeatable
     #[arg(long, value_name = "NAME")]
     pub(crate) receiver: Vec<String>,
-    /// One array of all spectra or channels in place of one for each
+    /// Write all spectra or channels as one array, which may exceed memory
     #[arg(long)]
     pub(crate) stacked: bool,
-    /// No PNG pictures
+    /// Write no PNG images
     #[arg(long)]
     pub(crate) no_png: bool,
 }

@@ -14,25 +14,32 @@ const FOLDER: &str = "report";
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Runs on the same data and split form a setting, and are compared within it; those that differ in \
-    their seed alone form a variant, and give a mean and a standard deviation. A single run's own page, report.html in its \
-    folder, is made again too, unless --out is given.\n\nWrites report.html (one file), \
-    report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG, PDF and PNG. An \
-    older report in the folder is replaced; a folder that holds anything else is never touched. Runs that have not \
-    finished are named and left out.\n\nPaired differences from the reference carry a 95 % bootstrap interval over seeds \
-    and blocks of space.\n\nEXAMPLES\n  pwrfgs report runs/lambda\n  pwrfgs report runs/cloud-0 runs/cloud-1 \
-    runs/random-0 runs/random-1 --out compared\n  pwrfgs report runs/lambda --reference 5-NN"
+    after_help = "\
+Compares runs on the same data and split. Runs that differ only in the seed form one row, with mean
+and standard deviation. Paired differences have 95 % bootstrap intervals over seeds and blocks of
+space.
+Writes report.html, report.csv, report.tex with one file per table, and figures as SVG, PDF and PNG.
+Replaces an older report; never changes a folder with other files. Lists unfinished runs and leaves
+them out. For a single run without --out, it also rebuilds report.html in the run folder.
+
+EXAMPLES
+  pwrfgs report runs/lambda
+  pwrfgs report runs/lambda --reference 5-NN
+  pwrfgs report runs/quarter runs/quarter-1 --out compared"
 )]
 pub(crate) struct Report {
-    /// Run folders, or folders of whole sweeps
+    /// Run folders or sweep folders
     #[arg(value_name = "RUNS", required = true)]
     pub(crate) runs: Vec<PathBuf>,
-    /// Where to write the report [default: report in the first of the folders]
+    /// Output folder [default: report in the first folder]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// What paired differences are from: a variant as the table calls it, or a floor such as 5-NN [default: the first
-    /// variant]
-    #[arg(long, value_name = "LABEL")]
+    /// Reference of paired differences.
+    #[arg(
+        long,
+        value_name = "LABEL",
+        help = "Reference of paired differences: a variant (name in the table) or a\nbaseline such as 5-NN [default: first variant]"
+    )]
     pub(crate) reference: Option<String>,
 }
 

@@ -13,23 +13,26 @@ use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "The run folder holds pipeline.ron (every setting), curve.csv, validation.csv, scores.csv, \
-    samples.csv, run.json, the checkpoint, model.safetensors and report.html; with --set tensorboard=true also \
-    an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
-    was stopped or killed, and ends in the same files; with other baselines or metrics it scores the trained model anew, \
-    without training. A folder that holds anything else is never touched.\n\nPaths in \
-    a pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
-    pipelines/s23-laptop.ron --set data.root=../shared/data/s23\n  pwrfgs run \
-    pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
-    runs/fewer --set seed=1 --out runs/fewer-1\n  pwrfgs run pipelines/quickstart.ron --scale 0.25 --out runs/short"
+    after_help = "\
+Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
+If only baselines or metrics changed, it scores the trained model again without training.
+A folder with other files is never changed. Paths in a pipeline are relative to its file, paths on
+the command line to the current directory. docs/guide.md describes the run folder.
+
+EXAMPLES
+  pwrfgs run pipelines/quickstart.ron
+  pwrfgs run pipelines/quickstart.ron --scale 0.25 --set tensorboard=true --out runs/quarter
+  pwrfgs run runs/quarter --set seed=1 --out runs/quarter-1
+  pwrfgs run pipelines/s23-laptop.ron --set data.root=data/s23
+  pwrfgs run pipelines/ablation.ron --set pruners.LearnableMask.lambda=0.05 --out runs/sparse"
 )]
 pub(crate) struct Run {
-    /// The file of a pipeline; or a run folder, whose run is resumed, or repeated where --out says
+    /// Pipeline file, or run folder: resumes the run, or repeats it in --out
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
     pub(crate) changes: Changes,
-    /// The run folder [default: runs/NAME, after the name of the pipeline]
+    /// Run folder [default: runs/NAME, from the name of the pipeline]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -13,63 +13,66 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 #[derive(Debug, Args)]
-#[command(after_long_help = "Writes, in the layout of NeRF2: gateway_info.yml, tx_pos.csv, spectrum/00001.png .., \
-    train_index.txt and test_index.txt (every fifth); and beside it power.csv (absolute path gain, for RSSI), paths.csv \
-    (every path with gain, delay, angles and what it met), points.ply (points on all surfaces, with normals) and \
-    manifest.json (every parameter). A folder that holds anything is never touched. In a pipeline, data: \
-    Simulated(scene: ..) makes the same data set without this command.\n\nLAYOUTS\n  spectra   pictures, or with --npy \
-    spectra.npy, one array\n  rssi      gateway_position.yml, and gateway_rssi.csv in dBm with a column each receiver; \
-    -100.0 was not heard\n  channels  channel.npy, complex64 [transmitters, antennas, subcarriers], and receiver.yml with \
-    frequencies and antennas\n  csi       csidata.npy, the same array, whose first half of the subcarriers is the uplink \
-    and the second the downlink, and base-station.yml; NeRF2's own program wants 8 antennas and 52 subcarriers\nOf several \
-    receivers each has a folder of its own, but for rssi.\n\nEXAMPLES\n  pwrfgs simulate scenes/office.ron --out \
-    data/office\n  pwrfgs simulate scenes/lab-s23.ron --samples 4898 --no-paths --out data/lab\n  pwrfgs simulate \
-    scenes/office.ron --samples 100000 --no-paths --npy --out data/many\n  pwrfgs simulate scenes/office-links.ron --layout \
-    rssi --noise-db 3 --no-paths --out data/rssi\n  pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --samples \
-    4000 --no-paths --out data/csi")]
+#[command(after_help = "\
+LAYOUTS
+  spectra   NeRF2: gateway_info.yml, spectrum/00001.png, .. (or spectra.npy), power.csv (path gains)
+  rssi      NeRF2 BLE: gateway_position.yml, gateway_rssi.csv in dBm, one column per receiver;
+            -100.0 means no reception
+  channels  channel.npy, complex64 [transmitters, antennas, subcarriers], receiver.yml
+  csi       NeRF2 MIMO: csidata.npy, the same array, first half of the subcarriers uplink, second
+            half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
+All have tx_pos.csv, paths.csv, points.ply (surface points with normals), manifest.json (parameters)
+and index files (every fifth transmitter is for test). Several receivers get a folder each, except
+for rssi. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
+
+EXAMPLES
+  pwrfgs simulate scenes/office.ron --out data/office
+  pwrfgs simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many
+  pwrfgs simulate scenes/office-links.ron --layout rssi --noise-db 3 --no-paths --out data/rssi
+  pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --no-paths --out data/csi")]
 pub(crate) struct Simulate {
-    /// The scene file
+    /// Scene file
     #[arg(value_name = "SCENE")]
     pub(crate) scene: PathBuf,
-    /// The folder to make
+    /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Which files hold what is observed
-    #[arg(long, value_enum, default_value_t = Kind::Spectra)]
+    /// Layout: spectra, rssi, channels or csi
+    #[arg(long, value_enum, hide_possible_values = true, default_value_t = Kind::Spectra)]
     pub(crate) layout: Kind,
-    /// Signal-to-noise ratio of every channel, in place of the scene's; with channels and csi
+    /// SNR of channels in dB, for channels and csi [default: from the scene]
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub(crate) snr_db: Option<f64>,
-    /// Standard deviation of every reading of a power; with rssi [default: 0]
+    /// Standard deviation of received powers in dB, for rssi [default: 0]
     #[arg(long, value_name = "DB")]
     pub(crate) noise_db: Option<f64>,
-    /// How many transmitters
+    /// Number of transmitters
     #[arg(long, value_name = "N", default_value_t = 1000)]
     pub(crate) samples: usize,
-    /// Which transmitter positions and receiver errors
+    /// Random seed for transmitter positions and receiver noise
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(crate) seed: u64,
-    /// Points of the cloud
+    /// Number of points in the point cloud
     #[arg(long, value_name = "N", default_value_t = 190_000)]
     pub(crate) points: usize,
-    /// Write one array, spectra.npy, in place of a picture each; needed for 100,000 spectra and more
+    /// Write spectra.npy instead of images; required from 100,000 spectra
     #[arg(long)]
     pub(crate) npy: bool,
-    /// Leave paths.csv out: it has some hundred rows a spectrum
+    /// Do not write paths.csv, which has about 100 rows per spectrum
     #[arg(long)]
     pub(crate) no_paths: bool,
 }
 
-/// What is observed, and as which files.
+/// Layout of the simulated data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Kind {
     /// Spatial spectra
     Spectra,
-    /// Received powers, NeRF2's BLE layout
+    /// Received powers in NeRF2's BLE layout
     Rssi,
-    /// Channels as one array
+    /// Channels in one array
     Channels,
-    /// Channels, uplink and downlink: NeRF2's MIMO layout
+    /// Uplink and downlink channels in NeRF2's MIMO layout
     Csi,
 }
 

@@ -19,52 +19,54 @@ use table::Table;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "An experiment names a base pipeline, seeds, and axes whose variants change some of its values by their path:\n\n  \
-    Experiment(\n      name: \"lambda\", base: \"../pipelines/quickstart.ron\", seeds: [0, 1, 2],\n      axes: [Axis(name: \
-    \"lambda\", variants: [\n          (label: \"0.01\", set: {\"pruners\": [LearnableMask(lambda: 0.01)]}),\n          (label: \
-    \"0.02\", set: {\"pruners\": [LearnableMask(lambda: 0.02)]}),\n      ])],\n  )\n\nAll combinations are tried before the first \
-    starts. Every run has its own folder, as `pwrfgs run` makes it. The same command does what is left: finished runs \
-    are skipped, stopped and killed ones go on from their checkpoints, failed ones are tried again. In the end it \
-    writes tables and figures into DIR/report.\n\nWith `join: true` in the file the models of all runs become one in DIR/joined, an \
-    ensemble: it predicts their mean, and confidence.csv says how far they differ and how wrong their mean is.\n\nON A CLUSTER\n  --launcher slurm submits a job array, one task a run, with \
-    the resources of `slurm: (cpus: 4, memory: \"8G\", time: \"02:00:00\")` in the file; --status says how far they are. \
-    With any other scheduler start the same command n times on a shared disk, with --shard 1/n to --shard n/n.\n\nEXAMPLES\n  \
-    pwrfgs sweep experiments/lambda.ron --dry-run\n  pwrfgs sweep experiments/lambda.ron --jobs 2\n  pwrfgs sweep \
-    experiments/lambda.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/lambda-s23"
+    after_help = "\
+An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
+are validated before the first one starts. Repeat the command to resume: it skips finished runs and
+retries failed ones. The sweep ends with tables and figures in DIR/report and, if the file says
+`join: true`, an ensemble of all models in DIR/joined. docs/guide.md explains the file.
+
+ON A CLUSTER
+  --launcher slurm submits a job array, one task per run, with the resources of `slurm` in the file.
+  Other schedulers: start the command n times on a shared disk, with --shard 1/n to --shard n/n.
+
+EXAMPLES
+  pwrfgs sweep experiments/lambda.ron --dry-run
+  pwrfgs sweep experiments/lambda.ron --jobs 2
+  pwrfgs sweep experiments/lambda.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23"
 )]
 pub(crate) struct Sweep {
-    /// The experiment file
+    /// Experiment file
     #[arg(value_name = "EXPERIMENT")]
     pub(crate) experiment: PathBuf,
     #[command(flatten)]
     pub(crate) changes: Changes,
-    /// The sweep folder [default: runs/NAME, after the name of the experiment]
+    /// Sweep folder [default: runs/NAME, from the name of the experiment]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// List all runs and how long they would take here; run nothing
+    /// List all runs with estimated times; run nothing
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Say how far each run is, wherever it runs; run nothing
+    /// Print the progress of each run, on any machine; run nothing
     #[arg(long, conflicts_with = "dry_run")]
     pub(crate) status: bool,
-    /// Runs at a time; they share the threads
+    /// Number of parallel runs, which share the threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = count)]
     pub(crate) jobs: usize,
-    /// Do the i-th of n parts only, for any scheduler
+    /// Run only part I of N, such as 2/5, for any scheduler
     #[arg(long, value_name = "I/N", value_parser = shard)]
     pub(crate) shard: Option<Shard>,
-    /// Do this run only, named as its folder
+    /// Run only this run, by the name of its folder
     #[arg(long, value_name = "RUN", conflicts_with = "shard")]
     pub(crate) only: Option<String>,
-    /// Hand the runs to a scheduler and come back at once
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["dry_run", "status"])]
+    /// Submit the runs to a scheduler and return; NAME is slurm
+    #[arg(long, value_name = "NAME", hide_possible_values = true, conflicts_with_all = ["dry_run", "status"])]
     pub(crate) launcher: Option<Launcher>,
 }
 
-/// A scheduler that is spoken to.
+/// Scheduler that runs are submitted to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Launcher {
-    /// A job array of `sbatch`
+    /// Slurm job array, submitted with `sbatch`
     Slurm,
 }
 

@@ -13,20 +13,29 @@ use std::process::{Command, Stdio};
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Prints the address of a page and serves it until Ctrl-C, or until the page is closed. Nobody else can \
-    open it: it listens on this machine alone, on a random port, and the address holds a random token. Nothing is \
-    written.\n\nON THE PAGE\n  Drag the transmitter, with Shift by its height; arrow keys move it by 10 cm, Page Up and Down \
-    lift it; click a measured one to go there. Drag the room to turn it, scroll to zoom. The slider goes through the training, \
-    from its start over every prune step to the end; a run that is still at work is followed.\n\nCOMPARE\n  Two models, or a \
-    model and a floor that learns from the same data, move together. A floor is written as in a pipeline, such as \
-    NearestNeighbours(k: 5), or by its name alone.\n\nEXAMPLES\n  pwrfgs view \
-    runs/quickstart\n  pwrfgs view runs/s23-best/joined runs/s23-laptop\n  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'"
+    after_help = "\
+Prints the address of a page and serves it until Ctrl-C or until the page is closed; writes nothing.
+Only this machine can open the page: it uses a random local port and a random token in the address.
+
+ON THE PAGE
+  transmitter  drag it (with Shift: change its height), or click a measured position; arrow keys
+               move it by 10 cm, Page Up and Page Down change its height
+  room         drag to rotate, scroll to zoom
+  slider       selects a snapshot of the training, from the start over each prune step to the end;
+               new snapshots of a run in progress appear
+Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
+in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
+
+EXAMPLES
+  pwrfgs view runs/quickstart
+  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'
+  pwrfgs view runs/s23-best/joined runs/s23-laptop"
 )]
 pub(crate) struct View {
-    /// A run folder or a model file; the second may be a floor, such as Kriging
+    /// Run folder or model file; the second may be a baseline, such as Kriging
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
     pub(crate) sides: Vec<String>,
-    /// Open the page in the browser of this desktop. The address is then seen by who may list processes of this machine
+    /// Open the page in a browser; its address is visible in the process list
     #[arg(long)]
     pub(crate) open: bool,
 }

@@ -1,4 +1,4 @@
-//! A value as RON, with a comment above every field: what it takes and what it does.
+//! Values as RON, with a comment above each field: its description and type.
 
 use super::prose;
 use pwrfgs::experiment::text::wrapped;
@@ -7,10 +7,10 @@ use pwrfgs_core::docs::{Body as Shape, Docs, Field, Kind};
 use pwrfgs_core::plugin::Family;
 use std::fmt::Write as _;
 
-/// Signs a line.
+/// Characters per line.
 const WIDTH: usize = 110;
 
-/// A value in its own text.
+/// Value with its RON text.
 #[derive(Clone)]
 pub(crate) struct Value {
     pub(super) text: String,
@@ -18,41 +18,41 @@ pub(crate) struct Value {
 }
 
 impl Value {
-    /// The value that `text` is, which a serialiser or parser has seen.
+    /// Parses `text`, which a serialiser or parser has accepted.
     pub(crate) fn new(text: String) -> Result<Self, String> {
         Ok(Self { tree: Tree::parse(&text)?, text })
     }
 
-    /// The text of a value inside.
+    /// RON text of the value at `path`.
     pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
         let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
         inside.map(|tree| tree.of(&self.text))
     }
 
-    /// One of its fields, in one line.
+    /// RON text of a field, in one line.
     pub(super) fn field(&self, field: &Field) -> Option<String> {
         self.tree.field(field.name).map(|tree| short(Some(&field.kind), tree, &self.text))
     }
 
-    /// One of its fields as a value of its own.
+    /// Value of a field.
     pub(super) fn part(&self, name: &str) -> Option<Self> {
         Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
     }
 }
 
-/// How a value is written.
+/// Layout of a written value.
 pub(crate) struct Style<'a> {
-    /// Whether the field of this name is opened, each field inside in a line of its own.
+    /// Whether a field, by name, is expanded to one line per inner field.
     pub(crate) opens: &'a dyn Fn(&str) -> bool,
-    /// Whether the field of a value, both by name, is shown.
+    /// Whether a field is shown, by the names of value and field.
     pub(crate) shows: &'a dyn Fn(&str, &str) -> bool,
 }
 
 impl Style<'_> {
-    /// Everything, nested values in one line.
+    /// All fields, nested values in one line.
     pub(crate) const FLAT: Self = Style { opens: &|_| false, shows: &|_, _| true };
 
-    /// The value with the comments of `docs`, every line after `indent`; no indent before its first line, none after its last.
+    /// Writes the value with the comments of `docs`. Each line starts with `indent`, except the first.
     pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
         let mut out = String::new();
         self.tree(&value.tree, &value.text, docs, indent, &mut out);
@@ -94,13 +94,13 @@ impl Style<'_> {
     }
 }
 
-/// A field's comment, with what it takes.
+/// Comment of a field, with its type.
 fn comment(field: &Field, indent: &str) -> String {
     let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
     wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
 }
 
-/// The comments on what stands in a place of this kind.
+/// Comments on a value of this kind.
 fn docs_at(kind: Option<&Kind>, value: &Tree) -> Option<&'static Docs> {
     match kind? {
         Kind::Of(docs) => Some(docs),
@@ -113,7 +113,7 @@ fn docs_at(kind: Option<&Kind>, value: &Tree) -> Option<&'static Docs> {
     }
 }
 
-/// A value in one line; settings that need not say anything say nothing.
+/// Writes a value in one line; settings whose fields are all optional become `Name()`.
 fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
     match kind {
         Some(Kind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
@@ -123,7 +123,7 @@ fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
     }
 }
 
-/// A value in one line.
+/// Writes a value in one line, with all fields.
 fn compact(tree: &Tree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
     let list = |items: &[Tree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
@@ -139,7 +139,7 @@ fn compact(tree: &Tree, text: &str) -> String {
     }
 }
 
-/// What a field takes, in words; an enum by its variants.
+/// Type of a field in words; the variants of an enum.
 pub(crate) fn takes(kind: &Kind) -> String {
     match kind {
         Kind::Of(Docs { name, body: Shape::Variants(variants), .. }) => {

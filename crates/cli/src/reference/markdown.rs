@@ -1,4 +1,4 @@
-//! The reference as a page of Markdown.
+//! The reference as one page of Markdown.
 
 use super::commented::{Value, takes};
 use super::{Chapter, Topic, prose};
@@ -6,12 +6,11 @@ use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{Body, Docs, Field, Variant};
 use std::fmt::Write as _;
 
-/// The page.
+/// The complete reference.
 pub(crate) fn page(chapters: &[Chapter]) -> String {
     let mut out = String::from(
-        "# Reference\n\nEverything that a pipeline or an experiment can name, with defaults.\nThis page is \
-         printed by `pwrfgs plugins --markdown` from the comments in the source; `pwrfgs plugins NAME` prints a part of \
-         it.\n\n",
+        "# Reference\n\nThis page lists all plugins, settings and types of pipelines and experiments, with defaults.\n`pwrfgs \
+         plugins --markdown` generates it from the comments in the source; `pwrfgs plugins NAME` prints one entry.\n\n",
     );
     for chapter in chapters {
         let topics: Vec<String> = chapter.topics.iter().map(|t| format!("`{}`", t.name)).collect();
@@ -33,7 +32,7 @@ fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
     let Some(docs) = topic.docs else {
         match &topic.value {
             Ok(value) => _ = writeln!(out, "\n```ron\n{}\n```", value.text),
-            Err(why) => _ = writeln!(out, "\nIt has no defaults: {why}"),
+            Err(why) => _ = writeln!(out, "\nNo defaults: {why}"),
         }
         return;
     };
@@ -51,7 +50,7 @@ fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
     write_body(out, docs, topic.value.as_ref().ok());
 }
 
-/// Its name, with the fields that take it.
+/// Name of a topic, with the fields of this type.
 pub(crate) fn title(topic: &Topic) -> String {
     match &topic.fields[..] {
         [] => topic.name.clone(),
@@ -62,13 +61,13 @@ pub(crate) fn title(topic: &Topic) -> String {
 
 fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
     match docs.body {
-        Body::Fields([]) => _ = writeln!(out, "\nIt has no fields."),
+        Body::Fields([]) => _ = writeln!(out, "\nNo fields."),
         Body::Fields(fields) => {
-            _ = writeln!(out, "\n| field | takes | default | what it is |\n|---|---|---|---|");
+            _ = writeln!(out, "\n| field | type | default | description |\n|---|---|---|---|");
             for field in fields {
                 let default =
                     if docs.name == "Pipeline" && Pipeline::REQUIRED.iter().any(|(name, _)| *name == field.name) {
-                        "must be given".into()
+                        "required".into()
                     } else {
                         default(field, value)
                     };
@@ -76,7 +75,7 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
             }
         }
         Body::Variants(variants) => {
-            _ = writeln!(out, "\n| variant | what it is |\n|---|---|");
+            _ = writeln!(out, "\n| variant | description |\n|---|---|");
             for variant in variants {
                 row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
             }
@@ -84,16 +83,16 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
     }
 }
 
-/// What a field is where nothing is said.
+/// Default of a field, in words if it has none.
 fn default(field: &Field, value: Option<&Value>) -> String {
     match value.and_then(|v| v.field(field)) {
         Some(text) => format!("`{text}`"),
-        None if field.optional => "may be left out".into(),
-        None => "must be given".into(),
+        None if field.optional => "optional".into(),
+        None => "required".into(),
     }
 }
 
-/// `LogLinear(first: number, last: number, steps: whole number)`.
+/// Notation of a variant: `LogLinear(first: number, last: number, steps: whole number)`.
 pub(crate) fn form(variant: &Variant) -> String {
     let field = |f: &Field| {
         let words = f.kind.words();
@@ -103,10 +102,10 @@ pub(crate) fn form(variant: &Variant) -> String {
     if fields.is_empty() { variant.name.into() } else { format!("{}({})", variant.name, fields.join(", ")) }
 }
 
-/// A variant's comment, and those of its fields.
+/// Comment of a variant and of its fields.
 pub(crate) fn meaning(variant: &Variant) -> String {
     let field = |f: &Field| {
-        let optional = if f.optional { " (may be left out)" } else { "" };
+        let optional = if f.optional { " (optional)" } else { "" };
         format!(" `{}`{optional}: {}", f.name, prose::line(f.text))
     };
     let fields: String = variant.fields.iter().filter(|_| variant.named).map(field).collect();

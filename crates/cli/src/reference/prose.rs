@@ -1,8 +1,8 @@
-//! Doc comments as plain text: without code, with links as names, in lines.
+//! Doc comments as plain text: without code examples, links as names.
 
 use std::fmt::Write as _;
 
-/// The paragraphs of a doc comment without its examples and tables' rulers, each in one line; a table keeps its lines.
+/// Paragraphs of a doc comment without code examples, each in one line; tables keep their lines.
 pub(crate) fn paragraphs(text: &str) -> Vec<String> {
     let mut all: Vec<String> = Vec::new();
     let (mut code, mut open) = (false, false);
@@ -13,7 +13,7 @@ pub(crate) fn paragraphs(text: &str) -> Vec<String> {
         } else if !code && line.is_empty() {
             open = false;
         } else if !code {
-            let own = line.starts_with('|') || line.starts_with("* ") || line.starts_with('#');
+            let own = ["|", "* ", "- ", "#"].iter().any(|start| line.starts_with(start));
             match all.last_mut() {
                 Some(last) if open && !own => {
                     last.push(' ');
@@ -27,18 +27,18 @@ pub(crate) fn paragraphs(text: &str) -> Vec<String> {
     all.iter().map(|paragraph| without_links(paragraph)).collect()
 }
 
-/// The first sentence of a doc comment, without its full stop.
+/// First sentence of a doc comment, without full stop.
 pub(crate) fn summary(text: &str) -> String {
     let first = paragraphs(text).into_iter().next().unwrap_or_default();
     sentences(&first).lines().next().unwrap_or_default().trim_end_matches('.').to_owned()
 }
 
-/// A doc comment in one line.
+/// Joins a doc comment into one line.
 pub(crate) fn line(text: &str) -> String {
     paragraphs(text).join(" ")
 }
 
-/// One sentence a line, as all pages of this project have it.
+/// Breaks text into one sentence per line.
 pub(crate) fn sentences(text: &str) -> String {
     let mut out = String::new();
     let mut words = text.split(' ').peekable();
@@ -57,7 +57,7 @@ pub(crate) fn sentences(text: &str) -> String {
     out
 }
 
-/// `` [`crate::TopK`](..) `` as `` `TopK` ``.
+/// Replaces `` [`crate::TopK`](..) `` by `` `TopK` ``.
 fn without_links(text: &str) -> String {
     let mut plain = String::new();
     let mut rest = text;
