@@ -103,9 +103,7 @@ impl Pruner for RadSplat {
     }
 }
 
-/// Use it for a fixed memory or time budget. `densify.max_gaussians` complements it: it limits growth during
-/// densification. Ties follow the order of the Gaussians. `Weight`, the blending weight used by importance-based
-/// pruning of visual splatting, is the best choice; `Opacity` and `OpacityVolume` need no render.
+/// Keeps the best-scored Gaussians at each prune step, at most `training.target`.
 ///
 /// Use it for a fixed memory or time budget. `densify.max_gaussians` complements it: it limits growth during
 /// densification. Ties follow the order of the Gaussians. `Weight`, the blending weight used by importance-based
