@@ -1,7 +1,7 @@
 //! NeRF2 at its full size: what the trunk costs once, a spectrum after that, several without anything kept, and a step.
 //!
 //! `RAYON_NUM_THREADS=2 cargo bench -p pwrfgs --bench nerf2` takes some three minutes and 3 GB. Each line has the arithmetic
-//! beside the time; `--bench peak` says what the machine could do. The word `step` after `--` leaves the rest out. What the numbers were is in `docs/methods.md`.
+//! beside the time; `--bench peak` says what the machine could do. The word `step` after `--` leaves the rest out. What the numbers were is in `docs/lab/nerf2.md`.
 
 #![allow(clippy::print_stdout)] // what it prints is what it is for
 
