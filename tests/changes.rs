@@ -94,7 +94,7 @@ fn what_cannot_be_is_told_with_what_can() {
         ("training.steps=((", &["is no value"]),
         ("training.steps=many", &["integer", "it takes a whole number"]),
         ("initializer.count=-5", &["it takes a whole number"]),
-        ("training.optimizer.network=0.001", &["`0.001` stands where a name is expected; it takes a Schedule"]),
+        ("training.optimizer.network=0.001", &["`0.001` found, expected a name; it takes a Schedule"]),
         ("pruners=TopK()", &["it takes a list of Pruner"]),
         ("pruners.0.lambda=-1", &["`lambda` is -1"]),
     ];

@@ -243,6 +243,6 @@ fn what_rays_cannot_do_is_refused_with_its_place() {
     refused("method: Nerf2(far_m: 0)", "`far_m` is 0");
     refused("method: Nerf2(), pruners: [OpacityThreshold()]", "nothing to prune");
     refused("initializer: Random(), training: (rays: Same(9), loss: (ssim_weight: 0))", "Nerf2");
-    refused("method: Nerf2(), training: (rays: Same(9))", "SSIM wants whole pictures");
+    refused("method: Nerf2(), training: (rays: Same(9))", "SSIM needs whole spectra");
     refused(&format!("method: Nerf2(), training: (rays: Each(0), {plain})"), "at least 1");
 }

@@ -219,13 +219,13 @@ fn numbers_that_cannot_be_are_refused_with_their_place() {
     assert!(written(50, "pruners: [TopK(), RadSplat()] to 8").is_ok());
     for (start, pruners, line, words) in [
         (50, "pruners: [SpeedySplat()] to 51", "a.ron:", "training.target is 51, but training starts with 50"),
-        (50, "pruners: [RadSplat(), TopK()] to 8", "a.ron:", "put `TopK` first"),
-        (50, "pruners: [TopK()]", "a.ron:", "set it, such as to 157"),
-        (50, "pruners: [] to 8", "a.ron:", "no pruner takes an exact number"),
+        (50, "pruners: [RadSplat(), TopK()] to 8", "a.ron:", "list `TopK` first"),
+        (50, "pruners: [TopK()]", "a.ron:", "set it, for example to 157"),
+        (50, "pruners: [] to 8", "a.ron:", "no pruner supports a target"),
         (50, "pruners: [RadSplat(target: 9)]", "a.ron:3:", "target"),
-        (50, "pruners: [LightGaussian(shares: [0.5, 1.5])]", "a.ron:3:", "`shares` has 1.5"),
+        (50, "pruners: [LightGaussian(shares: [0.5, 1.5])]", "a.ron:3:", "`shares` contains 1.5"),
         (50, "pruners: [RadSplat(threshold: 1.5)]", "a.ron:3:", "`threshold` is 1.5"),
-        (50, "rasterizer: ArrayResponse(), pruners: [RadSplat()]", "a.ron:3:", "nothing is blended here"),
+        (50, "rasterizer: ArrayResponse(), pruners: [RadSplat()]", "a.ron:3:", "this method does not blend"),
     ] {
         let said = written(start, pruners).unwrap_err();
         assert!(said.starts_with(line) && said.contains(words), "{pruners}: {said}");
@@ -238,5 +238,5 @@ fn numbers_that_cannot_be_are_refused_with_their_place() {
     pipeline.set("training.target=5").unwrap();
     assert_eq!(train(&pipeline).2[23], 5, "one word in the pipeline");
     let said = small("RadSplat(threshold: 0.1)").set_all(&["pruners=[]", "training.target=5"]).unwrap_err().to_string();
-    assert!(said.contains("no pruner takes an exact number"), "{said}");
+    assert!(said.contains("no pruner supports a target"), "{said}");
 }

@@ -110,7 +110,7 @@ fn a_file_that_is_cut_short_ends_training_and_scoring_with_words() {
     file.set_len(60 * 400).unwrap();
     let part: Vec<usize> = (0..300).collect();
     let said = scores(&data, &part, &["Ssim()"]).unwrap_err().to_string();
-    assert!(said.contains("spectra have changed or gone since they were opened"), "{said}");
+    assert!(said.contains("file of spectra was changed or removed while open"), "{said}");
     let data = stored(here.path());
     let text = "Pipeline(name: \"file\", data: Teacher(), initializer: Grid(count: 8), deformation: Fixed(),
         training: (steps: 9, densify_until: 0, prune_until: 0))";
@@ -120,5 +120,5 @@ fn a_file_that_is_cut_short_ends_training_and_scoring_with_words() {
     trainer.step().unwrap();
     std::fs::File::options().write(true).open(here.path().join("spectra")).unwrap().set_len(0).unwrap();
     let said = trainer.step().unwrap_err().to_string();
-    assert!(said.starts_with("cannot read ") && said.contains("put them back"), "{said}");
+    assert!(said.starts_with("cannot read ") && said.contains("restore it"), "{said}");
 }

@@ -113,7 +113,7 @@ def test_the_loop_in_ones_own_hands(pipeline, run):
     assert trainer.prune(keep) == keep.sum() and np.array_equal(trainer.cloud.means, means)
     assert len(trainer.stats.visible) == keep.sum()
     trainer.step()
-    for wrong, said in [(np.ones(3, bool), "3 values"), (np.zeros(int(keep.sum()), bool), "nothing would be left"), ([1.5], "bool")]:
+    for wrong, said in [(np.ones(3, bool), "3 values"), (np.zeros(int(keep.sum()), bool), "all Gaussians would be removed"), ([1.5], "bool")]:
         with pytest.raises(pwrfgs.InputError) as told:
             trainer.prune(wrong)
         assert said in str(told.value)

@@ -392,4 +392,4 @@ def test_pruners_stand_beside_those_of_the_pipeline(pipeline, tmp_path, caplog):
         pwrfgs.run(pipeline, pruners=[NoKeep()], **out)
     with pytest.raises(pwrfgs.Error, match="one Gaussian is left at step 30"):
         pwrfgs.run(pipeline, set={"pruners": []}, pruners=[Nothing()], **out)
-    assert "would leave no Gaussian" in caplog.text
+    assert "would remove all Gaussians" in caplog.text

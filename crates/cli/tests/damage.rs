@@ -105,7 +105,7 @@ fn what_a_model_file_says_passes_the_checks_of_a_pipeline() {
     said("\"orientation\":[0.0,0.0,0.0,1.0]", "\"orientation\":[0.0,0.0,0.0,0.0]", &["quaternion", "is zero"]);
     said("\"width\":48", "\"width\":0", &["0 x 12 pixels"]);
     said("\"width\":48,\"height\":12", "\"width\":100000,\"height\":100000", &["100000 x 100000 pixels"]);
-    said("\"first\":0.0", "\"first\":7.5", &["plane: its angles"]);
+    said("\"first\":0.0", "\"first\":7.5", &["plane: the projector does not support its angles"]);
     said(
         "\"gaussians\":8",
         "\"gaussians\":9223372036854775808",

@@ -219,8 +219,8 @@ fn a_file_for_another_command_is_refused_with_that_command() {
         format!("/* Experiment( */ // Ensemble(\n{}", std::fs::read_to_string(here.join("p.ron")).unwrap()),
     );
     for command in ["run", "check"] {
-        refuse(here, &[command, "e.ron"], 2, &["e.ron:1:", "`Experiment`", "`pwrfgs sweep` takes this file"]);
+        refuse(here, &[command, "e.ron"], 2, &["e.ron:1:", "`Experiment`", "use this file with `pwrfgs sweep`"]);
     }
-    refuse(here, &["sweep", "p.ron"], 2, &["p.ron:2:", "`Pipeline`", "`pwrfgs run` takes this file"]);
+    refuse(here, &["sweep", "p.ron"], 2, &["p.ron:2:", "`Pipeline`", "use this file with `pwrfgs run`"]);
     succeed(here, &["run", "p.ron", "-q", "--scale", "0.05"]);
 }

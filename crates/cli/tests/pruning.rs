@@ -32,7 +32,7 @@ fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_mark
     let folder = folder();
     let here = folder.path();
     write(&here.join("e.ron"), IDLE);
-    let idle = "the target is 8 and training starts with 8 Gaussians";
+    let idle = "training.target is 8, but training starts with 8 Gaussians";
     let one = ["p.ron", "--set", "pruners=[LightGaussian()]", "--set"];
     let said = |command: &str, target: &str| stderr(&succeed(here, &[&[command][..], &one, &[target]].concat()));
     assert!(said("check", "training.target=8").contains(&format!("warning: pruners: {idle}")));

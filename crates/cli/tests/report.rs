@@ -145,7 +145,7 @@ fn wrong_input_is_refused(here: &Path) {
     refuse(here, &["report"], 2, &["RUNS"]);
     write(&here.join("thesis/chapter.tex"), "mine");
     refuse(here, &["report", "runs/whole-0", "--out", "thesis"], 2, &["`chapter.tex`", "--out"]);
-    refuse(here, &["report", "runs/whole-0", "--out", "small.ron"], 2, &["no folder"]);
+    refuse(here, &["report", "runs/whole-0", "--out", "small.ron"], 2, &["not a folder"]);
     assert_eq!(std::fs::read(here.join("thesis/chapter.tex")).unwrap(), b"mine");
     damaged_runs_are_told(here);
     // A folder that does not know its files, as those of earlier versions: what can be told without is told.

@@ -89,7 +89,7 @@ fn an_interrupted_run_says_how_to_go_on() {
         pwrfgs(here).args(["run", "p.ron", "--out", "r"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for_step(&mut child, &here.join("r"), 70);
     // While it is at work nobody else may have the folder.
-    refuse(here, &["run", "p.ron", "--out", "r"], 2, &["another pwrfgs is at work in r"]);
+    refuse(here, &["run", "p.ron", "--out", "r"], 2, &["r is in use by another pwrfgs process"]);
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let output = child.wait_with_output().unwrap();

@@ -176,8 +176,8 @@ fn a_folder_that_is_scored_anew_is_held_and_survives_a_kill() {
         assert!(child.try_wait().unwrap().is_none(), "the run has ended");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
-    refuse(here, &["run", "p.ron", "--out", "r"], 2, &["another pwrfgs is at work in r"]);
-    refuse(here, &["run", "r", "--set", "metrics=[L1()]"], 2, &["another pwrfgs is at work in r"]);
+    refuse(here, &["run", "p.ron", "--out", "r"], 2, &["r is in use by another pwrfgs process"]);
+    refuse(here, &["run", "r", "--set", "metrics=[L1()]"], 2, &["r is in use by another pwrfgs process"]);
     child.kill().unwrap();
     assert!(!child.wait().unwrap().success());
     succeed(here, &["run", "p.ron", "--out", "r", "-q", "--set", "metrics=[L1()]"]);

@@ -130,7 +130,7 @@ fn two_runs_that_claim_one_folder_leave_one_of_them_whole() {
             let first = first.end();
             let said = format!("call {at}, {other}: {} {}", stderr(&first), stderr(&second));
             let ends = [&first, &second].map(|output| output.status.code());
-            let refused = ["a run of another pipeline", "another pwrfgs is at work"];
+            let refused = ["a run of another pipeline", "is in use by another pwrfgs process"];
             match (k, ends) {
                 (0, [Some(0), Some(0)]) => {}
                 (_, [Some(0), Some(2)]) => assert!(refused.iter().any(|why| stderr(&second).contains(why)), "{said}"),

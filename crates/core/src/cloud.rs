@@ -87,7 +87,7 @@ impl GaussianCloud {
         for &(name, width) in wanted {
             match self.extra(name) {
                 Some(own) if own.width == width => {}
-                Some(own) => return Err(format!("column `{name}` is {} wide, and {width} is wanted", own.width)),
+                Some(own) => return Err(format!("column `{name}` has width {}, expected {width}", own.width)),
                 None => {
                     let values = vec![0.0; self.len() * width];
                     self.extra.push(ExtraColumn { name: name.into(), width, values });

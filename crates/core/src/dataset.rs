@@ -208,7 +208,7 @@ impl Dataset {
 /// Checks for at least one receiver, valid positions, unique names and antennas.
 fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     if receivers.is_empty() {
-        return Err("it has no receiver; give one at least".into());
+        return Err("no receiver; give at least one".into());
     }
     for (i, Receiver { name, pose, antennas }) in receivers.iter().enumerate() {
         let who = if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", clean(name)) };
@@ -219,10 +219,10 @@ fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
             return Err(format!("{who}: an antenna {fault}"));
         }
         if antennas.is_empty() {
-            return Err(format!("{who} has no antenna; give its place in the receiver's frame, such as [0, 0, 0]"));
+            return Err(format!("{who} has no antenna; give its position in the receiver frame, such as [0, 0, 0]"));
         }
         if receivers[..i].iter().any(|other| other.name == *name) {
-            return Err(format!("two receivers are called `{}`; give each a name of its own", clean(name)));
+            return Err(format!("two receivers have the name `{}`; give each a unique name", clean(name)));
         }
     }
     Ok(())
@@ -234,21 +234,24 @@ fn columns(samples: &[Sample], receivers: &[Receiver]) -> Result<(Vec<Transmitte
     let mut links: Vec<Link> = Vec::with_capacity(samples.len());
     for Sample { id, tx, receiver } in samples {
         if *receiver >= receivers.len() {
-            return Err(format!("id {id} was heard by receiver {receiver}, and there are {}", receivers.len()));
+            return Err(format!("id {id} has receiver {receiver}, but there are {}", receivers.len()));
         }
         match transmitters.last() {
             Some(last) if last.id == *id => {
                 let earlier = links[links.len() - 1].receiver;
                 if earlier >= *receiver {
                     let order = if receivers.len() == 1 { String::new() } else { " and receivers".into() };
-                    return Err(format!("id {id} follows {id}; sort the samples by ids{order} that differ"));
+                    return Err(format!("id {id} follows {id}; sort the samples by unique ids{order}"));
                 }
                 if last.position != *tx {
-                    return Err(format!("the transmitter of id {id} is at {:?} and at {tx:?}", last.position));
+                    return Err(format!(
+                        "the transmitter of id {id} has two positions, {:?} and {tx:?}",
+                        last.position
+                    ));
                 }
             }
             Some(last) if last.id > *id => {
-                return Err(format!("id {id} follows {}; sort the samples by ids that differ", last.id));
+                return Err(format!("id {id} follows {}; sort the samples by unique ids", last.id));
             }
             _ => {
                 if let Some(fault) = place_fault(*tx) {

@@ -49,16 +49,16 @@ pub enum Error {
     Collapsed {
         /// Training step, from 1.
         step: u64,
-        /// `, removed by` the rules, with how many each removed; empty if the step had none.
+        /// Text `, removed by` with the rules and the number that each removed; empty without rules.
         removed: String,
         /// Advice on the pipeline.
         advice: &'static str,
     },
     /// Another process uses the folder.
-    #[error("another pwrfgs is at work in {}; wait until it ends, or choose another --out", shown(.0))]
+    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", shown(.0))]
     Busy(PathBuf),
     /// The operation was cancelled.
-    #[error("stopped before all was done")]
+    #[error("stopped before completion")]
     Stopped,
     /// Error of a plugin.
     #[error("{}", told(&.0.to_string()))]
@@ -106,7 +106,7 @@ fn place(at: Option<(usize, usize)>) -> String {
 /// Returns `; did you mean `x`?` for a misspelt name; empty if none of the `known` names is similar.
 pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     if wrong.len() > 100 {
-        return String::new(); // no name, and the distance takes time with the square of the length
+        return String::new(); // not a name, and the time of the distance grows with the squared length
     }
     let wrong = wrong.to_lowercase();
     let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();

@@ -30,7 +30,7 @@ const LONGEST_NAME: usize = 200;
 pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     let path = path.as_ref();
     if !path.is_dir() {
-        refuse_irregular(path)?; // a folder says so itself
+        refuse_irregular(path)?; // reading a folder fails with a clear error
     }
     File::open(path)
 }
@@ -88,7 +88,7 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let size = file.metadata()?.len(); // 0 for some files of the system
     let refuse = || {
-        let what = format!("it is larger than the {limit} bytes that such a file may have; is it the right one?");
+        let what = format!("the file is larger than the limit of {limit} bytes; check the path");
         Err(io::Error::new(ErrorKind::FileTooLarge, what))
     };
     if size > limit {
@@ -118,8 +118,8 @@ pub fn check_place(path: &Path) -> Result<()> {
                 return told.map_or(Ok(()), |e| refuse(e.to_string()));
             }
             Ok(_) if own == path => return Ok(()),
-            Ok(_) => return refuse(format!("`{}` is no folder", own.display())),
-            Err(_) if own.is_symlink() => return refuse(format!("the link `{}` leads to nothing", own.display())),
+            Ok(_) => return refuse(format!("`{}` is not a folder", own.display())),
+            Err(_) if own.is_symlink() => return refuse(format!("the link `{}` is broken", own.display())),
             Err(e) if is_bad(&e) => return refuse(e.to_string()),
             Err(_) => missing.extend(own.file_name()),
         }
@@ -147,7 +147,7 @@ pub fn check_file_place(path: &Path) -> Result<()> {
     }
     Err(Error::input(
         path,
-        format!("the folder `{}` does not exist; make it, or choose another path", parent.display()),
+        format!("the folder `{}` does not exist; create it, or choose another path", parent.display()),
     ))
 }
 
@@ -196,7 +196,7 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
     }
     let written = write_beside(path, bytes, |_, temporary| match fs::hard_link(temporary, path) {
         Ok(()) => {
-            let _ = fs::remove_file(temporary); // or who holds the folder meanwhile has
+            let _ = fs::remove_file(temporary); // unless the process that holds the folder has removed it
             Ok(())
         }
         // The process that holds the folder has removed the temporary file meanwhile.
@@ -220,7 +220,7 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
 /// Writes `bytes` to a synced temporary file next to `path`, which `publish` renames; returns the open file.
 fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) -> io::Result<()>) -> io::Result<File> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // the temporary one is longer
+    let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // temporary names are longer
     // Random instead of the process ID: on a shared disk, processes of two machines may have equal IDs.
     let number = RandomState::new().hash_one(std::process::id()) as u32;
     let temporary = path.with_file_name(format!(".{name}.{number}.tmp"));
@@ -322,16 +322,16 @@ fn holds(entry: &DirEntry) -> String {
 
 /// Returns the entries of a folder; none if it does not exist.
 fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
-    let folder = folder.components().as_path(); // without a slash at the end, which hides a file
+    let folder = folder.components().as_path(); // without a trailing slash, which hides that it is a file
     match fs::read_dir(folder) {
         // An empty path would be the current directory.
         Err(_) if folder.as_os_str().is_empty() => {
-            Err(Error::Config("the path of the folder is empty; name one".into()))
+            Err(Error::Config("the path of the folder is empty; give a path".into()))
         }
         Ok(entries) => Ok(entries.flatten().collect()),
         Err(_) if !folder.exists() => check_place(folder).map(|()| Vec::new()),
         Err(e) if e.kind() == ErrorKind::NotADirectory => {
-            Err(Error::Config(format!("{} is no folder; choose another --out", folder.display())))
+            Err(Error::Config(format!("{} is not a folder; choose another --out", folder.display())))
         }
         Err(e) => Err(Error::read(folder, e)),
     }
@@ -419,7 +419,9 @@ mod tests {
         fs::write(out.join("thesis.tex"), "x").unwrap();
         let said = refuse_foreign(&out, "a run folder").unwrap_err();
         assert!(said.is_input() && said.to_string().contains("(it holds `thesis.tex`)"), "{said}");
-        assert!(refuse_foreign(&out.join("thesis.tex"), "a run folder").unwrap_err().to_string().contains("no folder"));
+        assert!(
+            refuse_foreign(&out.join("thesis.tex"), "a run folder").unwrap_err().to_string().contains("not a folder")
+        );
         fs::remove_file(out.join("thesis.tex")).unwrap();
         refuse_foreign(&out, "a run folder").unwrap();
         let said = refuse_occupied(&out).unwrap_err();

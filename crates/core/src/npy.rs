@@ -28,23 +28,23 @@ impl Header {
     /// Reads the header from the beginning of a file.
     pub fn read(path: &Path, file: &mut dyn Read) -> Result<Self> {
         let damaged = |what: &str| Error::input(path, format!("{what}; write it with numpy.save"));
-        let short = |_| damaged("is no array of NumPy, or cut short");
+        let short = |_| damaged("is not a NumPy array, or is truncated");
         let mut start = [0; 8];
         file.read_exact(&mut start).map_err(short)?;
         if !start.starts_with(MAGIC) {
-            return Err(damaged("is no array of NumPy"));
+            return Err(damaged("is not a NumPy array"));
         }
         let mut length = vec![0; if start[6] == 1 { 2 } else { 4 }];
         file.read_exact(&mut length).map_err(short)?;
         let bytes = length.iter().rev().fold(0, |n, byte| n << 8 | usize::from(*byte));
         if bytes > MAX_HEADER {
-            return Err(damaged(&format!("has a header of {bytes} bytes, more than {MAX_HEADER}")));
+            return Err(damaged(&format!("has a header of {bytes} bytes, expected at most {MAX_HEADER}")));
         }
         let mut text = vec![0; bytes];
         file.read_exact(&mut text).map_err(short)?;
         let offset = (start.len() + length.len() + bytes) as u64;
         let parsed = Self::parse(&String::from_utf8_lossy(&text));
-        let (descr, fortran, shape) = parsed.ok_or_else(|| damaged("has a header that is not understood"))?;
+        let (descr, fortran, shape) = parsed.ok_or_else(|| damaged("has an invalid header"))?;
         Ok(Self { descr, fortran, shape, offset })
     }
 
@@ -97,7 +97,7 @@ pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
 /// Returns the header for numbers of any NumPy type: `<c8` is complex in single precision.
 pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
-    let comma = if sizes.len() == 1 { "," } else { "" }; // Python's tuple of one
+    let comma = if sizes.len() == 1 { "," } else { "" }; // a Python tuple with one element
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sizes.join(", "));
     // Numbers begin at a multiple of 64 bytes, as the format requires; the header ends with a newline.
     let length = (10 + text.len() + 1).next_multiple_of(64) - 10;
@@ -131,10 +131,10 @@ mod tests {
     fn damaged_headers_are_refused() {
         let good = npy_header(Number::F32, &[2, 3]);
         for end in 0..good.len() {
-            assert!(read(&good[..end]).unwrap_err().contains("cut short"), "{end}");
+            assert!(read(&good[..end]).unwrap_err().contains("is truncated"), "{end}");
         }
         let with = |from: &str, to: &str| read(String::from_utf8_lossy(&good).replace(from, to).as_bytes());
-        assert!(read(b"PK\x03\x04........").unwrap_err().contains("no array of NumPy"));
+        assert!(read(b"PK\x03\x04........").unwrap_err().contains("not a NumPy array"));
         let text = |text: &str| {
             let length = (text.len() as u16).to_le_bytes();
             read(&[MAGIC, &[1, 0], &length, text.as_bytes()].concat())
@@ -147,7 +147,7 @@ mod tests {
             "{'descr': '<f4', 'fortran_order': False, }",
             "((((((((((((((((",
         ] {
-            assert!(text(wrong).unwrap_err().contains("is not understood"), "{wrong}");
+            assert!(text(wrong).unwrap_err().contains("has an invalid header"), "{wrong}");
         }
         let long = [MAGIC, &[2, 0], &[255; 4], &[0; 100]].concat();
         assert!(read(&long).unwrap_err().contains("header of 4294967295 bytes"));

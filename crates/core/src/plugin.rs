@@ -133,12 +133,14 @@ pub fn explain(error: &ron::error::SpannedError) -> String {
         NoSuchEnumVariant { expected, found, .. } | NoSuchStructField { expected, found, .. } => {
             did_you_mean(found, expected.iter().copied())
         }
-        ExpectedDifferentStructName { found, .. } if found == "Pipeline" => "; `pwrfgs run` takes this file".into(),
-        ExpectedDifferentStructName { found, .. } if found == "Experiment" => "; `pwrfgs sweep` takes this file".into(),
+        ExpectedDifferentStructName { found, .. } if found == "Pipeline" => "; use this file with `pwrfgs run`".into(),
+        ExpectedDifferentStructName { found, .. } if found == "Experiment" => {
+            "; use this file with `pwrfgs sweep`".into()
+        }
         _ => String::new(),
     };
     let what = match &error.code {
-        SuggestRawIdentifier(found) => format!("`{found}` stands where a name is expected"),
+        SuggestRawIdentifier(found) => format!("`{found}` found, expected a name"),
         MissingStructField { field, .. } => format!("the field `{field}` is missing"),
         code => code.to_string(),
     };

@@ -23,7 +23,7 @@ pub trait Projector:
             return Ok(self.plane(width, height));
         }
         Err(format!(
-            "draws no elevations of {first} to {last} degrees, as these spectra have; use projector: Mercator()"
+            "does not support the elevations of these spectra, {first} to {last} degrees; use projector: Mercator()"
         ))
     }
 

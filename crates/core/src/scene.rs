@@ -183,7 +183,7 @@ impl Pose {
             _ if !length.is_finite() => format!("is not finite; write x, y, z, w, {example}"),
             0.0 => format!("is zero; write x, y, z, w of length 1, {example}"),
             _ if (length - 1.0).abs() > TOLERANCE => {
-                format!("has length {length:.6}, further than {TOLERANCE} from 1; divide x, y, z, w by it")
+                format!("has length {length:.6}, expected 1 within {TOLERANCE}; divide x, y, z, w by it")
             }
             _ => return None,
         };

@@ -139,7 +139,7 @@ impl Spectra {
         let of_one = width.checked_mul(height).and_then(|n| n.checked_mul(number.bytes())).unwrap_or(0);
         if of_one == 0 || bytes.is_empty() || !bytes.len().is_multiple_of(of_one) {
             return Err(Error::Config(format!(
-                "{} numbers are no spectra of {width} x {height} pixels; give at least one, and whole ones",
+                "{} numbers are not a multiple of {width} x {height} pixels; give at least one complete spectrum",
                 bytes.len() / number.bytes()
             )));
         }
@@ -309,7 +309,7 @@ impl Stored {
     fn part(&self, start: u64, len: usize) -> Vec<u8> {
         let mut bytes = vec![0; len];
         if let Err(e) = read_exact_at(&self.file, &mut bytes, self.offset + start) {
-            let _ = self.fault.set((e.kind(), e.to_string())); // only the first is told
+            let _ = self.fault.set((e.kind(), e.to_string())); // only the first error is reported
             bytes.fill(0);
         }
         bytes
@@ -319,7 +319,7 @@ impl Stored {
         match self.fault.get() {
             None => Ok(()),
             Some((kind, why)) => {
-                let why = format!("{why}; the spectra have changed or gone since they were opened: put them back");
+                let why = format!("{why}; the file of spectra was changed or removed while open; restore it");
                 Err(Error::read(&self.path, io::Error::new(*kind, why)))
             }
         }

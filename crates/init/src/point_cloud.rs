@@ -61,7 +61,7 @@ impl Initializer for PointCloud {
 
     fn check(&self) -> Result<(), String> {
         if self.max_points == Some(0) {
-            return Err("`max_points` is 0; give at least 1, or leave it out to take every point".to_owned());
+            return Err("`max_points` is 0; give at least 1, or omit it to use every point".to_owned());
         }
         start::check_nearest(self.nearest)?;
         start::check(self.opacity, self.signal_scale)

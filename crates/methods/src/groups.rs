@@ -204,7 +204,7 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
 pub(crate) fn check_receivers(deformation: &dyn Deformation, frame: &Frame) -> Result<(), String> {
     if frame.receivers.len() > 1 && deformation.traits().reads_receiver {
         return Err(format!(
-            "the deformation looks at where the receiver is, and these data have {} receivers; use Factored() or Mlp()",
+            "the deformation depends on the receiver position, but the data have {} receivers; use Factored() or Mlp()",
             frame.receivers.len()
         ));
     }

@@ -135,10 +135,16 @@ impl Nerf2 {
         }
         let weights = (self.depth + 2) * self.width * self.width;
         if weights > LARGEST {
-            return Err(format!("depth {} and width {} make {weights} weights; give less", self.depth, self.width));
+            return Err(format!(
+                "depth {} and width {} give {weights} weights, expected at most {LARGEST}; reduce them",
+                self.depth, self.width
+            ));
         }
         if self.width % 2 == 1 {
-            return Err(format!("`width` is {}; give an even number: a layer has half of it", self.width));
+            return Err(format!(
+                "`width` is {}; give an even number, because one layer has half the width",
+                self.width
+            ));
         }
         let lengths =
             [("far_m", f64::from(self.far_m)), ("unit_m", f64::from(self.unit_m)), ("carrier_hz", self.carrier_hz)];

@@ -134,11 +134,11 @@ impl Method for SplattedChannel {
 
     fn layout(&self, frame: &Frame) -> Result<Layout, String> {
         if !frame.task.is_complex {
-            return Err(format!("method: SplattedChannel gives channels, and the data are {}", frame.task.plural));
+            return Err(format!("method: SplattedChannel predicts channels, but the data are {}", frame.task.plural));
         }
         groups::check_receivers(&*self.deformation, frame)?;
         if frame.receivers.iter().any(|own| own.antennas.len() != frame.receivers[0].antennas.len()) {
-            return Err("receivers with different numbers of antennas; give all the same".into());
+            return Err("receivers have different numbers of antennas; give all of them the same number".into());
         }
         let mut layout = self.deformation.layout();
         layout.weights.push(WeightSpec::zeros(OFFSETS, vec![frame.receivers.len()]));

@@ -138,7 +138,7 @@ pub fn check_together(
     }
     if rasterizer.coherent() && calibration == Calibration::AsReleased {
         return Err(
-            "calibration: AsReleased makes colours of signals, and this rasterizer adds up waves; use Physical".into(),
+            "calibration: AsReleased converts signals to colours, but this rasterizer adds waves; use Physical".into(),
         );
     }
     Ok(())
@@ -153,7 +153,7 @@ pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
     if own == task {
         return Ok(());
     }
-    Err(format!("readout: it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method))
+    Err(format!("readout: predicts {}, but the data are {}; use {}", own.plural, task.plural, task.method))
 }
 
 impl Splatting {
@@ -172,7 +172,7 @@ impl Splatting {
         // Both poles have a row, so that the cells cover the sphere.
         let (width, height, side) = (360 / sky_deg as usize, 180 / sky_deg as usize + 1, f64::from(sky_deg));
         let whole = Elevation { first: -90.0, last: 90.0 + side };
-        let advice = |why| format!("readout: Received wants the whole sky, and the projector: {why}; use Mercator()");
+        let advice = |why| format!("readout: Received needs the whole sky, but the projector: {why}; use Mercator()");
         let mut sky = self.projector.plane_of(width, height, whole).map_err(advice)?;
         sky.sampling.filter = Some(filter_deg2 / (side * side) as Real);
         Ok(sky)

@@ -85,7 +85,7 @@ impl Method for VirtualTransmitters {
 
     /// The cloud is independent of the transmitter.
     fn gaussians(&self, _: &Frame, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
-        let (none, calibration) = (Deltas::default(), Calibration::AsReleased); // without a floor of the scales
+        let (none, calibration) = (Deltas::default(), Calibration::AsReleased); // without a lower limit of the scales
         let activation = Activation { calibration, replaces_signals: false, channels: 2 };
         let signals = &p.cloud.signals;
         Activated {
@@ -126,11 +126,14 @@ impl Method for VirtualTransmitters {
 
     fn layout(&self, frame: &Frame) -> Result<Layout, String> {
         if !frame.task.is_complex {
-            return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.task.plural));
+            return Err(format!(
+                "method: VirtualTransmitters predicts channels, but the data are {}",
+                frame.task.plural
+            ));
         }
         if frame.receivers.len() != 1 {
             return Err(format!(
-                "method: VirtualTransmitters serves one receiver, and the data have {}; train a model for each",
+                "method: VirtualTransmitters supports one receiver, but the data have {}; train one model per receiver",
                 frame.receivers.len()
             ));
         }
@@ -209,9 +212,7 @@ impl Initializer for MatchingPursuit {
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         let Some(channels) = seen.data.observations.channels() else {
             let what = seen.data.task().plural;
-            return Err(Error::Config(format!(
-                "initializer: MatchingPursuit searches channels, and the data are {what}"
-            )));
+            return Err(Error::Config(format!("initializer: MatchingPursuit needs channels, but the data are {what}")));
         };
         let method: &dyn std::any::Any = seen.method;
         if !method.is::<VirtualTransmitters>() {
@@ -222,7 +223,7 @@ impl Initializer for MatchingPursuit {
         let scene = &seen.data.scene;
         if scene.receivers.len() != 1 || !seen.data.placed {
             return Err(Error::Config(
-                "initializer: MatchingPursuit needs one receiver, and transmitters whose positions are known".into(),
+                "initializer: MatchingPursuit needs one receiver and the positions of the transmitters".into(),
             ));
         }
         let positions: Vec<[Real; 3]> =

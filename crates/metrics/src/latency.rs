@@ -58,7 +58,7 @@ impl Metric for Latency {
         let patience = if evaluation.model.is_some() { f64::INFINITY } else { PATIENCE };
         let times = evaluation.timed_prediction.map(|predict| self.times(predict, patience));
         let values = |(key, seconds): Stage| match &times {
-            None => Values::NotApplicable("there is nothing to time".to_owned()),
+            None => Values::NotApplicable("no prediction to time".to_owned()),
             Some(_) if evaluation.model.is_none() && key != TOTAL => {
                 Values::NotApplicable("a baseline has no such stage".to_owned())
             }
@@ -79,10 +79,10 @@ impl Metric for Latency {
 
     fn check(&self) -> Result<(), String> {
         if !(1..=10_000).contains(&self.repeats) {
-            return Err(format!("`repeats` is {}; time between 1 and 10000 predictions", self.repeats));
+            return Err(format!("`repeats` is {}; give a number from 1 to 10000", self.repeats));
         }
         if self.warm_up > 10_000 {
-            return Err(format!("`warm_up` is {}; 10000 predictions are the most", self.warm_up));
+            return Err(format!("`warm_up` is {}; give a number up to 10000", self.warm_up));
         }
         Ok(())
     }

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 /// Returns the reason why `metric` does not apply to these observations.
 fn not_for(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<Values> {
-    let why = || format!("it is no metric of {}", evaluation.task.plural);
+    let why = || format!("the metric does not support {}", evaluation.task.plural);
     (!metric.supports(evaluation.task)).then(|| Values::NotApplicable(why()))
 }
 

@@ -137,7 +137,7 @@ impl Metric for DirectionError {
                 _ => f64::NAN,
             })?
         } else {
-            Values::NotApplicable("a pixel of this projection means no angle".to_owned())
+            Values::NotApplicable("pixels of this projection have no angle".to_owned())
         };
         Ok(one("direction_error", "deg", Goal::Lower, values))
     }

@@ -31,12 +31,12 @@ impl Ensemble {
     /// # Errors
     /// The message names the mismatch.
     pub fn named(members: Vec<(String, Model)>) -> Result<Self, String> {
-        let Some((_, first)) = members.first() else { return Err("an ensemble needs a model".into()) };
+        let Some((_, first)) = members.first() else { return Err("an ensemble needs at least one model".into()) };
         let other = members.iter().position(|(_, model)| model.stages.frame != first.stages.frame);
         if let Some(other) = other {
             return Err(format!(
-                "model {} of the ensemble sees other pixels than the first, or from another receiver; take runs on the \
-                 same data with the same projector",
+                "model {} of the ensemble has another image plane or receiver than the first; use runs on the same \
+                 data with the same projector",
                 other + 1
             ));
         }

@@ -19,7 +19,7 @@ use zip::{CompressionMethod, ZipWriter};
 pub fn npz(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let mut file = Npz { archive: ZipWriter::new(Cursor::new(Vec::new())), prefix: String::new() };
     let whole = file.members(model, tx).and_then(|()| Ok(file.archive.finish()?.into_inner()));
-    whole.map_err(|why| Error::Config(format!("this model cannot be an NPZ file: {why}")))
+    whole.map_err(|why| Error::Config(format!("cannot export this model as NPZ: {why}")))
 }
 
 /// NPZ archive in progress.
@@ -196,7 +196,7 @@ fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Opti
         let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
         if let Some(k) = row.iter().position(|v| !v.is_finite()) {
             return Err(Error::Config(format!(
-                "`{}` of Gaussian {i} is not finite: training went wrong, or the transmitter is far from all it was trained on",
+                "`{}` of Gaussian {i} is not finite: training diverged, or the transmitter is far from training positions",
                 PROPERTIES[k]
             )));
         }

@@ -179,7 +179,7 @@ fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
 pub fn read(path: &Path) -> Result<Model> {
     let ensemble = read_ensemble(path)?;
     let count = ensemble.members().len();
-    let several = || Error::input(path, format!("holds {count} models that predict together; take one of its members"));
+    let several = || Error::input(path, format!("holds an ensemble of {count} models; use the file of one member"));
     ensemble.into_only().ok_or_else(several)
 }
 
@@ -202,20 +202,20 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
         return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
     }
     if version != ENSEMBLE_VERSION {
-        return Err(format!("a `{format}` of version {version}, this program reads version {ENSEMBLE_VERSION}"));
+        return Err(format!("a `{format}` of version {version}, expected version {ENSEMBLE_VERSION}"));
     }
     let EnsembleNote { members, .. } = serde_json::from_str(&file.note).map_err(unreadable)?;
     if members.len() > MOST_MEMBERS {
-        return Err(format!("it has {} members, and this program reads at most {MOST_MEMBERS}", members.len()));
+        return Err(format!("an ensemble of {} members, expected at most {MOST_MEMBERS}", members.len()));
     }
     let mut models: Vec<(String, Model)> = Vec::new();
     for (place, MemberNote { name, model }) in members.into_iter().enumerate() {
         let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
-            return Err(format!("member {place} has a name that is none: use letters, digits, `.`, `-` and `_`"));
+            return Err(format!("member {place} has an invalid name; use letters, digits, `.`, `-` and `_`"));
         }
         if models.iter().any(|(other, _)| *other == name) {
-            return Err(format!("two members are called `{name}`"));
+            return Err(format!("two members have the name `{name}`"));
         }
         let model = take_model(&mut file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
         models.push((name, model));
@@ -263,12 +263,12 @@ fn check_constants(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<
     for (spec, drawn) in stages.layout().constants {
         let name = format!("{prefix}{CONSTANTS}{}", spec.name);
         if file.shape(&name).is_none() {
-            continue; // written when files did not hold them
+            continue; // file of an earlier version without constants
         }
         let held = file.take(&name, &spec.shape)?;
         // Another C library or precision may round differently.
         if held.iter().zip(drawn).any(|(held, drawn)| (held - drawn).abs() > 1e-5 * drawn.abs().max(1.0)) {
-            return Err(format!("tensor `{name}` holds other numbers than the seed in its deformation gives"));
+            return Err(format!("tensor `{name}` differs from the values of the seed of its deformation"));
         }
     }
     Ok(())
@@ -280,7 +280,7 @@ fn plugin_text<T: ?Sized + erased_serde::Serialize>(plugin: &Plugin<T>) -> Strin
 }
 
 fn parse(text: &str) -> Result<Plugin<dyn Method>, String> {
-    Plugin::parse(text).map_err(|e| format!("cannot make `{text}`: {e}; use the program that has this plugin"))
+    Plugin::parse(text).map_err(|e| format!("cannot create `{text}`: {e}; use a program with this plugin"))
 }
 
 /// Adds the columns of a cloud under `prefix`.

@@ -125,24 +125,24 @@ impl Stages {
         let ImagePlane { width, height, .. } = self.plane;
         let pixels = width.checked_mul(height).filter(|pixels| (1..=MAX_PIXELS).contains(pixels));
         if pixels.is_none() {
-            return Err(format!("plane: {width} x {height} pixels; there are 1 to {MAX_PIXELS}"));
+            return Err(format!("plane: {width} x {height} pixels, expected 1 to {MAX_PIXELS}"));
         }
         if let (true, Some(projector)) = (self.task.has_pixels, self.method.traits().projector) {
             check_plane(&self.frame.plane, &**projector)?;
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
-            return Err(format!("{} receivers; there are 1 to {MAX_RECEIVERS}", self.receivers.len()));
+            return Err(format!("{} receivers, expected 1 to {MAX_RECEIVERS}", self.receivers.len()));
         }
         for Receiver { pose, antennas, .. } in &self.receivers {
             pose.fault().map_or(Ok(()), |(field, why)| Err(format!("pose, {field}: {why}")))?;
             if antennas.is_empty() || antennas.as_flattened().iter().any(|v| !v.is_finite()) {
-                return Err("a receiver without antennas, or with one that is nowhere".into());
+                return Err("a receiver has no antennas, or an antenna position is not finite".into());
             }
         }
         let gains = (self.frequencies_hz.len(), 2 * self.receivers[0].antennas.len());
         let expected = if self.task.is_complex { gains } else { (1, 1) };
         if !self.task.has_pixels && (width, height) != expected {
-            return Err(format!("plane: {width} x {height} numbers are no {}", self.task.singular));
+            return Err(format!("plane: {width} x {height} numbers do not match a {}", self.task.singular));
         }
         self.method.layout(&self.frame).map(drop)
     }
@@ -182,5 +182,5 @@ fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), Stri
     if is_own(&projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {
         return Ok(());
     }
-    Err("plane: its angles are none that the projector draws".into())
+    Err("plane: the projector does not support its angles".into())
 }

@@ -107,7 +107,7 @@ impl Snapshot {
         let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;
         if note.format != FORMAT || !(1..=VERSION).contains(&note.version) {
             return Err(format!(
-                "a `{}` of version {}, this program reads `{FORMAT}` {VERSION}",
+                "a `{}` of version {}, expected `{FORMAT}` of version {VERSION}",
                 note.format, note.version
             ));
         }

@@ -82,7 +82,7 @@ impl Tensors {
         let short = |name: &str| name.starts_with(prefix) || name.contains(&inner);
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
         match self.tensors.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
-            Some((name, _)) => Err(format!("tensor `{name}` holds a number too large for 16 bits")),
+            Some((name, _)) => Err(format!("tensor `{name}` has a value too large for 16 bits")),
             None => Ok(self.encode(short)),
         }
     }
@@ -112,7 +112,7 @@ impl Tensors {
     /// # Errors
     /// The message describes the damage.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
-        let damaged = |e: safetensors::SafeTensorError| format!("not a whole safetensors file ({e})");
+        let damaged = |e: safetensors::SafeTensorError| format!("damaged or not a safetensors file ({e})");
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
         let note = header.metadata().as_ref().and_then(|m| m.get(NOTE)).cloned();
         let note = note.ok_or("a safetensors file, but not one of pwrfgs")?;
@@ -132,7 +132,7 @@ impl Tensors {
                     data.chunks_exact(2).map(long).collect()
                 }
                 other => {
-                    return Err(format!("tensor `{name}` has type {other:?}; only F16, F32 and F64 are used here"));
+                    return Err(format!("tensor `{name}` has type {other:?}, expected F16, F32 or F64"));
                 }
             };
             tensors.insert(name, (view.shape().to_vec(), values));

@@ -38,7 +38,7 @@ impl Initializer for Trained {
         if model.stages.frame.origin != scene.origin {
             return Err(Error::input(
                 &self.model,
-                "it counts from another origin than these data; give one trained on them",
+                "the model has another origin than the data; give a model trained on these data",
             ));
         }
         Ok(model.cloud)

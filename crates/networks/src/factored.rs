@@ -82,7 +82,7 @@ impl Deformation for Factored {
     fn traits(&self) -> DeformationTraits {
         DeformationTraits {
             inputs: self.tx_encoding.inputs(),
-            kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // its waves and their derivative
+            kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // waves and their derivatives
             ..DeformationTraits::default()
         }
     }
@@ -134,12 +134,10 @@ impl Deformation for Factored {
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
         if matches!(self.position_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {
-            return Err(
-                "position_encoding: a Gaussian has a position and no features; give Waves(..) or Octaves(4)".into()
-            );
+            return Err("position_encoding: Gaussians have no features; give Waves(..) or Octaves(4)".into());
         }
         if self.position_encoding.width() == 3 {
-            return Err("position_encoding needs a wave: give Waves(count: 32, reach: 4.0) or Octaves(4)".into());
+            return Err("position_encoding has no waves; give Waves(count: 32, reach: 4.0) or Octaves(4)".into());
         }
         Ok(())
     }
@@ -175,7 +173,7 @@ pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>
     }
     let variance = (0..d).map(|k| covariance[k * d + k]).sum::<f64>() / d as f64;
     if variance.is_nan() || variance <= 0.0 {
-        return None; // vectors that are all the same have no direction that could be made as loud as another
+        return None; // equal vectors have no variance to normalise
     }
     (0..d).for_each(|k| covariance[k * d + k] += FAINTEST * variance);
     let inverse = Cholesky::new(covariance, d)?.inverse_of_factor();

@@ -242,7 +242,7 @@ fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
         ("Wrfgs(gain: 0)", "positive"),
         ("Mlp(widht: 3)", "widht"),
         ("Factored(depth: 0)", "give a number of layers"),
-        ("Factored(position_encoding: Octaves(0))", "needs a wave"),
+        ("Factored(position_encoding: Octaves(0))", "has no waves"),
         ("Factored(tx_encoding: Octaves(17))", "from 0 to 16"),
         ("Factored(tx_encoding: Waves(count: 8, reach: 0))", "rad/m above 0"),
     ] {

@@ -146,7 +146,7 @@ impl Deformation for Wrfgs {
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
         if self.width < 2 {
-            return Err("width is 1; give at least 2, because the last hidden layer has half of it".to_owned());
+            return Err("width is 1; give at least 2, because the last hidden layer has half the width".to_owned());
         }
         check_frequencies("frequencies", self.frequencies)?;
         match self.gain {

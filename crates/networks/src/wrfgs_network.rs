@@ -237,7 +237,7 @@ impl Network {
                 d_attenuation[r] += d * amplitude(signal) * amplitude_slope(a);
                 s[r] = d * amplitude(a) * amplitude_slope(signal);
             }
-            phase.fill(0.0); // it is not used
+            phase.fill(0.0); // unused
             let d_means = sum.means.as_mut().map(|d_means| &mut d_means[sum.row..]);
             let d_folded = &mut sum.folded[b * width..(b + 1) * width];
             self.branch.vjp(weights, branch, &mut sum.weights, d_folded, d_from_feature, d_means);

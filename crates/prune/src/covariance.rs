@@ -30,7 +30,7 @@ impl Covariance {
         }
         let scales = [0, 1, 2].map(|k: usize| a[k][k].max(0.0).sqrt());
         if determinant(&v) < 0.0 {
-            v.iter_mut().for_each(|row| row[2] = -row[2]); // a rotation, and no mirror
+            v.iter_mut().for_each(|row| row[2] = -row[2]); // a rotation instead of a reflection
         }
         (scales, quaternion(&v))
     }

@@ -120,10 +120,10 @@ fn check_admm(settings: &GaussianSpa) -> Result<(), String> {
         return Err(format!("`rho` is {rho}; give a number above 0, such as 0.0005"));
     }
     if *every == 0 {
-        return Err("`every` is 0; give the steps between two projections, such as 50".to_owned());
+        return Err("`every` is 0; give the number of steps between two projections, such as 50".to_owned());
     }
     if (0.0..1.0).contains(share) {
         return Ok(());
     }
-    Err(format!("`share` is {share}; give the share that goes, from 0 to below 1"))
+    Err(format!("`share` is {share}; give the share to remove, from 0 to below 1"))
 }

@@ -101,7 +101,9 @@ fn throw(cloud: &Traced, moment: &Moment) -> Trace {
 
 fn check_throws(settings: &MaskGaussian) -> Result<(), String> {
     if settings.draws == 0 || !settings.initial_logit.is_finite() {
-        return Err("`draws` is at least 1, and `initial_logit` a number; such as 10 and 1.0".to_owned());
+        return Err(
+            "`draws` must be at least 1 and `initial_logit` a finite number; give 10 and 1.0, for example".to_owned()
+        );
     }
     Ok(())
 }

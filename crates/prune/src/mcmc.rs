@@ -92,7 +92,7 @@ impl Pruner for Mcmc {
         let opacities: Vec<f64> = cloud.opacity_logits.iter().map(|o| f64::from(sigmoid(*o))).collect();
         let mut alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(self.dead)).collect();
         if alive.is_empty() {
-            alive = (0..n).collect(); // where all are faint, nobody is
+            alive = (0..n).collect(); // if all are faint, none counts as faint
         }
         let room = moment.target.map_or(0, |target| target.saturating_sub(n));
         let last = moment.round == moment.rounds;
@@ -119,7 +119,7 @@ impl Pruner for Mcmc {
             let (opacity, shrink) = share_out(opacities[source], shared[source]);
             moved.opacity_logits[k] = logit(opacity as Real);
             moved.log_scales[k].iter_mut().for_each(|s| *s += shrink.ln() as Real);
-            rows[k] = Row::Copied(source); // whoever shares its place begins anew
+            rows[k] = Row::Copied(source); // Gaussians at a shared position restart their moments
         }
         Some(Edit { cloud: moved, rows })
     }
@@ -152,7 +152,7 @@ fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng
 
 /// Returns the opacity of each of `k` Gaussians that share a position, and the factor on their scales.
 fn share_out(opacity: f64, k: usize) -> (f64, f64) {
-    let k = k.min(50); // beyond, the alternating sum is lost in rounding
+    let k = k.min(50); // for larger k, rounding dominates the alternating sum
     let own = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
     let mut sum = 0.0;
     for i in 1..=k {

@@ -73,7 +73,9 @@ impl Pruner for Reduced3dgs {
 
 fn check_neighbours(settings: &Reduced3dgs) -> Result<(), String> {
     if settings.neighbours == 0 || !settings.deviations.is_finite() {
-        return Err("`neighbours` is at least 1, and `deviations` a number; such as 30 and 1.0".to_owned());
+        return Err(
+            "`neighbours` must be at least 1 and `deviations` a finite number; give 30 and 1.0, for example".to_owned()
+        );
     }
     Ok(())
 }

@@ -56,7 +56,7 @@ pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Ve
 pub(crate) fn check_shares(shares: &[Real]) -> Result<(), String> {
     match shares.iter().find(|share| !(0.0..1.0).contains(*share)) {
         Some(share) => {
-            Err(format!("`shares` has {share}; give the share that goes at each prune step, from 0 to below 1"))
+            Err(format!("`shares` contains {share}; give the share to remove per prune step, from 0 to below 1"))
         }
         None => Ok(()),
     }

@@ -198,7 +198,7 @@ impl ArrayResponse {
         let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
         let mut known = TABLES.write().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, same)) = known.iter().find(|(known, _)| *known == grid) {
-            return Arc::clone(same); // another thread was faster: one table for all
+            return Arc::clone(same); // another thread was faster; all threads share its table
         }
         known.insert(0, (grid, Arc::clone(&beams)));
         let size = |(rows, columns, _, plane): &Grid| rows * columns * plane.width * plane.height;

@@ -124,7 +124,7 @@ impl Tile<'_> {
         out: &mut [Real],
     ) {
         let (pixels, d_pixels) = (pixels.as_chunks::<TILE>().0, d_pixels.as_chunks::<TILE>().0);
-        let mut behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of everything not yet passed⟩
+        let mut behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of the splats behind⟩
         for k in 0..pixels.len() {
             Real::add_product(simd, &mut behind[k % TILE], &pixels[k], &d_pixels[k]);
         }

@@ -84,7 +84,7 @@ impl Projector for Mercator {
     fn check(&self) -> Result<(), String> {
         let length = |x: Real| x.is_finite() && x >= 0.0;
         if !(self.blur > 0.0 && self.blur.is_finite()) {
-            return Err("`blur` must be positive, px²; 0.3 is usual".into());
+            return Err("`blur` must be above 0 px²; give 0.3, for example".into());
         }
         if !length(self.near_m) || !(0.0..=90.0).contains(&self.margin_deg) {
             return Err("`near_m` must not be negative and `margin_deg` must lie between 0 and 90".into());

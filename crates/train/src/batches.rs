@@ -119,7 +119,7 @@ fn observed(
     for &i in links {
         let (query, transmitter) = (data.query(i), data.links[i].transmitter);
         if !query.features.is_empty() {
-            batch.conditions.extend_from_slice(query.features); // a link's own
+            batch.conditions.extend_from_slice(query.features); // one per link
         } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) {
             batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
         }
@@ -193,7 +193,7 @@ pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, task: Task) 
         .map(|s| s.to_string())
         .collect();
     Err(Error::Config(format!(
-        "training.stride {stride} does not divide the pictures' {width} columns and {height} rows; use one of {}",
+        "training.stride {stride} does not divide {width} columns and {height} rows of the spectra; use one of {}",
         fits.join(", ")
     )))
 }

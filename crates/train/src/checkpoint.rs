@@ -85,9 +85,9 @@ impl<'a> Trainer<'a> {
     /// [`Error::Config`] if the bytes are damaged or belong to another training.
     pub fn restore(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
         let mut trainer = Self::blank(plan, data, partition)?;
-        trainer.read(bytes).map_err(|why| {
-            Error::Config(format!("the checkpoint cannot be used: {why}; remove it to start again from step 1"))
-        })?;
+        trainer
+            .read(bytes)
+            .map_err(|why| Error::Config(format!("unusable checkpoint: {why}; remove it to restart from step 1")))?;
         Ok(trainer)
     }
 
@@ -97,7 +97,7 @@ impl<'a> Trainer<'a> {
             .map_err(|e| format!("it is damaged, or of another version of pwrfgs ({e})"))?;
         file.note = json(&note);
         if file.digest() != digest {
-            return Err("it is damaged: what it holds is not what was written".into());
+            return Err("it is damaged: its digest does not match its content".into());
         }
         if (&*note.format, note.version) != (FORMAT, VERSION) {
             return Err(format!("it is a `{}` of version {}, expected {VERSION}", note.format, note.version));

@@ -115,7 +115,7 @@ pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], who: &str) {
         return;
     }
     if let Some(best) = (0..keep.len()).rev().max_by(|&a, &b| score[a].total_cmp(&score[b])) {
-        tracing::warn!("{who} would leave no Gaussian; the best one stays");
+        tracing::warn!("{who} would remove all Gaussians; the best one is kept");
         keep[best] = true;
     }
 }

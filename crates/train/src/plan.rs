@@ -86,7 +86,7 @@ fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
     let twice = pruners.iter().enumerate().find(|(k, pruner)| {
         !pruner.traits().columns.is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
     });
-    twice.map(|(_, pruner)| format!("`{}` is given twice; give it once", name_of(pruner)))
+    twice.map(|(_, pruner)| format!("`{}` is listed twice; list it once", name_of(pruner)))
 }
 
 /// Returns the error in `training.target` and its pruners.
@@ -94,7 +94,7 @@ pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
     let (goal, target) = (Goal::of(plan), plan.training.target);
     if target > 0 && goal.is_none() {
         return Some(format!(
-            "training.target is {target}, and no pruner takes an exact number; add one that does, such as \
+            "training.target is {target}, but no pruner supports a target; add one that does, such as \
              SignalContribution()"
         ));
     }
@@ -106,11 +106,11 @@ pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
     let idle = name_of(idle);
     Some(match goal {
         None => {
-            format!("`{idle}` keeps at most training.target Gaussians, and that is not set; set it, such as to 157")
+            format!("`{idle}` needs training.target, which is not set; set it, for example to 157")
         }
         Some(goal) => {
             let first = name_of(&plan.pruners[goal.pruner]);
-            format!("training.target goes to `{first}`, so `{idle}` removes none; put `{idle}` first, or leave it out")
+            format!("training.target applies to `{first}`, so `{idle}` removes none; list `{idle}` first, or remove it")
         }
     })
 }
@@ -124,7 +124,7 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     let name = |k: usize| name_of(&plan.pruners[k]);
     if let Some(goal) = goal.filter(|goal| goal.is_exact() && training.prune_until <= training.densify_until) {
         return Some(format!(
-            "`{}` is to leave {} Gaussians, and there is no pruning phase; set training.prune_until above densify_until",
+            "`{}` has a target of {} Gaussians, but there is no pruning phase; set training.prune_until above densify_until",
             name(goal.pruner),
             goal.target
         ));
@@ -138,7 +138,7 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
         let needs = pruner.needs(&GaussianCloud::zeros(0), &Goal::moment(goal, k, &moment));
         if !blends && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
             return Some(format!(
-                "`{}` goes by blending weights, and nothing is blended here; use {}a pruner that needs none, such as \
+                "`{}` needs blending weights, but this method does not blend; use {}a pruner without them, such as \
                  LearnableMask()",
                 name(k),
                 if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending(), or " }
@@ -146,10 +146,7 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
         }
         let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
         if task.is_some_and(|task| !task.has_pixels) && needs.statistics.iter().any(wants_pictures) {
-            return Some(format!(
-                "`{}` looks at the errors of pixels, and these data have none; leave it out",
-                name(k)
-            ));
+            return Some(format!("`{}` needs errors of pixels, but these data have no pixels; remove it", name(k)));
         }
     }
     None
@@ -203,12 +200,12 @@ pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
     if !stages.frame.task.has_pixels {
         let what = stages.frame.task.plural;
         return Err(Error::Config(format!(
-            "training.rays chooses pixels of spectra, and the data are {what}; leave it out"
+            "training.rays selects pixels of spectra, but the data are {what}; remove it"
         )));
     }
     match rays {
         Rays::Same(count) | Rays::Each(count) if count > most => {
-            Err(Error::Config(format!("training.rays has {count}; give at most {most}")))
+            Err(Error::Config(format!("training.rays is {count}; give at most {most}")))
         }
         _ => Ok(()),
     }
@@ -226,7 +223,7 @@ pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
     }
     if has == 3 && data.features.is_some() {
         return Err(Error::Config(
-            "3 features look like a position, and are taken for one; give more, or positions".into(),
+            "3 features are ambiguous with a 3D position; provide a different number of features, or positions".into(),
         ));
     }
     if wants == has {
@@ -234,14 +231,14 @@ pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
     }
     let what = |n: usize, features: bool| if features { format!("{n} features") } else { "a position".to_owned() };
     Err(Error::Config(format!(
-        "the method wants {} of a transmitter, and the data give {}; {}",
+        "the method needs {} per transmitter, but the data have {}; {}",
         what(wants, wants != 3),
         what(has, data.features.is_some()),
         match (own, data.features.is_some()) {
-            (true, true) => format!("give the method that many, such as Nerf2(features: {has})"),
-            (true, false) => "leave `features` of the method out".into(),
-            (false, true) => format!("give deformation: Factored(tx_encoding: Features(width: {has}))"),
-            (false, false) => "leave `Features` out".into(),
+            (true, true) => format!("set it in the method, such as Nerf2(features: {has})"),
+            (true, false) => "remove `features` of the method".into(),
+            (false, true) => format!("use deformation: Factored(tx_encoding: Features(width: {has}))"),
+            (false, false) => "remove `Features`".into(),
         }
     )))
 }

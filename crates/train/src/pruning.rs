@@ -79,7 +79,7 @@ impl Trainer<'_> {
         if let Some(Goal { target, .. }) = self.goal.filter(Goal::is_exact) {
             let n = self.cloud.len();
             if moment.round > 0 && moment.round == moment.rounds && n != target {
-                tracing::warn!("{target} Gaussians were wanted at the end of pruning, and there are {n}");
+                tracing::warn!("pruning ended with {n} Gaussians, expected {target}");
             }
         }
         Ok((self.cloud.len() < n).then_some(before))

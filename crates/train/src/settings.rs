@@ -110,7 +110,7 @@ impl Schedule {
         if ok {
             Ok(())
         } else {
-            Err(format!("`{name}` needs finite rates that are not negative (LogLinear: positive)"))
+            Err(format!("`{name}` has an invalid rate; give finite rates of 0 or more (LogLinear: above 0)"))
         }
     }
 }
@@ -245,7 +245,7 @@ impl Training {
     pub fn resolved(&self) -> Self {
         let mut own = self.clone();
         if self.scale == 1.0 {
-            return own; // counts beyond 2^53 would be rounded
+            return own; // numbers of steps beyond 2^53 would be rounded
         }
         let (densify, o) = (&mut own.densify, &mut own.optimizer);
         let counts = [
@@ -282,13 +282,13 @@ impl Check for Training {
         need(self.batch >= 1, "`batch` is 0; give at least 1")?;
         need(
             self.prune_until >= self.densify_until,
-            "`prune_until` comes before `densify_until`; algorithm 1 densifies first, then prunes",
+            "`prune_until` is below `densify_until`; raise it, because pruning follows densification",
         )?;
         need(self.stride >= 1, "`stride` is 0; give 1 for every pixel")?;
-        need(!matches!(self.rays, Rays::Same(0) | Rays::Each(0)), "`rays` is none; give at least 1, or All")?;
+        need(!matches!(self.rays, Rays::Same(0) | Rays::Each(0)), "`rays` is 0; give at least 1, or All")?;
         need(
             self.rays == Rays::All || self.loss.ssim_weight == 0.0,
-            "SSIM wants whole pictures, and `rays` gives single pixels; set loss.ssim_weight to 0, or rays to All",
+            "SSIM needs whole spectra, but `rays` selects single pixels; set loss.ssim_weight to 0, or rays to All",
         )?;
         need(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
         need(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;

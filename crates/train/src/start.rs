@@ -77,12 +77,12 @@ impl<'a> Trainer<'a> {
         let whole = Stages::of(plan.method.clone(), data)?;
         check_inputs(&whole, data)?;
         if partition.train.is_empty() {
-            return Err(Error::Config("the training part is empty; use another split".into()));
+            return Err(Error::Config("the training set is empty; use another split".into()));
         }
         let batches = Batches::new(data, partition.train.clone());
         if plan.training.batch > batches.transmitters() {
             return Err(Error::Config(format!(
-                "training.batch is {}, but the training part has {} samples only; give at most so many",
+                "training.batch is {}, expected at most {} (transmitters of the training set); lower training.batch",
                 plan.training.batch,
                 batches.transmitters()
             )));
@@ -114,8 +114,8 @@ impl<'a> Trainer<'a> {
         };
         if blank.is_exact() && blank.moment(1).rounds == 0 {
             return Err(Error::Config(
-                "an exact number of Gaussians is wanted, and there is no prune step; set training.prune_until above \
-                 densify_until, or a larger scale"
+                "training.target needs a prune step, but there is none; set training.prune_until above densify_until, \
+                 or a larger scale"
                     .into(),
             ));
         }
@@ -125,7 +125,7 @@ impl<'a> Trainer<'a> {
     /// Sets the initial parameters; weights come from the initialiser if it has some.
     fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
-            return Err(Error::Config("the initializer made no Gaussian; raise its count, or take Random()".into()));
+            return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));
         }
         if let Some(what) = too_many(&self.plan, cloud.len()) {
             return Err(Error::Config(format!("pruners: {what}")));
@@ -141,7 +141,7 @@ impl<'a> Trainer<'a> {
             Some(trained) if trained.len() == weights.len() => weights = trained,
             Some(trained) => {
                 let (has, wants) = (trained.len(), weights.len());
-                return Err(Error::Config(format!("initializer: {has} weights, and the method has {wants}")));
+                return Err(Error::Config(format!("initializer: {has} weights, expected {wants}")));
             }
             None => method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights),
         }

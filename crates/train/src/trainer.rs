@@ -133,10 +133,10 @@ impl Trainer<'_> {
     pub fn keep(&mut self, keep: &[bool]) -> Result<()> {
         let n = self.cloud.len();
         if keep.len() != n {
-            return Err(Error::Config(format!("keep: {} values for {n} Gaussians; give one of each", keep.len())));
+            return Err(Error::Config(format!("keep: {} values, expected {n}; give one per Gaussian", keep.len())));
         }
         if !keep.contains(&true) {
-            return Err(Error::Config("keep: nothing would be left; keep one Gaussian at least".into()));
+            return Err(Error::Config("keep: all Gaussians would be removed; keep at least one".into()));
         }
         self.take_away(keep);
         Ok(())
@@ -176,7 +176,7 @@ impl Trainer<'_> {
         };
         let mut found =
             loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
-        drop(weights); // the optimiser then changes them where they are
+        drop(weights); // the optimiser then updates them in place
         if let Some(factors) = &dropout {
             found.d_weights = times(factors, &found.d_weights);
         }

@@ -20,8 +20,8 @@ impl Trainer<'_> {
         let n = self.cloud.len();
         let target = idle_target(&self.plan, n)?;
         Some(format!(
-            "pruners: the target is {target} and training starts with {n} Gaussians, so pruning removes none; lower the \
-             target, or start with more Gaussians"
+            "pruners: training.target is {target}, but training starts with {n} Gaussians, so pruning removes none; \
+             lower training.target or raise the initial count"
         ))
     }
 
@@ -43,14 +43,14 @@ impl Trainer<'_> {
         let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
         if !self.stages.method.traits().blends {
-            return None; // what is not drawn has no size
+            return None; // sources of waves have no size
         }
         let (n, limit) = (self.cloud.len(), settings.large_above * self.extent());
         let large = (0..n).filter(|i| largest(&self.cloud, *i) > limit).count();
         (2 * large > n).then(|| {
             format!(
                 "training.densify: {large} of {n} Gaussians start larger than `large_above` ({limit:.2} m, {} of the \
-                 extent) and are removed at step {step} if they stay so; start with smaller Gaussians, raise `large_above`, \
+                 extent) and are removed at step {step} unless they shrink; start with smaller Gaussians, raise `large_above`, \
                  or set it to 0",
                 settings.large_above
             )
@@ -77,7 +77,7 @@ impl Trainer<'_> {
             let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
             let takes_target = self.plan.pruners.iter().any(|pruner| pruner.traits().budget.is_some());
             let advice = if takes_target {
-                "relax that rule, or ask for one Gaussian with training.target: 1"
+                "relax that rule, or request one Gaussian with training.target: 1"
             } else {
                 "relax that rule, or start with one Gaussian"
             };
@@ -87,7 +87,7 @@ impl Trainer<'_> {
             let (name, removed) = (&self.plan.name, before - left);
             let said = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
             if self.is_exact() && step > self.plan.training.densify_until {
-                tracing::info!("{said}"); // as was asked for
+                tracing::info!("{said}"); // as requested
             } else {
                 tracing::warn!("{said}");
             }

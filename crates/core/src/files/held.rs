@@ -137,7 +137,7 @@ impl HeldFolder {
         match &self.folder {
             Some(folder) if !is_at(folder, &self.name).unwrap_or(false) => {
                 let now = fs::read_link(&self.path).unwrap_or_default();
-                let what = format!("the folder was moved or replaced meanwhile; its files lie in {}", now.display());
+                let what = format!("the folder was moved or replaced meanwhile; its files are in {}", now.display());
                 Err(Error::write(&self.name, io::Error::other(what)))
             }
             _ => Ok(()),

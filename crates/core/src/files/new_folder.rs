@@ -37,7 +37,7 @@ impl NewFolder {
     /// `out` is not empty or has no folder name, or writing fails.
     pub fn begin(out: &Path) -> Result<Self> {
         if out.file_name().is_none() || out.is_symlink() {
-            return Err(Error::input(out, "is no name for a new folder; choose another"));
+            return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
         }
         refuse_occupied(out)?;
         Self::beside(out)
@@ -48,7 +48,7 @@ impl NewFolder {
     /// # Errors
     /// Writing fails.
     pub fn beside(out: &Path) -> Result<Self> {
-        static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may make the same folder twice at once
+        static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may create the same folder twice concurrently
         let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = short_name(out);
         fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
@@ -98,7 +98,7 @@ impl NewFolder {
     /// Renaming fails.
     pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
-        let _held = under_way(); // a folder that `abandon_all` empties must not get its name
+        let _held = under_way(); // a folder emptied by `abandon_all` must not be published
         // If the target is missing or not empty, the rename reports the relevant error.
         let _ = fs::remove_dir(&self.out);
         fs::rename(&self.path, &self.out).map_err(refuse)?;
@@ -109,7 +109,7 @@ impl NewFolder {
 impl Drop for NewFolder {
     fn drop(&mut self) {
         under_way().retain(|path| *path != self.path);
-        let _ = fs::remove_dir_all(&self.path); // published: not there; else the next start tries again
+        let _ = fs::remove_dir_all(&self.path); // already renamed if published; otherwise the next start retries
     }
 }
 
@@ -122,7 +122,7 @@ fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
 fn locked(folder: &Path) -> std::io::Result<File> {
     let (new, own) = (folder.join(format!("{LOCK}.new")), folder.join(LOCK));
     let lock = File::create_new(&new)?;
-    let _ = lock.try_lock(); // a file system without locks is no reason to refuse
+    let _ = lock.try_lock(); // file systems without locks are accepted
     fs::rename(&new, &own)?;
     Ok(lock)
 }
@@ -139,7 +139,7 @@ fn clear(parent: &Path, name: Option<&str>) {
             continue;
         }
         if super::open(path.join(LOCK)).is_ok_and(|lock| lock.try_lock().is_ok()) {
-            let _ = fs::remove_dir_all(&path); // in the way of nobody
+            let _ = fs::remove_dir_all(&path); // failure is harmless
         }
     }
 }
@@ -174,9 +174,9 @@ mod tests {
         assert!(!out.exists());
         drop(folder);
         assert!(names(&here.path().join("a")).is_empty());
-        fs::create_dir(&out).unwrap(); // empty: it gives way
+        fs::create_dir(&out).unwrap(); // empty, so it is replaced
         let folder = NewFolder::begin(&out).unwrap();
-        let again = NewFolder::begin(&out).unwrap(); // the same folder twice at once
+        let again = NewFolder::begin(&out).unwrap(); // the same folder, concurrently
         fs::write(folder.path().join("x"), "2").unwrap();
         folder.publish().unwrap();
         assert!(again.publish().is_err(), "the first is there");
@@ -197,7 +197,7 @@ mod tests {
             let path = folder.path().to_owned();
             NewFolder::abandon_all();
             assert!(!path.exists());
-            fs::create_dir(&path).unwrap(); // by a thread that still writes into it
+            fs::create_dir(&path).unwrap(); // by a thread that still writes to it
             std::thread::spawn(move || folder.publish());
             std::thread::sleep(std::time::Duration::from_millis(100));
             std::process::exit(i32::from(Path::new(&out).exists()));
@@ -219,7 +219,7 @@ mod tests {
         [".data.1-0.tmp", ".data.2-0.tmp", ".data.x-0.tmp", ".data.2-0.tmp.txt", ".data.7.tmp", ".other.1-3.tmp"]
             .into_iter()
             .for_each(left);
-        fs::create_dir(here.path().join(".data.3-0.tmp")).unwrap(); // without a lock it is not known to be ours
+        fs::create_dir(here.path().join(".data.3-0.tmp")).unwrap(); // without a lock its owner is unknown
         let busy = File::open(here.path().join(".data.2-0.tmp").join(LOCK)).unwrap();
         busy.lock().unwrap();
         NewFolder::begin(&here.path().join("data")).unwrap().publish().unwrap();

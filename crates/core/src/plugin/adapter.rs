@@ -102,7 +102,7 @@ impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
         if !self.1.contains(&name.as_str()) {
             let hint = did_you_mean(&name, self.1.iter().copied());
             let known = self.1.join("`, `");
-            return Err(de::Error::custom(format!("there is no field `{name}`{hint} (there are `{known}`)")));
+            return Err(de::Error::custom(format!("unknown field `{name}`{hint} (fields: `{known}`)")));
         }
         self.0.deserialize(de::value::StringDeserializer::new(name))
     }

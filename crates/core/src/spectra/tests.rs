@@ -100,5 +100,5 @@ fn a_file_cut_short_while_it_is_read_is_an_error() {
     spectra.check().unwrap();
     assert_eq!(spectra.raw(1).as_ref(), [0; 6]);
     let said = spectra.check().unwrap_err().to_string();
-    assert!(said.contains("spectra have changed or gone since they were opened"), "{said}");
+    assert!(said.contains("file of spectra was changed or removed while open"), "{said}");
 }

@@ -16,7 +16,7 @@ pub(super) static CHANNEL: Description = Description {
         best: None,
         columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
     },
-    ceiling: Ceiling { note: "what two measured channels at one place have in common", share: 1.0 },
+    ceiling: Ceiling { note: "repeatability of two measured channels at one position", share: 1.0 },
     method: "method: VirtualTransmitters() or SplattedChannel()",
     level_name: ["mean power of the channel", "dB"],
     has_pixels: false,
@@ -130,12 +130,12 @@ impl Columns for Channels {
         let of_one = antennas * subcarriers;
         if of_one == 0 || gains.is_empty() || !have.is_multiple_of(of_one) {
             return Some(format!(
-                "{have} gains are no channels of {antennas} antennas by {subcarriers} subcarriers; give at least one, and \
-                 whole ones"
+                "{have} gains are not a multiple of {antennas} antennas x {subcarriers} subcarriers; give at least one \
+                 complete channel"
             ));
         }
         if let Some(f) = frequencies_hz.iter().find(|f| !(f.is_finite() && **f > 0.0)) {
-            return Some(format!("a subcarrier at {f} Hz; give frequencies above 0"));
+            return Some(format!("subcarrier at {f} Hz; give frequencies above 0"));
         }
         let mut faults = gains.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
         let (i, fault) = faults.find_map(|(i, fault)| Some((i, fault?)))?;

@@ -318,7 +318,7 @@ mod tests {
         channels.gains[10] = [0.0, Real::INFINITY];
         assert!(channels.fault().unwrap().starts_with("channels[1, 1, 1] is"));
         channels.gains.pop();
-        assert!(channels.fault().unwrap().contains("11 gains are no channels of 2 antennas"));
+        assert!(channels.fault().unwrap().contains("11 gains are not a multiple of 2 antennas"));
         assert!(two().fault().is_none() && two().pictures("`inspect`").is_err());
     }
 

@@ -18,7 +18,7 @@ pub(super) static POWER: Description = Description {
     },
     // Both readings are noisy, and independent errors of equal size add up to √2 times that size.
     ceiling: Ceiling {
-        note: "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2",
+        note: "error of a perfect predictor of the mean reading: difference of two readings at one position over √2",
         share: std::f64::consts::FRAC_1_SQRT_2,
     },
     method: "readout: Received(sky_deg: 10)",
@@ -55,7 +55,7 @@ impl Columns for Vec<Real> {
 
     fn fault(&self) -> Option<String> {
         if self.is_empty() {
-            return Some("there is no power; give at least one".into());
+            return Some("no received powers; give at least one".into());
         }
         self.iter().position(|v| !v.is_finite()).map(|i| format!("powers[{i}] is {}; give dBm", self[i]))
     }

@@ -17,7 +17,7 @@ pub(super) static SPECTRUM: Description = Description {
         best: Some(1.0),
         columns: ["ssim_mean", "ssim_median", "eta_0db"],
     },
-    ceiling: Ceiling { note: "what two measured spectra at one place have in common", share: 1.0 },
+    ceiling: Ceiling { note: "repeatability of two measured spectra at one position", share: 1.0 },
     method: "readout: Magnitude",
     level_name: ["strongest level of the spectrum", ""],
     has_pixels: true,

@@ -189,7 +189,7 @@ mod tests {
             ),
             (
                 file("[0, 0, 0, 1.002]"),
-                "DIR/g.yml:2:3: the quaternion has length 1.002000, further than 0.001 from 1; divide x, y, z, w by it",
+                "DIR/g.yml:2:3: the quaternion has length 1.002000, expected 1 within 0.001; divide x, y, z, w by it",
             ),
             (file("[0, .nan, 0, 1]"), "DIR/g.yml:3:20: value `.nan` is not a finite number; expected"),
             (
@@ -216,7 +216,7 @@ mod tests {
             ("? ".repeat(100_000), "DIR/g.yml:1:129: "),
             (spaces.collect(), "DIR/g.yml"),
             ("&a [*a]\n".repeat(10_000), "DIR/g.yml"),
-            ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: it is larger than the 1048576 bytes"),
+            ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: the file is larger than the limit of 1048576 bytes"),
         ];
         for (text, message) in cases {
             let said = read_str(&text).unwrap_err();

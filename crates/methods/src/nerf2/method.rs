@@ -189,7 +189,7 @@ impl Method for Nerf2 {
                 .into());
         }
         if frame.task.has_pixels && frame.plane.direction(0.0, 0.0).is_none() {
-            return Err("method: Nerf2 wants directions of pixels, and these data do not say them".into());
+            return Err("method: Nerf2 needs the directions of pixels, which these data do not contain".into());
         }
         Ok(planned(|plan| self.network(frame, plan)).1.layout())
     }

@@ -96,7 +96,7 @@ impl Splatting {
         if !frame.task.has_pixels && self.calibration == Calibration::AsReleased {
             let what = frame.task.plural;
             return Err(format!(
-                "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
+                "calibration: AsReleased supports only spectra, but the data are {what}; use Physical"
             ));
         }
         groups::check_receivers(&*self.deformation, frame)?;

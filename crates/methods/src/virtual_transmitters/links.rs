@@ -57,13 +57,13 @@ impl Links<'_> {
     pub fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
         self.check()?;
         if channel.len() != self.len() {
-            return Err(format!("{} complex numbers for {} links; give one each", channel.len(), self.len()));
+            return Err(format!("{} complex numbers for {} links; give one per link", channel.len(), self.len()));
         }
         if let Some(i) = channel.iter().position(|[re, im]| !(re.is_finite() && im.is_finite())) {
             return Err(format!("channel {i} is {:?}; give finite numbers", channel[i]));
         }
         if channel.iter().all(|h| *h == [0.0; 2]) {
-            return Err("the channel is zero everywhere; there is nothing to find".into());
+            return Err("the channel is zero everywhere; check the data".into());
         }
         Ok(())
     }

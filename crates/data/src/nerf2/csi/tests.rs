@@ -101,7 +101,7 @@ fn mistakes_are_told_with_their_place() {
             "holds numbers of type `<f4`; channels are complex64 or complex128",
         ),
         (complex(&[1, 2, 2000], vec![1.0; 8000]), "has 2000 subcarriers, of which the lowest would be at"),
-        (b"PK".to_vec(), "is no array of NumPy"),
+        (b"PK".to_vec(), "is not a NumPy array"),
     ];
     let good = fs::read(folder.0.path().join("csidata.npy")).unwrap();
     for (bytes, message) in arrays {
