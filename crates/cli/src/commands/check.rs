@@ -16,8 +16,7 @@ use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Loads the data, makes the split and the initial Gaussians and tries one step; writes no files.
 Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
 Describes the data briefly; `pwrfgs inspect` gives the details. Memory and time hold for the initial
@@ -25,8 +24,7 @@ Gaussians: densification increases them, pruning decreases them.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
-  pwrfgs check pipelines/pwrfgs.ron --scale 0.1"
-)]
+  pwrfgs check pipelines/pwrfgs.ron --scale 0.1")]
 pub(crate) struct Check {
     /// Pipeline file or run folder
     #[arg(value_name = "PIPELINE")]
@@ -91,8 +89,7 @@ fn text(p: &Preview) -> String {
 }
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Prints positions, values, unusual spectra and a check of the recorded receiver pose. For each split
 it prints the distance from test to training transmitters, the scores of the baselines and the noise
 ceiling. A pipeline sets data, split, baselines, metrics and seed; a data folder uses the defaults.
@@ -100,8 +97,7 @@ ceiling. A pipeline sets data, split, baselines, metrics and seed; a data folder
 EXAMPLES
   pwrfgs inspect pipelines/quickstart.ron
   pwrfgs inspect data/s23
-  pwrfgs inspect pipelines/s23-array.ron --set data.root=data/s23"
-)]
+  pwrfgs inspect pipelines/s23-array.ron --set data.root=data/s23")]
 pub(crate) struct Inspect {
     /// Data folder (layouts in docs/data.md), pipeline file or run folder
     #[arg(value_name = "DATA")]

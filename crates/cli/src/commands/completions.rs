@@ -7,13 +7,11 @@ use pwrfgs_core::{Error, Result, files};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 EXAMPLES
   pwrfgs completions bash > ~/.local/share/bash-completion/completions/pwrfgs
   pwrfgs completions fish > ~/.config/fish/completions/pwrfgs.fish
-  pwrfgs completions zsh > ~/.zfunc/_pwrfgs   # needs `fpath+=~/.zfunc` before compinit in ~/.zshrc"
-)]
+  pwrfgs completions zsh > ~/.zfunc/_pwrfgs   # needs `fpath+=~/.zfunc` before compinit in ~/.zshrc")]
 pub(crate) struct Completions {
     /// Shell
     #[arg(value_name = "SHELL")]
@@ -21,12 +19,10 @@ pub(crate) struct Completions {
 }
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 EXAMPLES
   pwrfgs man | man -l -
-  pwrfgs man --out ~/.local/share/man/man1    # then: man pwrfgs-run"
-)]
+  pwrfgs man --out ~/.local/share/man/man1    # then: man pwrfgs-run")]
 pub(crate) struct Man {
     /// Folder for pwrfgs.1 and a page per command [default: print pwrfgs.1]
     #[arg(long, value_name = "DIR")]

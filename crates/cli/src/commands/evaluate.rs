@@ -16,8 +16,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Data, split, metrics and baselines come from pipeline.ron next to the model; --set changes them.
 Prints the score table; --out also writes scores.csv, samples.csv and report.html.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
@@ -27,8 +26,7 @@ EXAMPLES
   pwrfgs evaluate runs/quickstart/model.safetensors
   pwrfgs evaluate runs/quickstart/model.safetensors --set 'metrics=[Ssim(), L1()]' --out scored
   pwrfgs evaluate runs/s23-laptop/model.safetensors --set data.root=data/s23
-  pwrfgs evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
-)]
+  pwrfgs evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors")]
 pub(crate) struct Evaluate {
     /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]

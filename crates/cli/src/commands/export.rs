@@ -13,8 +13,7 @@ use std::path::{Path, PathBuf};
 type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 PLY   binary layout of 3D Gaussian splatting: x y z (metres, world frame), nx ny nz (0), f_dc_0..2
       (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x y z). The colour shows the
       pixel of an opaque Gaussian alone, from dark violet (0) to yellow (1, full scale):
@@ -27,8 +26,7 @@ select one); NPZ names its arrays members.0.means, .. Existing files are never o
 
 EXAMPLES
   pwrfgs export runs/quickstart/model.safetensors --ply office.ply
-  pwrfgs export runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz"
-)]
+  pwrfgs export runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz")]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {
     /// Trained model (model.safetensors of a run)

@@ -10,8 +10,7 @@ use pwrfgs_core::{Elevation, Error, Number, Pose, Result};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
 from 0 to 1, the strongest direction. Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
 float64, stored as float32. The import needs little memory for any number of spectra.
@@ -22,8 +21,7 @@ EXAMPLES
   python3 -c \"from numpy import *; r = random.rand; savez('my.npz', spectra=r(9,90,360), tx=r(9,3))\"
   pwrfgs import --spectra my.npz --receiver 5,1,0 --orientation 0,0,0,1 --out data/my
   pwrfgs import --spectra s.npy --tx tx.npy --receiver 5,1,0 --orientation 0,0,0,1 --out data/my2
-  pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3"
-)]
+  pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3")]
 pub(crate) struct Import {
     /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
     #[arg(long, value_name = "PATH")]

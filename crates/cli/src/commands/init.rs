@@ -18,8 +18,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Reads spectra, received powers or channels in the layouts of docs/data.md, with index files and a
 point cloud if present. The pipeline runs as written; comments explain the settings. Without index
 files, it uses a split that holds out cells of space, so that no test transmitter is close to a
@@ -27,8 +26,7 @@ training transmitter. Existing files are never overwritten.
 
 EXAMPLES
   pwrfgs init data/s23
-  pwrfgs init data/s23 --out pipelines/mine.ron"
-)]
+  pwrfgs init data/s23 --out pipelines/mine.ron")]
 pub(crate) struct Init {
     /// Folder with the data
     #[arg(value_name = "FOLDER", default_value = ".")]

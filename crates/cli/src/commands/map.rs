@@ -25,8 +25,7 @@ const HEADER: &str = "array,picture,quantity,unit,receiver,columns_axis,first_co
                       step_m,plane,smallest,largest\n";
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 QUANTITIES
   powers    power in dBm at each receiver, and at the strongest receiver
   spectra   direction: azimuth and elevation of the strongest direction (degrees, receiver frame;
@@ -42,8 +41,7 @@ differ from the room. Far from measured positions, predictions are extrapolation
 EXAMPLES
   pwrfgs map runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01
   pwrfgs map runs/quickstart/model.safetensors --plane z=1.2 --of direction --out directions
-  python3 -c \"import numpy; print(numpy.load('directions/azimuth.npy').shape)\""
-)]
+  python3 -c \"import numpy; print(numpy.load('directions/azimuth.npy').shape)\"")]
 pub(crate) struct Map {
     /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]

@@ -14,8 +14,7 @@ use serde_json::Value;
 use std::fmt::Write as _;
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Without NAME, it lists all names. A kind (Pruner, or its field pruners) lists its plugins. A plugin
 (LearnableMask), settings (training, optimizer, loss), a type (Schedule), Pipeline or Experiment
 show each field with its default, type and description.
@@ -25,8 +24,7 @@ EXAMPLES
   pwrfgs plugins pruners
   pwrfgs plugins LearnableMask
   pwrfgs plugins --markdown > docs/reference.md
-  pwrfgs plugins --schema > pwrfgs.schema.json"
-)]
+  pwrfgs plugins --schema > pwrfgs.schema.json")]
 pub(crate) struct Plugins {
     /// Kind, plugin, settings or type [default: list all names]
     #[arg(value_name = "NAME")]
@@ -59,7 +57,9 @@ pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
 fn all_names(chapters: &[Chapter]) -> String {
     let heads: Vec<String> = chapters
         .iter()
-        .map(|chapter| chapter.field.map_or_else(|| chapter.name.clone(), |field| format!("{} ({field})", chapter.name)))
+        .map(|chapter| {
+            chapter.field.map_or_else(|| chapter.name.clone(), |field| format!("{} ({field})", chapter.name))
+        })
         .collect();
     let column = heads.iter().map(|head| head.chars().count() + 2).max().unwrap_or(0);
     let mut out = format!("{:column$}{}\n", "kind (field)", "plugins; settings and types");

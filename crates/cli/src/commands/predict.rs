@@ -18,8 +18,7 @@ use writers::{Drawn, Folder, Row, writer};
 const CHUNK: usize = 64;
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Needs only the model file. Writes all files or none. predictions.csv has a row per position and
 receiver, with the latency in ms and:
   spectra   azimuth and elevation of the strongest direction in degrees, and its value
@@ -34,8 +33,7 @@ EXAMPLES
   pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
   pwrfgs predict runs/quickstart/model.safetensors --tx-csv walk.csv --stacked --no-png --out walk
-  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --out walk-g01"
-)]
+  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --out walk-g01")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
     /// Trained model (model.safetensors of a run); several form an ensemble

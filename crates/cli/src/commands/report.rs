@@ -13,8 +13,7 @@ use std::path::{Path, PathBuf};
 const FOLDER: &str = "report";
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Compares runs on the same data and split. Runs that differ only in the seed form one row, with mean
 and standard deviation. Paired differences have 95 % bootstrap intervals over seeds and blocks of
 space.
@@ -25,8 +24,7 @@ them out. For a single run without --out, it also rebuilds report.html in the ru
 EXAMPLES
   pwrfgs report runs/lambda
   pwrfgs report runs/lambda --reference 5-NN
-  pwrfgs report runs/quarter runs/quarter-1 --out compared"
-)]
+  pwrfgs report runs/quarter runs/quarter-1 --out compared")]
 pub(crate) struct Report {
     /// Run folders or sweep folders
     #[arg(value_name = "RUNS", required = true)]

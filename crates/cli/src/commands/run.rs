@@ -12,8 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
 If only baselines or metrics changed, it scores the trained model again without training.
 A folder with other files is never changed. Paths in a pipeline are relative to its file, paths on
@@ -24,8 +23,7 @@ EXAMPLES
   pwrfgs run pipelines/quickstart.ron --scale 0.25 --set tensorboard=true --out runs/quarter
   pwrfgs run runs/quarter --set seed=1 --out runs/quarter-1
   pwrfgs run pipelines/s23-laptop.ron --set data.root=data/s23
-  pwrfgs run pipelines/ablation.ron --set pruners.LearnableMask.lambda=0.05 --out runs/sparse"
-)]
+  pwrfgs run pipelines/ablation.ron --set pruners.LearnableMask.lambda=0.05 --out runs/sparse")]
 pub(crate) struct Run {
     /// Pipeline file, or run folder: resumes the run, or repeats it in --out
     #[arg(value_name = "PIPELINE")]

@@ -18,8 +18,7 @@ use std::sync::atomic::Ordering;
 use table::Table;
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
 are validated before the first one starts. Repeat the command to resume: it skips finished runs and
 retries failed ones. The sweep ends with tables and figures in DIR/report and, if the file says
@@ -32,8 +31,7 @@ ON A CLUSTER
 EXAMPLES
   pwrfgs sweep experiments/lambda.ron --dry-run
   pwrfgs sweep experiments/lambda.ron --jobs 2
-  pwrfgs sweep experiments/lambda.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23"
-)]
+  pwrfgs sweep experiments/lambda.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23")]
 pub(crate) struct Sweep {
     /// Experiment file
     #[arg(value_name = "EXPERIMENT")]

@@ -12,8 +12,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 #[derive(Debug, Args)]
-#[command(
-    after_help = "\
+#[command(after_help = "\
 Prints the address of a page and serves it until Ctrl-C or until the page is closed; writes nothing.
 Only this machine can open the page: it uses a random local port and a random token in the address.
 
@@ -29,8 +28,7 @@ in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 EXAMPLES
   pwrfgs view runs/quickstart
   pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'
-  pwrfgs view runs/s23-best/joined runs/s23-laptop"
-)]
+  pwrfgs view runs/s23-best/joined runs/s23-laptop")]
 pub(crate) struct View {
     /// Run folder or model file; the second may be a baseline, such as Kriging
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
