@@ -104,7 +104,7 @@ pub struct LinearPart {
     pub functions: usize,
     /// Functions φ of every Gaussian, `[N, J]`.
     pub basis: Vec<Real>,
-    /// Range of weights of the remaining parts of the signals: if they are 0, only the linear part is left.
+    /// Range of weights that produce the signals: set it to 0 before setting B, so that only the linear part is left.
     pub cleared: std::ops::Range<usize>,
     /// Indices of B(c, 0, 0) in the weights, for both channels.
     pub first: [usize; 2],

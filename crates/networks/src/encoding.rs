@@ -113,7 +113,7 @@ pub enum Encoding {
         /// Shortest wavelength, metres. Faster variations cannot be represented, which reduces overfitting to noise.
         shortest_m: f64,
     },
-    /// The feature vector that the data hold in place of the transmitter position, unchanged. Only for the transmitter.
+    /// Feature vector that replaces the transmitter position in the data, unchanged. Only for the transmitter.
     /// The features of the network then include it, so that signals may be linear in it.
     Features {
         /// Length of the feature vector.
@@ -122,8 +122,8 @@ pub enum Encoding {
         #[serde(default = "one")]
         gain: f64,
     },
-    /// The feature vector that the data hold in place of the transmitter position, mapped to a pseudo-position as in
-    /// `GSRF`: 2 tanh of three learned linear maps, then sine and cosine of `octaves` frequencies. Only for the
+    /// Pseudo-position from the feature vector that replaces the transmitter position, as in `GSRF`. It is 2 tanh of
+    /// three learned linear maps of the features, encoded by sine and cosine of `octaves` frequencies. Only for the
     /// transmitter.
     PseudoPosition {
         /// Length of the feature vector.

@@ -1,8 +1,8 @@
 //! Grid search: the part of the residual that one more transmitter would explain, at every position of a cube about the
 //! links.
 //!
-//! A position e explains |eᴴr|²/|e|² with its best gain. Blocks of sixteen by two positions along x are evaluated in
-//! single precision. Only the best are kept, one per maximum, so that memory does not grow with the grid. Maxima are
+//! A position e explains |eᴴr|²/|e|² with its best gain. Blocks of [`LANES`] positions along x are evaluated in single
+//! precision. Only the best are kept, one per maximum, so that memory does not grow with the grid. Maxima are
 //! wider at larger distances from the links, so that each shell of the grid is twice as coarse as the inner one.
 //!
 //! [`images`] are the expected positions of images of known sources: mirrored in the planes that pairs of sources
