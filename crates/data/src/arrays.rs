@@ -1,4 +1,4 @@
-//! `Arrays`: spectra and transmitters as arrays of NumPy, of any number.
+//! `Arrays`: spectra and transmitter positions stored as NumPy arrays.
 
 #[cfg(test)]
 mod tests;
@@ -14,23 +14,23 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 const LAYOUT: &str = "a folder of arrays holds gateway_info.yml, tx.npy and spectra.npy; `pwrfgs import` writes one";
-/// Spectra that memory holds whole, bytes: then nothing that happens to the file matters to a run.
+/// Largest spectra array that is read into memory, bytes. Later changes of its file do not affect a run.
 const IN_MEMORY: u64 = 1 << 29;
 
-/// Spectra and transmitters as arrays of NumPy. `pwrfgs import` writes such a folder from what you have.
+/// Spectra and transmitter positions as NumPy arrays. `pwrfgs import` creates such a folder from your files.
 ///
 /// ```text
 /// root/gateway_info.yml    gateway1: {position: [x, y, z], orientation: [x, y, z, w]}; metres, unit quaternion
 /// root/tx.npy              [M, 3], float64 or float32, metres; or tx_pos.csv with columns x, y, z
 /// root/spectra.npy         [M, H, W]: a row is an elevation, a column an azimuth; uint8 (255 is 1), uint16 (65535 is 1),
 ///                          or float32 and float64 from 0 to 1
-/// root/train_index.txt     ids, one a line, counted from 1; this file and
-/// root/test_index.txt      this one come together or not at all
+/// root/train_index.txt     sample ids, one per line, counted from 1; the files train_index.txt and
+/// root/test_index.txt      test_index.txt must both exist or both be absent
 /// ```
 ///
-/// Spectra of up to 512 MB are read into memory. Larger ones stay in their file, which must stay as it is while it is
-/// used, and a picture is read when it is wanted: a hundred thousand need no more memory than a hundred. Floats are looked
-/// at once, when they are loaded.
+/// Spectra of up to 512 MB are read into memory. Larger arrays stay in their file, which must not change during a run;
+/// each spectrum is read when it is needed, so memory use does not depend on their number. Floats are validated when
+/// they are loaded.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -40,14 +40,14 @@ const IN_MEMORY: u64 = 1 << 29;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arrays {
-    /// The folder, relative to the pipeline file.
+    /// Data folder, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
-    /// Elevations where the top row of the spectra begins and the bottom row ends, degrees; what `gateway_info.yml` says
-    /// where it is left out, else 0 and 90.
+    /// Elevations of the upper edge of the top row and the lower edge of the bottom row, degrees. Without it: the value
+    /// in `gateway_info.yml`, else 0 and 90.
     pub elevation: Option<Elevation>,
 }
 
@@ -101,7 +101,7 @@ impl DataSource for Arrays {
     }
 }
 
-/// The spectra, in memory where they are few, with every float looked at.
+/// Validates all float spectra; returns them in memory if they are small.
 fn checked(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
     let bytes = spectra.len() * spectra.width() * spectra.height() * spectra.number().bytes();
     let spectra = if bytes as u64 <= IN_MEMORY { spectra.into_memory()? } else { spectra };
@@ -113,7 +113,7 @@ fn checked(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spec
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, count);
             fault
         };
-        // The first, whatever the number of threads.
+        // The first error, independent of the number of threads.
         if let Some(fault) = (0..count).into_par_iter().find_map_first(look) {
             return Err(Error::input(path, fault));
         }

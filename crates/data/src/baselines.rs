@@ -1,6 +1,6 @@
-//! Predictors without Gaussians. What a model says is worth what it adds to these.
+//! Baselines: predictors without Gaussians, to compare models with.
 //!
-//! Here: the mean, no channel at all, and `ByReceiver`, which fits a predictor to each receiver.
+//! This module holds the mean, the zero channel, and `ByReceiver`, which fits one predictor per receiver.
 
 #[cfg(test)]
 mod floors;
@@ -20,8 +20,9 @@ use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
-/// The mean of all training spectra, whatever the transmitter: the floor of every score. Of powers and channels it is the
-/// mean of what the receiver observed, called "mean of the receiver"; a receiver without training links has the mean of all.
+/// Mean of all training spectra, independent of the transmitter: the lower reference for every score. For received
+/// powers and channels it is the mean per receiver, called "mean of the receiver". A receiver without training links
+/// gets the mean of all links.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -50,7 +51,7 @@ impl Baseline for MeanSpectrum {
     }
 }
 
-/// All known samples, sorted; refuses none.
+/// All known samples, sorted; an error if there are none.
 fn all_of(known: Known<'_>) -> Result<Vec<usize>> {
     let all = known.all();
     if all.is_empty() {
@@ -59,8 +60,8 @@ fn all_of(known: Known<'_>) -> Result<Vec<usize>> {
     Ok(all)
 }
 
-/// What choices are made on: training samples, and others that they are to predict. Without a validation part every tenth
-/// training sample is left out; without two samples there is nothing to predict.
+/// Samples to choose hyperparameters with: (training samples, samples to predict). Without a validation set every tenth
+/// training sample is held out; with fewer than two samples none is.
 fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
     const EVERY: usize = 10;
     if !known.validation.is_empty() && !known.train.is_empty() {
@@ -71,7 +72,7 @@ fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
     (samples(false).collect(), samples(true).collect())
 }
 
-/// Always the same.
+/// Predictor that returns the same image for every query.
 struct Constant(Image);
 
 impl Predict for Constant {
@@ -86,7 +87,7 @@ impl Fitted for Constant {
     }
 }
 
-/// The mean of the samples listed, each with a weight; they do not add up to zero.
+/// Weighted mean of the listed samples; the weights need not sum to one.
 fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
     let mut sum = vec![0.0; data.width * data.height];
     for &(i, weight) in weighted {
@@ -97,22 +98,22 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
     Image { width: data.width, height: data.height, pixels }
 }
 
-/// A predictor that learned from the links of one receiver.
+/// Predictor fitted to the links of one receiver.
 pub(super) trait Fitted: Predict {
-    /// What tables print under themselves of all receivers, with their names.
+    /// Notes below a table of scores, for all receivers by name.
     fn notes(each: &[(&str, &Self)]) -> Option<String>;
 }
 
-/// One for each receiver of the data.
+/// One predictor per receiver.
 pub(super) struct ByReceiver<P> {
-    /// With its name; `None` where the receiver has no link to learn from.
+    /// Receiver names with their predictors; `None` if the receiver has no training link.
     each: Vec<(String, Option<P>)>,
-    /// Learned from all links, for those that have none.
+    /// Predictor fitted to all links, for receivers without training links.
     pooled: Option<P>,
 }
 
 impl<P: Fitted> ByReceiver<P> {
-    /// Fits the links of every receiver with `fit`; those of the only one as they are.
+    /// Fits one predictor per receiver with `fit`; a single receiver is fitted to all links unchanged.
     pub(super) fn fit<'a>(
         data: &'a Dataset,
         known: Known<'_>,
@@ -125,7 +126,7 @@ impl<P: Fitted> ByReceiver<P> {
         let of_each = [known.train, known.validation].map(|links| of_receivers(data, links));
         let fit_one = |r: usize| {
             let own = Known { train: &of_each[0][r], validation: &of_each[1][r] };
-            // Who has nothing at all to learn from is told so by the fit itself.
+            // If there is nothing to fit, `fit` returns the error.
             let is_deaf = own.train.is_empty() && own.validation.is_empty() && receivers.len() > 1;
             Ok((clean(&receivers[r].name), if is_deaf { None } else { Some(fit(own)?) }))
         };
@@ -135,7 +136,7 @@ impl<P: Fitted> ByReceiver<P> {
     }
 }
 
-/// The links of each receiver among these.
+/// The given links, grouped by receiver.
 fn of_receivers(data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
     let mut all = vec![Vec::new(); data.scene.receivers.len()];
     links.iter().for_each(|&i| all[data.links[i].receiver].push(i));
@@ -161,7 +162,7 @@ impl<P: Fitted> Predict for ByReceiver<P> {
     }
 }
 
-/// A channel of zeros: an SNR of 0 dB, which a prediction with wrong phases does not reach.
+/// Zero channel, SNR 0 dB. A prediction with wrong phases scores lower.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -182,7 +183,7 @@ impl Baseline for Zero {
         if self.supports(data.task()) {
             return Ok(());
         }
-        let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.task().plural);
+        let what = format!("Zero() is a baseline for channels, but {} holds {}", data.title, data.task().plural);
         Err(Error::Config(format!("{what}; use MeanSpectrum()")))
     }
 

@@ -1,4 +1,4 @@
-//! `Channels`: channels of one receiver in an array of NumPy, with the places of the transmitter in a table.
+//! `Channels`: channels of one receiver as a NumPy array, with transmitter positions in a table.
 
 #[cfg(test)]
 mod tests;
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 const LAYOUT: &str = "a folder of channels holds channel.npy, tx_pos.csv and receiver.yml";
 const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the receiver, F subcarriers";
 
-/// Channels (CSI) at one receiver as an array of NumPy, with a table of the transmitter's places.
+/// Channels (CSI) at one receiver as a NumPy array, with a table of transmitter positions.
 ///
 /// ```text
 /// root/file         [M, A, F], complex64 or complex128: M places of the transmitter, A antennas of the receiver, F
@@ -27,13 +27,13 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 /// root/positions    header naming x, y, z among others; row k is place k of the array; metres
 /// ```
 ///
-/// The id of a transmitter is its row, counted from 0 as NumPy does. Numbers are taken as they are. Subcarriers are evenly
-/// spaced about `carrier_hz`. By reciprocity it is all the same which end sends: where the fixed node is the transmitter,
-/// call it the receiver.
+/// The id of a transmitter is its row, counted from 0 as in NumPy. Values are not scaled. Subcarriers are evenly spaced
+/// about `carrier_hz`. By reciprocity, uplink and downlink are equal: if the fixed node is the transmitter, enter it as
+/// the receiver.
 ///
-/// The `frequencies_hz` of `root/receiver.yml` count if neither carrier nor spacing is given, and need not be evenly spaced.
 /// Carrier, spacing and receiver that are left out are read from `root/receiver.yml`, which `pwrfgs simulate --layout
-/// channels` writes; and `train_index.txt` with `test_index.txt`, where they are there, hold ids for `split: Official()`.
+/// channels` writes. If neither carrier nor spacing is set, its `frequencies_hz` are used, which need not be evenly
+/// spaced. If `train_index.txt` and `test_index.txt` exist, they hold the ids for `split: Official()`.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -48,36 +48,36 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Channels {
-    /// The folder, relative to the pipeline file.
+    /// Data folder, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
-    /// The array, relative to `root`.
+    /// Channel array (`.npy`), relative to `root`.
     pub file: PathBuf,
-    /// The table of places, relative to `root`.
+    /// Table of transmitter positions, relative to `root`.
     pub positions: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
-    /// Frequency in the middle of the subcarriers, Hz.
+    /// Centre frequency of the subcarriers, Hz.
     pub carrier_hz: Option<f64>,
-    /// From one subcarrier to the next, Hz; nothing depends on it where there is one subcarrier.
+    /// Subcarrier spacing, Hz; not needed for a single subcarrier.
     pub spacing_hz: Option<f64>,
-    /// Where the receiver is.
+    /// Position, orientation and antennas of the receiver.
     pub receiver: Option<ReceiverPlace>,
-    /// Whether the numbers come from a simulation whose files do not say so: nothing made of them is then called measured.
+    /// Whether the channels are simulated although no file says so. Scores of simulated data are never labelled as
+    /// measured.
     pub simulated: bool,
 }
 
-/// Where a receiver is, how it is turned, and where its antennas are.
+/// Position, orientation and antennas of a receiver.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReceiverPlace {
-    /// Metres, world frame.
+    /// Receiver position in metres, world frame.
     pub position: [f64; 3],
     /// Unit quaternion x, y, z, w turning receiver axes into world axes.
     pub orientation: [f64; 4],
-    /// Places of the antennas in the receiver's frame, metres, in the order of the array; a receiver with one antenna
-    /// needs none.
+    /// Antenna positions in the receiver's frame, metres, in the order of the array; not needed for a single antenna.
     pub antennas: Vec<[f64; 3]>,
 }
 
@@ -89,7 +89,7 @@ impl Default for ReceiverPlace {
 }
 
 impl ReceiverPlace {
-    /// Where the receiver is and how it is turned, world frame.
+    /// Receiver pose, world frame.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation }
     }
@@ -169,17 +169,17 @@ impl DataSource for Channels {
     }
 }
 
-/// What settings say, and `receiver.yml` where they do not.
+/// Settings, completed from `receiver.yml`.
 struct Said {
     carrier_hz: f64,
     spacing_hz: f64,
-    /// One by one, where they are.
+    /// Frequencies of the subcarriers, Hz, if listed one by one.
     frequencies_hz: Option<Vec<f64>>,
     name: String,
     place: ReceiverPlace,
 }
 
-/// The file of that name; places of antennas are of the world.
+/// Content of `receiver.yml`; antenna positions are in the world frame.
 #[derive(Deserialize)]
 struct File {
     name: Spanned<String>,
@@ -188,7 +188,7 @@ struct File {
     antennas: Vec<[f64; 3]>,
     carrier_hz: f64,
     spacing_hz: f64,
-    /// Of all subcarriers, which need not be evenly spaced.
+    /// Frequencies of all subcarriers, Hz; need not be evenly spaced.
     frequencies_hz: Option<Vec<f64>>,
 }
 
@@ -198,7 +198,7 @@ impl Said {
         if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(place), .. } = source
             && (spacing_hz.is_some() || !path.exists())
         {
-            // Nothing depends on a spacing that nobody says, unless there are several subcarriers.
+            // A missing spacing matters only with several subcarriers.
             let spacing_hz = spacing_hz.unwrap_or(f64::NAN);
             let (name, place) = ("receiver".into(), place.clone());
             return Ok(Self { carrier_hz: *carrier_hz, spacing_hz, frequencies_hz: None, name, place });
@@ -236,7 +236,7 @@ impl Said {
         })
     }
 
-    /// The receiver, with as many antennas as the array has.
+    /// Creates the receiver; its antenna count must match the array.
     fn receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
         let receiver = Receiver::new(&self.name, self.place.pose());
         match self.place.antennas.len() {
@@ -250,11 +250,14 @@ impl Said {
     }
 }
 
-/// Frequencies of `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz.
+/// Frequencies of the `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz.
 pub(crate) fn subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: usize) -> Result<Vec<f64>> {
     let middle = (count as f64 - 1.0) / 2.0;
     if count > 1 && (spacing_hz.is_nan() || spacing_hz <= 0.0) {
-        return Err(Error::input(path, format!("has {count} subcarriers; say `spacing_hz`, from one to the next")));
+        return Err(Error::input(
+            path,
+            format!("has {count} subcarriers, but `spacing_hz` is missing; set the subcarrier spacing in Hz"),
+        ));
     }
     let offset = |i: usize| if count > 1 { (i as f64 - middle) * spacing_hz } else { 0.0 };
     let all: Vec<f64> = (0..count).map(|i| carrier_hz + offset(i)).collect();
@@ -267,7 +270,7 @@ pub(crate) fn subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: 
     }
 }
 
-/// Refuses what is no frequency.
+/// Returns an error unless both are valid frequencies, Hz.
 pub(crate) fn check_frequencies(carrier_hz: f64, spacing_hz: f64) -> Result<(), String> {
     for (name, hz, example) in [("carrier_hz", carrier_hz, "2.4e9"), ("spacing_hz", spacing_hz, "312500")] {
         if !(hz.is_finite() && hz > 0.0) {

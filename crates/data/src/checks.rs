@@ -1,23 +1,23 @@
-//! What data must be like, wherever they come from: folders, `import`, or arrays of a program. What passes [`check`] can be
-//! saved, and is read back as it was.
+//! Validation of data sets from folders, `import` or arrays in memory. A data set that passes [`check`] can be saved
+//! and read back unchanged.
 
 use pwrfgs_core::words::{clean, quoted};
 use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra};
 use rayon::prelude::*;
 
-/// How far a value of a spectrum may be outside 0 to 1, by rounding.
+/// Tolerance for spectrum values outside 0 to 1, due to rounding.
 pub(crate) const ROUNDING: f64 = 1e-6;
-/// What stands in a table of powers where nothing was received, dBm.
+/// Entry of a power table if no signal was received, dBm.
 pub(crate) const NOT_RECEIVED: f64 = -100.0;
-/// No power in dBm is larger than this in size: what is has another unit.
+/// Largest plausible absolute power, dBm; larger values have another unit.
 const LARGEST_DBM: f64 = 300.0;
-/// Longest name of a receiver, characters.
+/// Longest receiver name, characters.
 const LONGEST_NAME: usize = 100;
 
-/// Refuses a data set that [`save`](crate::save()) could not write, or that would be refused when it is read again.
+/// Returns an error for a data set that [`save`](crate::save()) cannot write or that could not be read back.
 ///
 /// # Errors
-/// [`Error::Config`] with what is wrong and what to do.
+/// [`Error::Config`] with the problem and the next step.
 pub fn check(data: &Dataset) -> Result<()> {
     fault(data).map_or(Ok(()), |what| Err(Error::Config(format!("data set `{}`: {what}", data.title))))
 }
@@ -34,12 +34,12 @@ fn fault(data: &Dataset) -> Option<String> {
     of_spectra.or_else(of_powers).or(name).or_else(|| antennas_fault(data)).or_else(silent)
 }
 
-/// Who has no link.
+/// Transmitter or receiver without any link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unheard {
-    /// The transmitter of this number, counted from 0.
+    /// Index of the transmitter, counted from 0.
     Transmitter(usize),
-    /// The receiver of this number, counted from 0.
+    /// Index of the receiver, counted from 0.
     Receiver(usize),
 }
 
@@ -54,7 +54,8 @@ impl Unheard {
     }
 }
 
-/// The first transmitter without a link, else the first receiver without one; `links` are pairs of both.
+/// The first transmitter without a link, else the first receiver without one; `links` are (transmitter, receiver)
+/// pairs.
 pub fn unheard(
     transmitters: usize,
     receivers: usize,
@@ -66,17 +67,17 @@ pub fn unheard(
     missing(&sends).map(Unheard::Transmitter).or_else(|| missing(&receives).map(Unheard::Receiver))
 }
 
-/// What is wrong with a power that was received, dBm.
+/// Problem with a received power, dBm.
 pub fn power_fault(dbm: f64) -> Option<String> {
     if dbm == NOT_RECEIVED {
-        let what = "stands for nothing received in a folder of powers";
+        let what = "marks a missing link in a power table";
         return Some(format!("is {dbm} dBm, which {what}; leave the link out, or give -99.99 if it was measured"));
     }
     (dbm.is_nan() || dbm.abs() > LARGEST_DBM).then(|| format!("is {dbm}, no power in dBm; give dBm"))
 }
 
-/// What is wrong with the angles and the size of spectra; `say` is how a user states elevations that are not `stated`,
-/// with an example.
+/// Problem with the elevations and the size of spectra; `say` is the setting for elevations that are not `stated`, with
+/// an example.
 pub fn shape_fault(elevation: Elevation, stated: bool, (width, height): (usize, usize), say: &str) -> Option<String> {
     let factor = if stated { 4.0 } else { 1.75 };
     let what = elevation.misfit((width, height), factor)?;
@@ -97,7 +98,7 @@ fn elevation_fault(data: &Dataset) -> Option<String> {
     data.elevation.fault().or_else(misfit)
 }
 
-/// The first value of spectrum `i` that is not from 0 to 1.
+/// Problem with spectrum `i`: the first value outside 0 to 1.
 pub(crate) fn value_fault(spectra: &Spectra, i: usize) -> Option<String> {
     if !spectra.number().is_float() {
         return None;
@@ -119,14 +120,14 @@ fn first_value_fault(spectra: &Spectra) -> Option<String> {
     (0..spectra.len()).into_par_iter().find_map_first(|i| value_fault(spectra, i))
 }
 
-/// What is wrong with the name of a receiver: it cannot head a column of a table, or steers a terminal.
+/// Problem with a receiver name: not usable as a column heading, or control characters.
 pub(crate) fn name_fault(name: &str) -> Option<String> {
     let fits = clean(name) == name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
     let what = "1 to 100 characters without quotes, control characters or blanks at the ends";
-    (!fits).then(|| format!("a receiver is called {}; give it a name of {what}", quoted(name)))
+    (!fits).then(|| format!("receiver name {} is invalid; use {what}", quoted(name)))
 }
 
-/// Antennas that are not those of the observations: what is learned rests on where they are.
+/// Problem with the antennas: their count must match the observations.
 fn antennas_fault(data: &Dataset) -> Option<String> {
     let (given, is_scalar) = (data.observations.antennas()?, data.task().is_scalar);
     let what = if is_scalar {

@@ -1,4 +1,4 @@
-//! What every reader and every writer of a data folder does alike.
+//! Functions shared by all readers and writers of data folders.
 
 use crate::geometry::read_points;
 use pwrfgs_core::words::clean;
@@ -6,10 +6,10 @@ use pwrfgs_core::{DataSource, Error, Origin, Pose, Receiver, Result, Simulation,
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The point cloud of a folder that is written here.
+/// File name of the point cloud in written folders.
 pub(crate) const POINTS: &str = "points.csv";
 
-/// Refuses an empty `root`.
+/// Returns an error for an empty `root`.
 pub(crate) fn check_root(root: &Path) -> Result<(), String> {
     if root.as_os_str().is_empty() {
         return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
@@ -17,7 +17,7 @@ pub(crate) fn check_root(root: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The folder `root` of the data source called `plugin`, whose files are those of `layout`.
+/// Opens the folder `root` of the data source `plugin`, whose files are described by `layout`.
 pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) -> Result<PathBuf> {
     let root = base.join(root);
     if root.is_dir() {
@@ -26,7 +26,7 @@ pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) ->
     Err(Error::input(&root, format!("no such folder; set `root` of {plugin} ({layout})")))
 }
 
-/// The source that `read` makes of `folder` and its point cloud, if the folder holds one of these files.
+/// Creates the source with `read`, using the point cloud of `folder` if one of these files exists.
 pub(crate) fn source_in<S: DataSource>(
     folder: &Path,
     files: &[&str],
@@ -37,24 +37,24 @@ pub(crate) fn source_in<S: DataSource>(
     Some(Box::new(read(folder.to_owned(), points)))
 }
 
-/// The point cloud that the setting `points` names, metres; empty if it names none.
+/// Reads the point cloud of the setting `points`, metres; empty without the setting.
 pub(crate) fn points_of(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 3]>> {
     points.map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))
 }
 
-/// The name of a folder.
+/// Name of a folder.
 pub(crate) fn folder_name(root: &Path) -> String {
     clean(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
 
-/// `manifest.json`, as `pwrfgs simulate` writes it.
+/// `manifest.json` as written by `pwrfgs simulate`.
 #[derive(Deserialize)]
 struct Manifest {
     simulated: bool,
     scene: Option<String>,
 }
 
-/// What the data set called `name` says of itself: in `manifest.json`, or in its name if there is none.
+/// Simulation of the data set `name` according to `manifest.json`, else according to its name.
 pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
     let manifest =
         files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
@@ -63,12 +63,12 @@ pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
     simulated.then_some(Simulation { scene })
 }
 
-/// Title of a data set of this layout.
+/// Title of a data set in this layout.
 pub(crate) fn title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
     format!("{name} ({}{layout})", if simulation.is_some() { "" } else { "measured, " })
 }
 
-/// The text of `gateway_info.yml` for a data set called `name`.
+/// Content of `gateway_info.yml` for a data set called `name`.
 pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
     format!(
         "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
@@ -78,7 +78,7 @@ pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
     )
 }
 
-/// The text of `gateway_position.yml`: names and places of gateways, metres, with the orientation of those that are turned.
+/// Content of `gateway_position.yml`: gateway names and positions, metres; orientations only if rotated.
 pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, Pose)>) -> String {
     let line = |(name, pose): (&str, Pose)| {
         let (name, place) = (yaml(name), list(&pose.position));
@@ -90,20 +90,20 @@ pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, P
     gateways.into_iter().map(line).collect()
 }
 
-/// A text of YAML: a JSON string is one, but for some signs that are written as numbers.
+/// Quotes text for YAML. JSON strings are valid YAML, except for a few characters written as numbers.
 pub(crate) fn yaml(text: &str) -> String {
     let is_number = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}\u{fffe}\u{ffff}".contains(c);
     let write = |c: char| if is_number(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
     serde_json::Value::from(text).to_string().chars().map(write).collect()
 }
 
-/// The text of `base-station.yml`: places of the antennas, metres.
+/// Content of `base-station.yml`: antenna positions, metres.
 pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
     let places: Vec<String> = antennas.iter().map(|place| format!("[{}]", list(place))).collect();
     format!("base_station: [{}]\n", places.join(", "))
 }
 
-/// The text of `receiver.yml`: pose, frequencies, and places of the antennas in the world; metres and Hz.
+/// Content of `receiver.yml`: pose, frequencies and antenna positions in the world frame; metres and Hz.
 pub(crate) fn receiver_yaml(receiver: &Receiver, origin: Origin, frequencies_hz: &[f64]) -> String {
     let [first, last] = [frequencies_hz[0], frequencies_hz[frequencies_hz.len() - 1]];
     let carrier_hz = 0.5 * (first + last);

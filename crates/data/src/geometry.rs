@@ -1,10 +1,10 @@
 //! Point clouds (PLY, XYZ, CSV) and triangle meshes (OBJ, PLY); coordinates in metres, world frame, unless the reader's
 //! caller scales them.
 //!
-//! Read here rather than with a crate, because a mesh that is read wrongly is a wrong room. What was tried: `tobj` 4.0.5
-//! panics on a texture index out of range, makes a triangle of two corners and takes a web page for an empty mesh;
-//! `mesh-loader` 0.1.13 refuses an OBJ file in which only some objects have textures. Neither reports line and column of
-//! every error.
+//! The parsers are our own, because a mesh that is read wrongly is a wrong room. Alternatives tested: `tobj` 4.0.5
+//! panics on a texture index out of range, makes a triangle of two corners and reads a web page as an empty mesh;
+//! `mesh-loader` 0.1.13 rejects an OBJ file in which only some objects have textures. Neither reports line and column
+//! of every error.
 
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
@@ -20,13 +20,15 @@ const MESH_ADVICE: &str = "check the path of the mesh";
 
 /// Reads the surface of a mesh file; polygons are cut into triangles.
 ///
-/// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points are
-///   left out, and free-form surfaces are an error.
+/// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points
+/// are
+///   ignored, and free-form surfaces are an error.
 /// * `.ply`: ascii or binary of either byte order, with an element `face` and its list `vertex_indices`.
 ///
 /// # Errors
-/// Names the file, and line and column in text: truncated, not a number, not finite, an index out of range, a face of
-/// fewer than three corners, a polygon that no fan of triangles fills, unknown extension. A file without faces is read.
+/// Reports the file, with line and column for text: truncated, not a number, not finite, an index out of range, a face
+/// of fewer than three corners, a polygon that cannot be triangulated as a fan, unknown extension. A file without faces
+/// is valid.
 pub fn read_mesh(path: &Path) -> Result<Triangles> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let parse = match extension.as_str() {
@@ -37,14 +39,14 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
     parse(path, &read_bytes(path, MAX_NUMBERS, MESH_ADVICE)?)
 }
 
-/// Statements that say nothing about the surface.
+/// OBJ statements that do not describe the surface.
 const LEFT_OUT: &str =
     "vn vt vp o g s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
 
 fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
     let rows = || lines(&text).map(|(line, row)| (line, split_blanks(row.split('#').next().unwrap_or(row))));
-    // A face may name a vertex that comes after it.
+    // A face may use a vertex defined after it.
     let count = rows().filter(|(_, fields)| fields.first().is_some_and(|f| f.text == "v")).count();
     let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());
     for (line, fields) in rows() {
@@ -66,12 +68,12 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     polygons.triangulate(path, vertices)
 }
 
-/// The vertex of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative one counts back from the last
-/// vertex so far.
+/// Vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative index counts back from the
+/// last vertex so far.
 fn corner(path: &Path, line: usize, field: Field<'_>, so_far: usize) -> Result<i64> {
     let mut parts = field.text.split('/');
     let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
-    // Texture and normal, each of which may be left out, and nothing more.
+    // Optional texture and normal indices, nothing else.
     let is_whole = parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || part.parse::<i64>().is_ok());
     let index = index.filter(|_| is_whole);
     let index = index.ok_or_else(|| {
@@ -86,18 +88,19 @@ const ADVICE: &str = "check the path of the point cloud";
 /// Reads the points `[P,3]` of a file, which holds at least one.
 ///
 /// * `.ply`: ascii or binary of either byte order; `x`, `y` and `z` anywhere among the properties of `vertex`.
-/// * `.xyz`, `.txt`: x y z and anything else, a point a line; lines that start with `#` or `//` are left out.
+/// * `.xyz`, `.txt`: x y z and further columns, one point per line; lines that start with `#` or `//` are ignored.
 /// * `.csv`: the same between commas, or with a header that names x, y and z in any order.
 ///
 /// # Errors
-/// Names the file, and line and column in text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown extension.
+/// Reports the file, with line and column for text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown
+/// extension.
 pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
         "ply" => ply::parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
         "xyz" | "txt" => parse_xyz(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
         "csv" => parse_csv(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
-        _ => return Err(Error::input(path, "is no point cloud by its extension; use .ply, .xyz or .csv")),
+        _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
     };
     if points.is_empty() {
         return Err(Error::input(path, "holds no point; give at least one, or leave `points` out"));
@@ -160,7 +163,7 @@ mod mesh_tests {
     }
 
     proptest! {
-        /// Every parser gives triangles over vertices it has, or an error; whatever the bytes.
+        /// Any bytes give triangles over existing vertices, or an error.
         #[test]
         fn noise_never_panics(
             noise in prop::collection::vec(any::<u8>(), 0..300),
@@ -278,7 +281,7 @@ mod point_tests {
             ),
             ("a.csv", b"x,y,z\n", "DIR/a.csv: holds no point; give at least one, or leave `points` out".into()),
             ("a.xyz", b"", "DIR/a.xyz: holds no point; give at least one, or leave `points` out".into()),
-            ("a.las", b"", "DIR/a.las: is no point cloud by its extension; use .ply, .xyz or .csv".into()),
+            ("a.las", b"", "DIR/a.las: unsupported point cloud format; use .ply, .xyz or .csv".into()),
         ];
         for (name, bytes, message) in cases {
             assert_eq!(read(name, bytes).unwrap_err(), message);

@@ -1,7 +1,7 @@
-//! `import`: positions and spectra as they come out of other programs become a folder that [`Arrays`](crate::Arrays) reads.
+//! `import`: converts positions and spectra of other programs to a folder that [`Arrays`](crate::Arrays) reads.
 //!
-//! Spectra pass through one at a time, so any number of them needs no memory. Numbers keep their precision: 8 and 16 bits
-//! stay what they are, floats become (or stay) 32 bits. What cannot be meant is refused with what to do instead.
+//! Spectra are converted one at a time, so memory use does not depend on their number. 8-bit and 16-bit values are
+//! kept, floats are stored with 32 bits. Implausible input is an error with the next step.
 
 mod source;
 #[cfg(test)]
@@ -16,33 +16,34 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
-/// What is to become a data set.
+/// Input files and settings of an import.
 #[derive(Clone, Debug)]
 pub struct Import {
-    /// `.npy`, `.npz` (`FILE.npz:NAME` names an array in it), or a folder of PNG pictures 00001.png ..
+    /// Spectra: `.npy`, `.npz` (`FILE.npz:NAME` selects an array) or a folder of PNG images 00001.png ..
     pub spectra: PathBuf,
-    /// `.npy`, `.npz` or `.csv` with columns x, y, z; `None`: the array `tx` beside the spectra in their `.npz`.
+    /// Transmitter positions: `.npy`, `.npz` or `.csv` with columns x, y, z; `None`: the array `tx` in the `.npz` of
+    /// the spectra.
     pub tx: Option<PathBuf>,
-    /// Where the receiver is.
+    /// Receiver pose.
     pub receiver: Pose,
-    /// Elevations where the top row begins and the bottom row ends, degrees; `None`: 0 and 90.
+    /// Elevations of the upper edge of the top row and the lower edge of the bottom row, degrees; `None`: 0 and 90.
     pub elevation: Option<Elevation>,
-    /// What the data set is called.
+    /// Name of the data set.
     pub name: String,
-    /// What every value is multiplied by, so that they lie between 0 and 1.
+    /// Factor applied to every value, so that all are between 0 and 1.
     pub scale: Option<f64>,
     /// Whether the spectra are simulated, not measured.
     pub simulated: bool,
 }
 
-/// What became of it.
+/// Summary of a finished import.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
-    /// M, H, W.
+    /// Numbers of spectra, rows and columns: M, H, W.
     pub shape: [usize; 3],
-    /// How a pixel is stored.
+    /// Storage type of a pixel.
     pub number: Number,
-    /// Smallest and largest value.
+    /// Smallest and largest value after scaling.
     pub range: (f64, f64),
     /// Positions of the transmitters, `[M, 3]`, metres.
     pub tx: Vec<[f64; 3]>,
@@ -51,10 +52,10 @@ pub struct Imported {
 }
 
 impl Import {
-    /// Writes the new folder `out`, whole or not at all. `progress` counts spectra.
+    /// Writes the new folder `out`, complete or not at all. `progress` counts spectra.
     ///
     /// # Errors
-    /// What is wrong with the files, or `out` holds something, or the disk refuses.
+    /// Invalid input files, a folder `out` that is not empty, or a failed write.
     pub fn write(&self, out: &Path, progress: Progress<'_>) -> Result<Imported> {
         if let Some((field, fault)) = self.receiver.fault() {
             return Err(Error::Config(format!("{field} of the receiver: {fault}")));
@@ -92,7 +93,7 @@ impl Import {
     }
 }
 
-/// Takes spectra one at a time and writes them.
+/// Writer that takes one spectrum at a time.
 struct Sink<'a> {
     scale: Option<f64>,
     elevation: Option<Elevation>,
@@ -100,12 +101,12 @@ struct Sink<'a> {
     progress: Progress<'a>,
     file: Option<BufWriter<File>>,
     shape: [usize; 3],
-    /// As it comes, and as it is written.
+    /// Input type and output type.
     numbers: (Number, Number),
     done: usize,
     range: Range,
     bytes: Vec<u8>,
-    /// The first spectrum as it comes, as long as all others are equal to it.
+    /// First spectrum as read, while all later ones are equal to it.
     first: Option<Vec<u8>>,
 }
 
@@ -128,7 +129,7 @@ impl<'a> Sink<'a> {
         }
     }
 
-    /// Before the first, which comes from `from`.
+    /// Called before the first spectrum, which comes from `from`.
     fn begin(&mut self, from: &Path, shape: [usize; 3], number: Number) -> Result<()> {
         let (elevation, say) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
         if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), say) {
@@ -144,7 +145,7 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
-    /// The next, as it comes from `from`.
+    /// Adds the next spectrum, which comes from `from`.
     fn add(&mut self, from: &Path, bytes: &[u8]) -> Result<()> {
         let (number, kept) = self.numbers;
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();
@@ -164,7 +165,7 @@ impl<'a> Sink<'a> {
             }
         });
         range.refuse_what_is_no_number(from)?;
-        // What will be refused at the end, when its largest value is known, need not be written.
+        // Skip writing if the final check of the largest value will fail.
         let written = if self.range.is_linear() {
             let bytes = if kept == number && kept != Number::F32 { bytes } else { &self.bytes };
             self.file.as_mut().map_or(Ok(()), |file| file.write_all(bytes))
@@ -186,10 +187,10 @@ impl<'a> Sink<'a> {
     }
 }
 
-/// A largest value below this is not meant: the measures of likeness take 1 for the strongest direction.
+/// Largest values below this are implausible: quality metrics assume 1 in the strongest direction.
 const FAINT: f64 = 0.01;
 
-/// Smallest and largest value so far, and where.
+/// Smallest and largest value so far, with their indices.
 #[derive(Debug, Default)]
 pub(super) struct Range {
     low: Option<([usize; 3], f64)>,
@@ -215,7 +216,7 @@ impl Range {
         (value(self.low), value(self.high))
     }
 
-    /// Whether all are from 0 to 1.
+    /// Whether all values are between 0 and 1.
     pub(super) fn is_linear(&self) -> bool {
         let (low, high) = self.ends();
         low >= -ROUNDING && high <= 1.0 + ROUNDING
@@ -227,7 +228,7 @@ impl Range {
         Err(Error::input(path, format!("{} is {value}; {what}", place(at))))
     }
 
-    /// Refuses values that are not from 0 to 1, given the factor that they were multiplied by.
+    /// Returns an error for values outside 0 to 1 after multiplication by `scale`.
     pub(super) fn check(&self, path: &Path, scale: Option<f64>) -> Result<()> {
         let (Some((low_at, low)), Some((high_at, high))) = (self.low, self.high) else { return Ok(()) };
         let refuse = |what: String| Err(Error::input(path, what));
@@ -271,7 +272,7 @@ impl Range {
     }
 }
 
-/// As Python writes it.
+/// Index in Python notation.
 fn place([m, y, x]: [usize; 3]) -> String {
     format!("spectra[{m}, {y}, {x}]")
 }

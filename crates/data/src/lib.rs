@@ -1,13 +1,15 @@
-//! What is known and how it is divided: data sources, point clouds, splits and the predictors to be beaten.
+//! Data sources, point clouds, splits and baselines.
 //!
-//! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] arrays of NumPy; [`Teacher`] simulates some
-//!   with a known answer.
-//! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplinks and downlinks of a base station, both in the
-//!   NeRF2 layout; [`Channels`] channels as an array of NumPy.
+//! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] NumPy arrays; [`Teacher`] simulates
+//! spectra
+//!   of known Gaussians.
+//! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplink and downlink channels of a base station,
+//!   both in the NeRF2 layout; [`Channels`] reads channels from a NumPy array.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
-//! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide transmitters, [`RandomLinks`] links,
+//! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] split transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
-//! * [`MeanSpectrum`], [`NearestNeighbours`], [`Kriging`], [`LogDistance`] and [`Zero`] are scored beside every model.
+//! * [`MeanSpectrum`], [`NearestNeighbours`], [`Kriging`], [`LogDistance`] and [`Zero`] are the baselines of each
+//! table.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

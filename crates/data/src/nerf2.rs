@@ -1,4 +1,4 @@
-//! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2, as found in the wild.
+//! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2.
 
 mod csi;
 pub(crate) mod index;
@@ -27,22 +27,22 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 ///
 /// ```text
 /// root/gateway_info.yml    gateway1: {position: [x, y, z], orientation: [x, y, z, w]}; metres, unit quaternion
-/// root/tx_pos.csv          header naming x, y, z among others; row k, counted from 1, is the transmitter of id k
+/// root/tx_pos.csv          header with x, y, z among others; row k, counted from 1, is the transmitter of id k
 /// root/spectrum/00001.png  8-bit grey, one channel, all of one size; a row is an elevation, a column an azimuth
-/// root/train_index.txt     ids, one a line; this file and
-/// root/test_index.txt      this one come together or not at all
+/// root/train_index.txt     ids, one per line; the files train_index.txt and
+/// root/test_index.txt      test_index.txt must both exist or both be absent
 /// ```
 ///
-/// The samples are the ids that have a row and a picture; others must not be named by an index file. Lines may end in
-/// LF or CRLF, ids may be zero-padded. Pictures stay 8-bit in memory and decide the size of the image plane.
+/// The samples are the ids that have a row and an image; index files must not contain other ids. Lines may end in LF or
+/// CRLF, and ids may be zero-padded. Images stay 8-bit in memory and set the size of the image plane.
 ///
-/// The pictures go once around in azimuth. Their rows are elevations 0 to 90 degrees, row 0 in the plane of the array,
-/// unless `elevation` here, or a key `elevation: [first, last]` of `gateway_info.yml`, says otherwise: a full sphere has
-/// `elevation: (-90, 90)`. Without a word a picture is refused whose pixels are further from square than 1 to 1.75, such
-/// as 360 x 180; with one, further than 1 to 4.
+/// Images cover 360 degrees of azimuth. Their rows cover elevations 0 to 90 degrees, row 0 in the plane of the array,
+/// unless `elevation` here or the key `elevation: [first, last]` of `gateway_info.yml` sets another range: a full
+/// sphere has `elevation: (-90, 90)`. Without either, images such as 360 x 180 are rejected, whose pixels have sides
+/// that differ by more than a factor of 1.75; with one, the limit is a factor of 4.
 ///
-/// A folder that `pwrfgs simulate` wrote says so in its `manifest.json`, with the scene; so does a data set whose name
-/// holds the word «simulated». Any other counts as measured.
+/// Simulated data are recognised by the `manifest.json` of `pwrfgs simulate`, which also names the scene, or by the
+/// word «simulated» in the name of the data set. All other data count as measured.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -53,17 +53,17 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Spectrum {
-    /// The folder, relative to the pipeline file.
+    /// Data folder, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
-    /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
-    /// named. Keys that hold no `position` and are not called gateway are left alone.
+    /// Receiver to use if `gateway_info.yml` lists more than `gateway1`; required if it lists several. Keys without
+    /// `position` that are not called gateway are ignored.
     pub gateway: Option<String>,
-    /// Elevations where the top row of the pictures begins and the bottom row ends, degrees; where it is left out, what
-    /// `gateway_info.yml` says, else 0 and 90.
+    /// Elevations of the upper edge of the top row and the lower edge of the bottom row, degrees. Without it: the value
+    /// in `gateway_info.yml`, else 0 and 90.
     pub elevation: Option<Elevation>,
 }
 
@@ -90,7 +90,7 @@ impl DataSource for Nerf2Spectrum {
             index::Known { table: "tx_pos.csv", rows: positions.len(), pictures: &known_pictures, samples: &ids };
         let official = index::read(&root, &|word| known.find(word))?;
         if ids.is_empty() {
-            let what = format!("no picture belongs to a row of tx_pos.csv; {LAYOUT}");
+            let what = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
             return Err(Error::input(&root.join("spectrum"), what));
         }
         if ids.len() < files.len() {
@@ -125,7 +125,7 @@ impl DataSource for Nerf2Spectrum {
     }
 }
 
-/// Refuses a picture that does not suit its angles.
+/// Returns an error if the image size does not match its angles.
 pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
     let say =
         "`elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml";

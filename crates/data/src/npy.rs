@@ -1,15 +1,15 @@
-//! What arrays of NumPy are read for: spectra, positions and channels. What the header says is held against the length of
-//! the file before anything is read.
+//! NumPy arrays of spectra, positions and channels. The header is validated against the file length before data are
+//! read.
 
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Number, Real, Result, Spectra, files, gain_fault};
 use std::io::Read;
 use std::path::Path;
 
-/// Largest array that is read whole, bytes.
+/// Largest array that is read into memory, bytes.
 pub(crate) const MAX_BYTES: u64 = 1 << 30;
 
-/// Number and shape `[M,H,W]` of an array of spectra.
+/// Number type and shape `[M,H,W]` of an array of spectra.
 pub(crate) fn spectra(header: &Header, path: &Path) -> Result<(Number, [usize; 3])> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let Some(number) = header.number() else {
@@ -32,7 +32,7 @@ pub(crate) fn spectra(header: &Header, path: &Path) -> Result<(Number, [usize; 3
     Ok((number, shape))
 }
 
-/// Positions `[M,3]`, metres, from the numbers behind the header, `left` bytes of them.
+/// Reads positions `[M,3]`, metres, from the `left` bytes after the header.
 pub(crate) fn positions(header: &Header, path: &Path, file: &mut dyn Read, left: u64) -> Result<Vec<[f64; 3]>> {
     let refuse = |what: String| Err(Error::input(path, what));
     let number = header.number().filter(|n| n.is_float());
@@ -60,7 +60,7 @@ pub(crate) fn positions(header: &Header, path: &Path, file: &mut dyn Read, left:
     }
 }
 
-/// The spectra of a file, which stays open; floats are not looked at.
+/// Opens the spectra of a file for later reading; floats are not validated.
 pub(crate) fn open_spectra(path: &Path) -> Result<Spectra> {
     let mut file = files::open(path).map_err(|e| Error::read(path, e))?;
     let header = Header::read(path, &mut file)?;
@@ -68,7 +68,7 @@ pub(crate) fn open_spectra(path: &Path) -> Result<Spectra> {
     Spectra::open(path, header.offset, number, shape)
 }
 
-/// The transmitters of a file, `[M,3]` in metres.
+/// Reads transmitter positions, `[M,3]` in metres.
 pub(crate) fn read_positions(path: &Path) -> Result<Vec<[f64; 3]>> {
     let refuse = |e| Error::read(path, e);
     let mut file = files::open(path).map_err(refuse)?;
@@ -77,15 +77,15 @@ pub(crate) fn read_positions(path: &Path) -> Result<Vec<[f64; 3]>> {
     positions(&header, path, &mut file, left)
 }
 
-/// A complex array `[M,A,F]`, row-major.
+/// Complex array `[M,A,F]`, row-major.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Complex {
     pub(crate) shape: [usize; 3],
-    /// Real and imaginary part of every number.
+    /// Real and imaginary parts.
     pub(crate) values: Vec<[f64; 2]>,
 }
 
-/// The complex array of a file; `shape` says in words what its three sizes are.
+/// Reads the complex array of a file; `shape` describes its three dimensions in words.
 pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<Complex> {
     let refuse = |e| Error::read(path, e);
     let mut file = files::open(path).map_err(refuse)?;
@@ -94,7 +94,7 @@ pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<Complex> {
     complex(&header, path, &mut file, left, shape)
 }
 
-/// The numbers behind the header, `left` bytes of them.
+/// Reads the complex numbers from the `left` bytes after the header.
 fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: &str) -> Result<Complex> {
     let refuse = |what: String| Error::input(path, what);
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -113,7 +113,7 @@ fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: 
         return Err(refuse(format!("is in Fortran order; save numpy.ascontiguousarray({name})")));
     }
     if shape.contains(&0) {
-        return Err(refuse(format!("has shape {} and holds nothing; {words}", header.shape_text())));
+        return Err(refuse(format!("has shape {} and is empty; {words}", header.shape_text())));
     }
     let of_one = if double { 16_u64 } else { 8 };
     if header.shape.iter().try_fold(of_one, |all, n| all.checked_mul(*n as u64)) != Some(left) {
@@ -140,7 +140,7 @@ fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: 
 }
 
 impl Complex {
-    /// Refuses numbers that are too large to compute with.
+    /// Returns an error for numbers that are too large to compute with.
     pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
         let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();
         match faults.find_map(|(i, fault)| Some((i, fault?))) {
@@ -149,14 +149,14 @@ impl Complex {
         }
     }
 
-    /// Number `i` as Python writes it.
+    /// Index of number `i` in Python notation.
     fn place(&self, path: &Path, i: usize) -> String {
         let [_, a, f] = self.shape;
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f)
     }
 
-    /// Divides all by the largest modulus of the rows `seen`, or of all where none are named; refuses what is zero there.
+    /// Divides all numbers by the largest modulus of the rows `seen`, or of all rows; an error if it is zero.
     pub(crate) fn normalise(&mut self, path: &Path, seen: Option<&[usize]>) -> Result<()> {
         let largest_of = |values: &[[f64; 2]]| values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
         let [_, antennas, frequencies] = self.shape;

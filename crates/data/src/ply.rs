@@ -1,8 +1,8 @@
-//! PLY: a header, then elements as text or as binary of either byte order. Only `x`, `y`, `z` of `vertex` and the corners
-//! of `face` are kept, but everything is walked through, so that a truncated file is noticed.
+//! PLY: a header, then elements as text or binary of either byte order. Only `x`, `y`, `z` of `vertex` and the corners
+//! of `face` are kept; all elements are parsed, so that truncated files are detected.
 //!
-//! Read here rather than with `ply-rs-bw`: that crate refuses blank lines and numbers such as `.5` and `nan` as syntax,
-//! and its messages run over several lines.
+//! The parser is our own: `ply-rs-bw` rejects blank lines and numbers such as `.5` and `nan` as syntax errors, and its
+//! messages have several lines.
 
 mod header;
 #[cfg(test)]
@@ -17,13 +17,13 @@ use std::path::Path;
 const ANEW: &str = "the file is cut short: copy it anew";
 const INDEX_ADVICE: &str = "correct the index of the vertex";
 
-/// The centres of all vertices.
+/// Reads the positions of all vertices.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
     let header = Header::parse(path, bytes)?;
     Ok(Contents::parse(path, &header, &bytes[header.bytes..], None)?.vertices)
 }
 
-/// The surface: vertices, and faces cut into triangles.
+/// Reads the surface: vertices, and faces split into triangles.
 pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let header = Header::parse(path, bytes)?;
     let corners = header.corners(path)?;
@@ -31,7 +31,7 @@ pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     contents.polygons.triangulate(path, contents.vertices)
 }
 
-/// What is kept of a file.
+/// Parsed vertices and faces.
 #[derive(Default)]
 struct Contents {
     vertices: Vec<[f64; 3]>,
@@ -39,7 +39,7 @@ struct Contents {
 }
 
 impl Contents {
-    /// `corners`: which element holds the faces, and which of its properties are the corners.
+    /// Parses the body; `corners`: indices of the face element and of its corner property.
     fn parse(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
         match header.encoding {
             Encoding::Ascii => Self::parse_ascii(path, header, body, corners),
@@ -121,7 +121,7 @@ impl Contents {
     }
 }
 
-/// At which field of a row each property begins: a list takes as many fields as its first says, and that one.
+/// Index of the first field of each property in a row: a list has a length field followed by that many fields.
 fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], element: &Element) -> Result<Vec<usize>> {
     let mut starts = Vec::with_capacity(element.properties.len());
     let mut next = 0;
@@ -143,7 +143,7 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
                 fields[next + 1..].iter().take(length).try_for_each(|field| fits(field, item))?;
                 length.saturating_add(1)
             }
-            // Of a point, the reader of points says more.
+            // The point parser reports this in more detail.
             (Kind::Scalar(Scalar::F32 | Scalar::F64), _) if ["x", "y", "z"].contains(&property.name.as_str()) => 1,
             (Kind::Scalar(scalar), Some(field)) => fits(field, scalar).map(|()| 1)?,
             (_, None) => 1,
@@ -162,14 +162,14 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
     Ok(starts)
 }
 
-/// A whole number in a list of corners.
+/// Parses a whole number in a list of corners.
 fn index(path: &Path, line: usize, field: Field<'_>) -> Result<i64> {
     let value = number(path, line, field, INDEX_ADVICE)?;
     let fault = || Error::at(path, line, field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
     whole(value).ok_or_else(fault)
 }
 
-/// Indices beyond 2^53 are out of any range all the same.
+/// Converts to an integer; indices beyond 2^53 are out of range in any case.
 fn whole(value: f64) -> Option<i64> {
     (value.fract() == 0.0).then_some(value as i64)
 }
@@ -178,7 +178,7 @@ fn ends(element: &Element, done: usize) -> String {
     format!("ends after {done} of {} rows of element `{}`; {ANEW}", element.count, element.name)
 }
 
-/// What is left of a binary body. `None` says that it is too short.
+/// Remaining bytes of a binary body; reads return `None` at its end.
 struct Body<'a> {
     rest: &'a [u8],
     is_big: bool,
@@ -196,7 +196,7 @@ impl<'a> Body<'a> {
         Some(scalar.value(raw, self.is_big))
     }
 
-    /// The items of a list. A negative or broken length counts as too long for the body.
+    /// Bytes of the items of a list. A negative or fractional length counts as a truncated body.
     fn list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
         let length = self.value(length).filter(|l| *l >= 0.0 && l.fract() == 0.0)?;
         self.take((length as usize).checked_mul(item.size())?)

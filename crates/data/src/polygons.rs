@@ -1,24 +1,24 @@
-//! Polygons over vertices, and how they are cut into triangles.
+//! Polygons and their triangulation.
 
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
-/// Vertices `[V,3]` as the file has them, in double precision, and the triangles `[F,3]` over them, counted from 0.
+/// Vertices `[V,3]` as read, in double precision, and triangle indices `[F,3]`, counted from 0.
 pub type Triangles = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
-/// Most tests of a side per corner of a polygon: few polygons need more than two.
+/// Limit of side tests per corner of a polygon; most polygons need two.
 const TESTS: usize = 64;
 
-/// Faces of three and more corners, all within the vertices.
+/// Faces of three or more corners with valid indices.
 #[derive(Debug, Default)]
 pub(crate) struct Polygons {
     corners: Vec<u32>,
-    /// Where in `corners` each face ends.
+    /// End index of each face in `corners`.
     ends: Vec<usize>,
 }
 
 impl Polygons {
-    /// Adds a face, whose corners count from 0 among `vertices`; says what is wrong with it otherwise.
+    /// Adds a face with corner indices from 0 to below `vertices`; returns the problem if it is invalid.
     pub(crate) fn push(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
         if corners.len() < 3 {
             return Err(format!("a face has {} corners; give at least three, or remove it", corners.len()));
@@ -33,7 +33,7 @@ impl Polygons {
         Ok(())
     }
 
-    /// Cuts every face into a fan of triangles that keep its sense.
+    /// Splits every face into a fan of triangles with the same orientation.
     pub(crate) fn triangulate(self, path: &Path, vertices: Vec<[f64; 3]>) -> Result<Triangles> {
         let mut triangles = Vec::with_capacity(self.corners.len().saturating_sub(2 * self.ends.len()));
         let mut start = 0;
@@ -51,11 +51,11 @@ impl Polygons {
     }
 }
 
-/// The first corner from which all triangles of the fan have the sense of the whole polygon.
+/// First corner whose triangle fan has the orientation of the whole polygon.
 ///
-/// A simple polygon is then covered once, convex or not: an L has such a corner, a U has none. The side that ruled out the
-/// last corner is tested first, since it rules out most of its neighbours: this takes about two tests per corner. Says
-/// what is wrong where there is no such corner, or where `most` tests do not find it.
+/// The fan then covers a simple polygon once, convex or not: an L has such a corner, a U has none. The side that
+/// excluded the last corner is tested first, since it excludes most of its neighbours: about two tests per corner.
+/// Returns the problem if there is no such corner, or none within `most` tests.
 fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
     let n = corners.len();
     if n == 3 {
@@ -63,7 +63,7 @@ fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize
     }
     let at = |k: usize| vertices[corners[k % n] as usize];
     let normal = (1..n - 1).fold([0.0; 3], |sum, k| add(sum, area(at(0), at(k), at(k + 1))));
-    // A side that ends at the apex makes no triangle.
+    // Sides at the apex make no triangle.
     let rules_out = |side: usize, apex: usize| {
         side != apex && (side + 1) % n != apex && dot(normal, area(at(apex), at(side), at(side + 1))) <= 0.0
     };
@@ -84,7 +84,7 @@ fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize
     Err("is not filled by any fan of triangles")
 }
 
-/// Twice the area of a triangle, along its normal.
+/// Twice the triangle area, as a vector along its normal.
 fn area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> [f64; 3] {
     let (u, v) = (sub(b, a), sub(c, a));
     [0, 1, 2].map(|k| u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3])
@@ -128,12 +128,12 @@ mod tests {
         let cut = triangles(&square).unwrap();
         assert_eq!(cut.1, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(signed_area(&cut), 4.0);
-        // A fan from the first corner would leave the L.
+        // A fan from the first corner would leave the L shape.
         let l = [[2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0], [0.0, 0.0]];
         let cut = triangles(&l).unwrap();
         assert!(cut.1.iter().all(|t| t[0] == 2));
         assert_eq!(signed_area(&cut), 3.0);
-        // A corner in the middle of a side: no triangle without area.
+        // A corner in the middle of a side: a triangle of zero area.
         let five = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
         let (vertices, cut) = triangles(&five).unwrap();
         let area_of = |t: &[u32; 3]| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2];
@@ -143,7 +143,7 @@ mod tests {
         assert_eq!(signed_area(&triangles(&clockwise).unwrap()), -3.0);
     }
 
-    /// A circle of `n` corners with a dent, from whose two sides most corners are not seen.
+    /// Circle of `n` corners with a dent, whose two sides hide most corners from each other.
     fn dented(n: usize) -> Vec<[f64; 3]> {
         let corner = |k: usize| {
             let (sin, cos) = (std::f64::consts::TAU * k as f64 / n as f64).sin_cos();

@@ -1,4 +1,4 @@
-//! A data set that is in memory becomes a folder.
+//! Writes a data set in memory to a folder.
 
 #[cfg(test)]
 mod tests;
@@ -17,14 +17,14 @@ use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Writes the new folder `out`, whole or not at all, and gives what reads it: spectra as [`Arrays`], powers as
-/// [`Nerf2Rssi`], channels as [`Channels`]. Transmitters are numbered anew, in their order.
+/// Writes the new folder `out`, complete or not at all, and returns its source: [`Arrays`] for spectra, [`Nerf2Rssi`]
+/// for powers, [`Channels`] for channels. Transmitters are renumbered in order.
 ///
 /// # Errors
-/// Where a layout cannot hold the data, `out` holds something, or the disk refuses.
+/// The layout cannot hold the data, `out` is not empty, or a write failed.
 pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     if data.features.is_some() || !data.placed {
-        return refuse("transmitters without positions have no layout of their own; keep the files they came from");
+        return refuse("no layout holds transmitters without positions; keep the original files");
     }
     check(data)?;
     let folder = NewFolder::begin(out)?;
@@ -55,20 +55,20 @@ fn refuse<T>(what: &str) -> Result<T> {
     Err(Error::Config(format!("save: {what}")))
 }
 
-/// A name as a cell of a table.
+/// Quotes a name as a table cell.
 fn field(name: &str) -> String {
     let (is_plain, name) = (name.chars().all(|c| c.is_ascii() && c != ','), cell(name));
     if is_plain { name.into_owned() } else { format!("\"{name}\"") }
 }
 
-/// Where to, and what.
+/// Output folder and the data set to write.
 struct Folder<'a> {
     path: &'a Path,
     data: &'a Dataset,
 }
 
 impl Folder<'_> {
-    /// A file, which must not be larger than its reader takes.
+    /// Writes a file; an error if it exceeds the size limit of its reader.
     fn put(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         let (path, length) = (self.path.join(name), bytes.as_ref().len() as u64);
         let limit = match path.extension().and_then(|extension| extension.to_str()) {
@@ -84,7 +84,7 @@ impl Folder<'_> {
         fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
     }
 
-    /// Text rows below a header.
+    /// Writes text rows below a header.
     fn table(&self, name: &str, rows: impl Iterator<Item = [f64; 3]>) -> Result<()> {
         let mut text = "x,y,z\n".to_owned();
         rows.for_each(|[x, y, z]| writeln!(text, "{x:?},{y:?},{z:?}").expect("text grows"));
@@ -95,7 +95,7 @@ impl Folder<'_> {
         self.table("tx_pos.csv", self.data.transmitters.iter().map(|tx| tx.position))
     }
 
-    /// The file of the point cloud; none where there are no points.
+    /// Writes the point cloud; returns `None` if there are no points.
     fn points(&self) -> Result<Option<PathBuf>> {
         let scene = &self.data.scene;
         if scene.points.is_empty() {
@@ -105,7 +105,7 @@ impl Folder<'_> {
         Ok(Some(POINTS.into()))
     }
 
-    /// Every transmitter at the only receiver.
+    /// All transmitters of the only receiver, in order.
     fn alone(&self) -> Result<()> {
         match self.data.scene.receivers.len() {
             1 => Ok(()),
@@ -175,7 +175,7 @@ impl Folder<'_> {
         self.put("manifest.json", format!("{manifest:#}\n"))
     }
 
-    /// The split that the data bring, as index files.
+    /// Writes the official split of the data as index files.
     fn official(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
         let first = usize::from(self.data.task().has_pixels);

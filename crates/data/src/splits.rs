@@ -1,10 +1,11 @@
-//! Splits: which samples are learned from, looked at while choosing, and read once at the end.
+//! Splits: training, validation and test sets.
 //!
-//! A sample is a transmitter with all its links, so that what one receiver heard of it says nothing about the others in
-//! the test; only [`LeaveReceiverOut`] and [`RandomLinks`] divide links.
+//! A sample is a transmitter with all its links, so that links of a test transmitter never appear in training. Only
+//! [`LeaveReceiverOut`] and [`RandomLinks`] split links.
 //!
-//! On this kind of data neighbours are millimetres apart, so a random split asks for interpolation over millimetres;
-//! [`TimeBlock`], [`Voxel`] and [`Sparse`] ask for more. Every split can hold out a `validation` share of its training
+//! Dense trajectories have neighbours millimetres apart, so a random split tests interpolation over millimetres;
+//! [`TimeBlock`], [`Voxel`] and [`Sparse`] are harder. Every split can hold out a `validation` share of its training
+//! set by the same rule.
 //! part by its own rule.
 
 mod blocks;
@@ -24,16 +25,16 @@ use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Share of the training part that a split holds out unless told otherwise.
+/// Default share of the training set that is held out for validation.
 const DEFAULT_VALIDATION: f64 = 0.1;
 
-/// `share` of `n`, rounded, but at least one where the share is positive, and never all.
+/// `share` of `n`, rounded; at least one if the share is positive, and never all.
 fn part(share: f64, n: usize) -> usize {
     let wanted = (share * n as f64).round() as usize;
     wanted.max(usize::from(share > 0.0)).min(n.saturating_sub(1))
 }
 
-/// Moves a random `share` of `train` to a list of its own: (train, validation).
+/// Moves a random `share` of `train` to a separate list: (train, validation).
 fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     if share == 0.0 {
         return (train, Vec::new());
@@ -43,20 +44,20 @@ fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Ve
     (train, validation)
 }
 
-/// The transmitters of some links, each once, in the order in which they come.
+/// Transmitters of the given links, without repetition, in order.
 fn transmitters(data: &Dataset, links: &[usize]) -> Vec<usize> {
     let mut seen = BTreeSet::new();
     links.iter().map(|i| data.links[*i].transmitter).filter(|t| seen.insert(*t)).collect()
 }
 
-/// The partition of lists of transmitters: all links of each, sorted; refuses one without training or test samples.
+/// Partition for lists of transmitters: all links of each, sorted; an error without training or test samples.
 fn finish(data: &Dataset, train: Vec<usize>, validation: Vec<usize>, test: Vec<usize>) -> Result<Partition> {
     let Partition { train, validation, test } = finish_links(train, validation, test)?;
     let links = |transmitters: Vec<usize>| data.links_of(&transmitters);
     Ok(Partition { train: links(train), validation: links(validation), test: links(test) })
 }
 
-/// The partition of lists of links (or whatever is counted), sorted; refuses one without training or test samples.
+/// Partition for lists of links or samples, sorted; an error without training or test samples.
 fn finish_links(mut train: Vec<usize>, mut validation: Vec<usize>, mut test: Vec<usize>) -> Result<Partition> {
     for (name, list) in [("training", &train), ("test", &test)] {
         if list.is_empty() {
@@ -72,7 +73,7 @@ fn finish_links(mut train: Vec<usize>, mut validation: Vec<usize>, mut test: Vec
     Ok(Partition { train, validation, test })
 }
 
-/// Refuses a validation share outside [0, 1).
+/// Returns an error for a validation share outside [0, 1).
 fn check_validation(share: f64) -> Result<(), String> {
     if (0.0..1.0).contains(&share) {
         return Ok(());
@@ -80,7 +81,7 @@ fn check_validation(share: f64) -> Result<(), String> {
     Err(format!("`validation` is {share}; it is a share of the training part: use 0 for none, or a number below 1"))
 }
 
-/// Refuses a test share outside (0, 1).
+/// Returns an error for a test share outside (0, 1).
 fn check_test(name: &str, share: f64) -> Result<(), String> {
     if share > 0.0 && share < 1.0 {
         return Ok(());
@@ -88,11 +89,11 @@ fn check_test(name: &str, share: f64) -> Result<(), String> {
     Err(format!("`{name}` is {share}; it is a share of all samples: use a number between 0 and 1, such as 0.2"))
 }
 
-/// The split that comes with the data: `train_index.txt` and `test_index.txt` of the NeRF2 layout.
+/// Split that comes with the data: `train_index.txt` and `test_index.txt` of the NeRF2 layout.
 ///
-/// Validation is drawn over transmitters, with all links of each. Use it to compare with published figures. Samples that neither list names are left out. The index files of the
-/// NeRF2 spectra are random, so their test samples lie 8 mm from a training sample: read every score beside
-/// [`NearestNeighbours`](crate::NearestNeighbours).
+/// Use it to compare with published scores. Validation transmitters are drawn at random, with all their links. Samples
+/// in neither list are ignored. The NeRF2 index files are random, so test samples lie 8 mm from a training sample:
+/// compare every score with [`NearestNeighbours`](crate::NearestNeighbours).
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};

@@ -1,4 +1,4 @@
-//! `Teacher`: *simulated* spectra, rendered by a small random model whose Gaussians are known.
+//! `Teacher`: *simulated* spectra, rendered from random Gaussians that are known.
 
 #[cfg(test)]
 mod tests;
@@ -12,24 +12,24 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Transmitters that are drawn together: they share one geometry.
+/// Transmitters rendered together; they share one geometry.
 const BATCH: usize = 8;
-/// Most pixels in all spectra together.
+/// Largest number of pixels of all spectra together.
 const MAX_PIXELS: usize = 1 << 32;
 
-/// *Simulated* spectra of a few random Gaussians: a known answer, for tests and for a run without any download.
+/// *Simulated* spectra of a few random Gaussians, for tests with known ground truth and runs without a download.
 ///
-/// The Gaussians lie 2 to 6 m from the receiver at elevations of 10° to 75°, nearly round, with standard deviations of
-/// 5° to 12° as seen from it and opacities of 0.5 to 0.9. Geometry does not depend on the transmitter; each signal does,
-/// as a plane wave with a random direction and wavelength λ: sᵢ(p) = aᵢ·(0.55 + 0.45·cos(2π nᵢ·p/λᵢ + φᵢ)) on the
-/// channels (cos θᵢ, sin θᵢ) with θᵢ in the first quadrant. The spectrum is the magnitude of the blended signal; all are
-/// divided by one common maximum and rounded to 8 bits.
+/// The Gaussians lie 2 to 6 m from the receiver at elevations of 10° to 75°. They are nearly round, with standard
+/// deviations of 5° to 12° as seen from the receiver and opacities of 0.5 to 0.9. Only the signals depend on the
+/// transmitter position p, as plane waves of random direction n and wavelength λ: sᵢ(p) = aᵢ·(0.55 + 0.45·cos(2π
+/// nᵢ·p/λᵢ + φᵢ)) on the channels (cos θᵢ, sin θᵢ) with θᵢ in the first quadrant. The spectrum is the magnitude of the
+/// blended signal, divided by the maximum of all spectra and rounded to 8 bits.
 ///
-/// Transmitters are uniform in a box. `scene.points` are the centres of the Gaussians. Every fifth sample belongs to the
-/// test list of [`Official`](crate::Official). [`Teacher::cloud`] and [`Teacher::signals`] tell the answer.
+/// Transmitters are uniform in a box. `scene.points` are the centres of the Gaussians. Every fifth sample belongs to
+/// the test list of [`Official`](crate::Official). [`Teacher::cloud`] and [`Teacher::signals`] return the ground truth.
 ///
-/// To read scores by: with the defaults the mean spectrum has a mean SSIM of 0.847 on the official test list, 3-NN of
-/// 0.980.
+/// Reference scores of unchanged settings on the official test list: mean SSIM 0.847 for the mean spectrum, 0.980 for
+/// 3-NN.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -50,7 +50,7 @@ pub struct Teacher {
     pub width: usize,
     /// Rows of a spectrum.
     pub height: usize,
-    /// Smallest and largest corner of the transmitters' box, metres, world frame.
+    /// Box of the transmitters: smallest and largest corner, metres, world frame.
     pub tx_box: ([f64; 3], [f64; 3]),
     /// Shortest and longest wavelength of the signals, metres; shorter is harder to learn.
     pub wavelength_m: (f64, f64),
@@ -80,18 +80,18 @@ impl Default for Teacher {
 }
 
 impl Teacher {
-    /// The Gaussians of the answer, from the origin of the data set; their signals are the means over all places, before
-    /// the common normalisation.
+    /// True Gaussians, relative to the origin of the data set; signals are means over all positions, before
+    /// normalisation.
     pub fn cloud(&self) -> GaussianCloud {
         self.truth().cloud
     }
 
-    /// The signals `[N,2]` for a transmitter at `tx` (metres), before the common normalisation.
+    /// Signals `[N,2]` for a transmitter at `tx` (metres), before normalisation.
     pub fn signals(&self, tx: [f64; 3]) -> Vec<[Real; 2]> {
         self.truth().signals(self.origin().local(tx))
     }
 
-    /// What the answer counts from.
+    /// Origin of the true positions.
     fn origin(&self) -> Origin {
         Origin::of(self.receiver.position, [self.tx_box.0, self.tx_box.1])
     }
@@ -107,7 +107,7 @@ impl Teacher {
         (0..self.samples).map(|_| place()).collect()
     }
 
-    /// Magnitudes of all spectra, one after the other, not normalised.
+    /// Magnitudes of all spectra in order, before normalisation.
     fn render(&self, truth: &Truth, txs: &[[f64; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
         let projector = self.projector.clone().map_or_else(|| linked("Mercator", "projector"), Ok)?;
         let rasterizer = self.rasterizer.clone().map_or_else(|| linked("AlphaBlending", "rasterizer"), Ok)?;
@@ -186,7 +186,7 @@ impl DataSource for Teacher {
     }
 }
 
-/// The plugin `name` with its defaults, if the program has it.
+/// The plugin `name` with default settings, if it is linked.
 fn linked<T: ?Sized + pwrfgs_core::plugin::PluginKind>(name: &str, field: &str) -> Result<Plugin<T>>
 where
     Box<T>: for<'de> Deserialize<'de>,
@@ -198,7 +198,7 @@ where
     })
 }
 
-/// What is projected: no deformation, no gate.
+/// Inputs of the projector, without deformation or gate.
 fn activate(cloud: &GaussianCloud) -> Primitives {
     Primitives {
         means: cloud.means.clone(),
@@ -208,17 +208,17 @@ fn activate(cloud: &GaussianCloud) -> Primitives {
     }
 }
 
-/// Gaussians with their mean signals, and how each signal varies.
+/// Gaussians with mean signals, and the variation of each signal.
 pub(super) struct Truth {
     pub(super) cloud: GaussianCloud,
     waves: Vec<Wave>,
 }
 
-/// amplitude · (MEAN + SWING · cos(k · p + phase)) on two channels, k in radians a metre.
+/// Signal of one Gaussian: amplitude · (MEAN + SWING · cos(k · p + phase)) on two channels, k in radians per metre.
 struct Wave {
-    /// aᵢ (cos θᵢ, sin θᵢ).
+    /// Amplitude of both channels, aᵢ (cos θᵢ, sin θᵢ).
     amplitude: [Real; 2],
-    /// 2π nᵢ/λᵢ, radians a metre.
+    /// Wave vector 2π nᵢ/λᵢ, radians per metre.
     radians_per_metre: Vec3,
     phase: Real,
 }
@@ -227,7 +227,7 @@ const MEAN: Real = 0.55;
 const SWING: Real = 0.45;
 
 impl Truth {
-    /// `count` Gaussians, seen by `receiver`, with signals of wavelengths from the shortest to the longest in metres.
+    /// Draws `count` Gaussians around `receiver`, with signals of wavelengths from shortest to longest, metres.
     pub(super) fn new(seed: u64, count: usize, wavelength_m: (f64, f64), receiver: &Pose) -> Self {
         let random = &mut rng::stream(seed, "teacher", 0);
         let mut cloud = GaussianCloud::default();
@@ -250,7 +250,7 @@ impl Truth {
         Self { cloud, waves }
     }
 
-    /// The signals `[N,2]` for a transmitter at `tx`.
+    /// Signals `[N,2]` for a transmitter at `tx`.
     pub(super) fn signals(&self, tx: [Real; 3]) -> Vec<[Real; 2]> {
         self.waves.iter().map(|wave| wave.at(Vec3::from_array(tx))).collect()
     }
@@ -280,7 +280,7 @@ fn between(random: &mut Rng, low: Real, high: Real) -> Real {
     low + (high - low) * rng::uniform(random)
 }
 
-/// Divided by its length, which a normal draw leaves above 0 but with probability 0; then the first axis.
+/// Normalises a vector; a zero vector becomes the first axis.
 fn unit<const N: usize>(vector: [Real; N]) -> [Real; N] {
     let length = vector.iter().map(|v| v * v).sum::<Real>().sqrt();
     if length > 0.0 { vector.map(|v| v / length) } else { std::array::from_fn(|i| Real::from(u8::from(i == 0))) }

@@ -1,6 +1,7 @@
-//! Text files whose mistakes are reported with line and column, both counted from 1.
+//! Text files whose errors are reported with line and column, both counted from 1.
 //!
-//! The `csv` crate gives no column of a field, so rows are split here; a quoted field may hold commas but no line end.
+//! Rows are split here because the `csv` crate gives no column of a field; a quoted field may contain commas but no
+//! line end.
 
 use crate::checks::{NOT_RECEIVED, power_fault};
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, words::quoted};
@@ -8,25 +9,25 @@ use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
 use std::{fmt::Display, io::ErrorKind, path::Path};
 
-/// Largest YAML file that is read, bytes. It says a few numbers.
+/// Largest YAML file that is read, bytes.
 pub(crate) const MAX_YAML: u64 = 1 << 20;
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
 pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
 
-/// A part of a line.
+/// Field of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Field<'a> {
     pub(crate) text: &'a str,
     pub(crate) column: usize,
 }
 
-/// The bytes of a file of at most `limit`; `advice` says what to do where it does not exist.
+/// Reads a file of at most `limit` bytes; `advice` is the next step if it does not exist.
 pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8>> {
     files::read_at_most(path, limit).map_err(|source| unreadable(path, source, "file", advice))
 }
 
-/// A file or folder that cannot be read, with `advice` where it does not exist.
+/// Error for a file or folder that cannot be read, with `advice` if it does not exist.
 pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice: &str) -> Error {
     match source.kind() {
         ErrorKind::NotFound => {
@@ -36,7 +37,7 @@ pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice
     }
 }
 
-/// A file of at most `limit` bytes as text, without a byte order mark.
+/// Reads a text file of at most `limit` bytes, without a byte order mark.
 pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String> {
     files::read_text_at_most(path, limit).map_err(|e| match e {
         Error::Read { source, .. } => unreadable(path, source, "file", advice),
@@ -44,8 +45,8 @@ pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String>
     })
 }
 
-/// What a YAML file says; `advice` says what to do where it does not exist, `expected` what it should hold. Depth, number of
-/// values and repetitions by aliases are limited by the parser.
+/// Reads a YAML file; `advice` is the next step if it does not exist, `expected` describes its content. The parser
+/// limits depth, number of values and repetitions by aliases.
 pub(crate) fn read_yaml<T: DeserializeOwned>(path: &Path, advice: &str, expected: &str) -> Result<T> {
     let text = read_text(path, MAX_YAML, advice)?;
     let options = serde_saphyr::options! { with_snippet: false };
@@ -57,12 +58,12 @@ pub(crate) fn read_yaml<T: DeserializeOwned>(path: &Path, advice: &str, expected
     })
 }
 
-/// What is wrong with a value of a YAML file.
+/// Error at a value of a YAML file.
 pub(crate) fn at<T>(path: &Path, value: &Spanned<T>, what: impl Display) -> Error {
     Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, what)
 }
 
-/// Lines that hold something, with their numbers.
+/// Lines that are not empty, with their numbers.
 pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
 }
@@ -88,8 +89,8 @@ pub(crate) fn split_blanks(line: &str) -> Vec<Field<'_>> {
     placed(line, line.split_whitespace())
 }
 
-/// Slices of `line`, in order, with the column where each begins: characters, counted from 1. Each counts from the one
-/// before it: a face of a mesh may have a million corners in one line.
+/// Slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally: a
+/// face of a mesh may have a million corners in one line.
 fn placed<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<Field<'a>> {
     let (mut last, mut column) = (0, 1);
     let place = |text: &'a str| {
@@ -101,14 +102,14 @@ fn placed<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<Field<
     parts.map(place).collect()
 }
 
-/// A finite number; `advice` says what to do where it is none.
+/// Parses a finite number; `advice` is the next step otherwise.
 pub(crate) fn number(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
     let fault = |what: &str| Error::at(path, line, field.column, format!("{} is {what}; {advice}", quoted(field.text)));
     let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
     if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
 }
 
-/// A coordinate, metres: finite and not beyond all maps.
+/// Parses a coordinate, metres: finite and at most 1e8 m.
 pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
     let value = number(path, line, field, advice)?;
     if value.abs() <= MAX_COORDINATE_M {
@@ -118,13 +119,13 @@ pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &st
     Err(Error::at(path, line, field.column, what))
 }
 
-/// What is wrong with a point of a binary file.
+/// Problem with a point of a binary file.
 pub(crate) fn fault_of(point: [f64; 3]) -> Option<String> {
     let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })
 }
 
-/// Refuses a row with more fields than the header names: one of its numbers may have a comma in it.
+/// Returns an error for a row with more fields than the header, for example due to decimal commas.
 pub(crate) fn no_longer(path: &Path, line: usize, row: &[Field<'_>], header: usize) -> Result<()> {
     match row.get(header..).and_then(|more| more.iter().find(|field| !field.text.is_empty())) {
         Some(field) => {
@@ -135,7 +136,7 @@ pub(crate) fn no_longer(path: &Path, line: usize, row: &[Field<'_>], header: usi
     }
 }
 
-/// The field of a row in a column with this name.
+/// Field of a row in the column with this name.
 fn cell<'a>(
     path: &Path,
     line: usize,
@@ -155,25 +156,25 @@ fn cell<'a>(
     })
 }
 
-/// The power in the column of the receiver `name`, dBm; -100 if it received nothing.
+/// Power in the column of the receiver `name`, dBm; -100 if no signal was received.
 pub(crate) fn power(path: &Path, line: usize, row: &[Field<'_>], (column, name): (usize, &str)) -> Result<f64> {
-    let advice = "give the power in dBm, or -100 where the gateway heard nothing";
+    let advice = "give the power in dBm, or -100 if the gateway received no signal";
     let field = cell(path, line, row, (column, name), advice)?;
     let dbm = number(path, line, field, advice)?;
     let stored = dbm as Real as f64; // rounding may make it the number that stands for nothing received
     if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
-        let what = format!("{} is no power in dBm; {advice}", quoted(field.text));
+        let what = format!("{} is not a power in dBm; {advice}", quoted(field.text));
         return Err(Error::at(path, line, field.column, what));
     }
     Ok(dbm)
 }
 
-/// Where a row holds x, y and z.
+/// Columns of x, y and z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 
 impl XyzColumns {
-    /// From a header that names them, in any order and either case, among other columns.
+    /// Finds the columns in a header, in any order and either case, among other columns.
     pub(crate) fn from_header(path: &Path, line: usize, header: &[Field<'_>]) -> Result<Self> {
         let find = |name: &str| {
             let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
@@ -191,7 +192,7 @@ impl XyzColumns {
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }
 
-    /// The three coordinates of a row, as the file has them.
+    /// The three coordinates of a row.
     pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {

@@ -1,4 +1,4 @@
-//! A small folder of arrays, and what is said when something in it is wrong.
+//! A small folder of arrays, and errors of invalid content.
 
 use super::*;
 use crate::npy_header;

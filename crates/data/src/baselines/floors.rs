@@ -1,4 +1,4 @@
-//! The floors of received powers on measured data (BLE of NeRF2), as a page of figures has them.
+//! Baselines of received powers on measured data (BLE of NeRF2), compared with reference values.
 
 use super::*;
 use crate::{LeaveReceiverOut, Nerf2Rssi, Official, Voxel};
@@ -36,7 +36,7 @@ fn own_laws() -> LogDistance {
     LogDistance { per_receiver: true, offset: false }
 }
 
-/// Every baseline has what was measured for it elsewhere, to `by`.
+/// Every baseline reproduces its reference value within `by`.
 fn hold(data: &Dataset, partition: &Partition, expected: &[(&dyn Baseline, [f64; 2])], by: f64) {
     for (baseline, known) in expected {
         let found = errors(data, partition, *baseline);
@@ -69,7 +69,7 @@ fn powers_of_the_index_files_have_the_floors_that_others_measured() {
 #[test]
 fn powers_of_held_out_cells_have_about_the_floors_that_others_measured() {
     let Some(data) = ble() else { return };
-    // Of some sixty cells the draw matters: this one has about the nearest neighbours of the one that was measured.
+    // Results depend on the drawn cells: this draw has about the nearest neighbours of the reference.
     let voxel = Voxel { size_m: 2.0, ..Voxel::default() };
     let partition = voxel.split(&data, &mut rng::stream(1, "split", 0)).unwrap();
     let other: [(&dyn Baseline, [f64; 2]); 3] =
@@ -78,7 +78,7 @@ fn powers_of_held_out_cells_have_about_the_floors_that_others_measured() {
     hold(&data, &partition, &[(&neighbours(5), [3.41, 5.19]), (&Kriging::default(), [3.61, 4.65])], 0.2);
 }
 
-/// g08 and g09 have one place, so both are left out; 20 links of each tell its offset.
+/// g08 and g09 share one position, so both are left out; 20 links of each determine its offset.
 #[test]
 fn a_gateway_left_out_has_a_law_and_an_offset() {
     let Some(data) = ble() else { return };

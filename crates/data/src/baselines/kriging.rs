@@ -1,4 +1,4 @@
-//! `Kriging`: a Gaussian process over the transmitter's position.
+//! `Kriging`: a Gaussian process over the transmitter position.
 
 mod equations;
 mod likelihood;
@@ -10,24 +10,24 @@ use likelihood::Cases;
 use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
 
-/// Ordinary kriging: the best linear unbiased prediction of a Gaussian process over the transmitter's position, as maps of
-/// radio coverage are made.
+/// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
+/// transmitter position.
 ///
-/// The spectra are taken as one Gaussian process whose correlation between two places is exponential (Matern 1/2), Matern
-/// 3/2 or squared exponential, with a length scale for each axis, plus noise of each spectrum by itself. All pixels, and so
-/// all principal components of the spectra, share that correlation. Then the prediction is a weighted sum of spectra
-/// (weights add up to 1 and may be negative), no component has to be cut off, and nothing is kept but positions.
+/// Spectra are modelled as one Gaussian process. Its correlation over distance is exponential (Matern 1/2), Matern 3/2
+/// or squared exponential, with one length scale per axis, plus independent noise per spectrum. All pixels share that
+/// correlation, and so do all principal components of the spectra. The prediction is a weighted sum of training
+/// spectra; weights add up to 1 and may be negative.
 ///
-/// Correlation, length scales and noise are those under which the spectra of at most 160 validation samples are most likely,
-/// given the 24 training spectra nearest to each (the strength follows in closed form). Where there is no validation part,
-/// every tenth training sample is left out for this. The prediction then uses the nearest of all, in units of the length
-/// scales. A note under the tables tells what was found.
+/// Correlation, length scales and noise maximise the likelihood of at most 160 validation spectra, each given its 24
+/// nearest training spectra (the variance follows in closed form). Without a validation set, every tenth training
+/// sample is held out for this. The prediction then uses the nearest training and validation samples, in units of the
+/// length scales. A note under the tables reports the fit.
 ///
-/// Each receiver has a process of its own; one without training links is predicted from those of all. Of received powers it
-/// is the residual of a law of distance, RSSI = T - 10 gamma log10(d) by least squares, that is taken for the process; the
-/// law is added again, and is the prediction where no measurement is near. Its correlation is Matern 3/2 with one length
-/// scale for all axes, and those numbers are taken under which at most 320 training powers are most likely, each given the
-/// 16 nearest before it in random order. Data whose links have features in the place of positions are refused.
+/// Each receiver has its own process; a receiver without training links is predicted from all links. For received
+/// powers, the process models the residual of a least-squares path-loss model, RSSI = T - 10 gamma log10(d). Far from
+/// all measurements, the prediction is the path-loss model. The correlation is then Matern 3/2 with one length scale
+/// for all axes, and the fit maximises the likelihood of at most 320 training powers, each given the 16 nearest before
+/// it in random order. Data with link features in place of positions are an error.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -38,7 +38,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Kriging {
-    /// Spectra that a prediction is made of, 2 to 512: its time grows with the third power.
+    /// Number of samples per prediction, 2 to 512; time grows with its cube.
     pub neighbours: usize,
 }
 
@@ -58,7 +58,7 @@ impl Baseline for Kriging {
         if data.placed && data.features.is_none() {
             return Ok(());
         }
-        let what = "has no positions of transmitters to predict from, and Kriging is a process over position";
+        let what = "has no transmitter positions, which Kriging needs";
         Err(Error::Config(format!("{} {what}; use NearestNeighbours()", data.title)))
     }
 
@@ -126,13 +126,13 @@ impl Fitted for Process<'_> {
 }
 
 impl Process<'_> {
-    /// What was found, where there is one receiver.
+    /// Description of the fit for a single receiver.
     fn note_of_one(&self) -> String {
         let Correlation { kind, scales_m, noise } = &self.correlation;
         let [x, y, z] = scales_m.map(digits);
         let law = self.trend.law.map_or_else(String::new, |law| {
             let (level, slope) = (digits(law.level), digits(law.slope));
-            format!(", about a law of distance of {level} dBm at a metre and {slope} dB a factor of ten")
+            format!(", path loss of {level} dBm at 1 m and {slope} dB per decade")
         });
         format!(
             "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m, and noise of {} of the \
@@ -142,7 +142,7 @@ impl Process<'_> {
         )
     }
 
-    /// The same of one among several, in the order of [`note_of_many`].
+    /// Short description of the fit for one of several receivers, in the order of [`note_of_many`].
     fn in_short(&self) -> String {
         let Correlation { kind, scales_m, noise } = &self.correlation;
         let [x, y, z] = scales_m.map(digits);
@@ -153,10 +153,10 @@ impl Process<'_> {
     }
 }
 
-/// What was found of several receivers: every number, since scores cannot be repeated from their range.
+/// Description of the fits for several receivers. It lists every number, so that scores can be reproduced.
 fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
     let law = if each.iter().any(|(_, process)| process.trend.law.is_some()) {
-        ", law of distance in dBm at a metre and dB a factor of ten"
+        ", path loss in dBm at 1 m and dB per decade"
     } else {
         ""
     };
@@ -168,7 +168,7 @@ fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
     )
 }
 
-/// Four significant digits: with those that are printed, a score can be repeated.
+/// Formats four significant digits, enough to reproduce a score.
 fn digits(value: f64) -> String {
     let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
     format!("{value:.0$}", decimals as usize)

@@ -1,4 +1,4 @@
-//! `LogDistance`: power falls with distance, and nothing else is known: by 10 gamma decibels with each factor of ten.
+//! `LogDistance`: path-loss model, in which power falls by 10 gamma decibels per decade of distance.
 
 use super::all_of;
 use pwrfgs_core::neighbours::distance;
@@ -6,15 +6,15 @@ use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
-/// Links that a receiver needs to have a law of its own.
+/// Links that a receiver needs for its own fit.
 const FEW: usize = 3;
 
-/// A law of distance by least squares: RSSI = T - 10 gamma log10(d), with d in metres from transmitter to receiver.
+/// Path-loss model fitted by least squares: RSSI = T - 10 gamma log10(d), d in metres from transmitter to receiver.
 ///
-/// One T and one gamma for all receivers is what NeRF2 calls MRI. With `offset` each receiver has a T of its own, its
-/// gain, and gamma is shared; with `per_receiver` each has T and gamma of its own. A receiver with fewer than
-/// three training links has the shared gamma and an offset from the links it has; one without any has the T of all
-/// training links together. A note under the table names such receivers. It is for received powers alone.
+/// One T and one gamma for all receivers is called MRI in NeRF2. `offset` fits one T per receiver, its gain, and a
+/// shared gamma; `per_receiver` fits T and gamma per receiver. A receiver with fewer than three training links uses the
+/// shared gamma and an offset from its links; a receiver without any uses the T of all training links. A note under the
+/// table lists such receivers. For received powers only.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -26,9 +26,9 @@ const FEW: usize = 3;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LogDistance {
-    /// Whether T and gamma are fitted for each receiver.
+    /// Whether to fit T and gamma per receiver.
     pub per_receiver: bool,
-    /// Whether T alone is fitted for each receiver; `per_receiver` does that too.
+    /// Whether to fit T per receiver; `per_receiver` includes this.
     pub offset: bool,
 }
 
@@ -48,7 +48,7 @@ impl Baseline for LogDistance {
         }
         let holds = if data.placed { data.task().plural } else { "no places of transmitters" };
         let what =
-            format!("LogDistance() is a law of received powers at known places, and {} holds {holds}", data.title);
+            format!("LogDistance() needs received powers and transmitter positions, but {} holds {holds}", data.title);
         Err(Error::Config(format!("{what}; remove it from `baselines`")))
     }
 
@@ -80,7 +80,7 @@ impl Baseline for LogDistance {
 struct Laws<'a> {
     data: &'a Dataset,
     of_each: Vec<Law>,
-    /// Receivers with too few links for a law of their own.
+    /// Receivers with too few links for their own fit.
     borrowed: Vec<String>,
 }
 
@@ -94,31 +94,31 @@ impl Predict for Laws<'_> {
     fn note(&self) -> Option<String> {
         let names = self.borrowed.join(", ");
         (!names.is_empty()).then(|| {
-            format!("{names} has too few training links for a law of distance of its own and shares that of the others")
+            format!("{names} has too few training links for its own path-loss exponent and shares that of the others")
         })
     }
 }
 
-/// Transmitters nearer than this count as this far, metres: at the receiver the law has no value.
+/// Minimum distance, metres: the model is singular at the receiver.
 const NEAREST_M: f64 = 0.01;
 
-/// RSSI = level - slope log10(d / m).
+/// Path-loss model RSSI = level - slope log10(d / m).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Law {
-    /// T, dBm at a metre.
+    /// T, dBm at 1 m.
     pub(super) level: f64,
-    /// 10 gamma, dB a factor of ten.
+    /// 10 gamma, dB per decade.
     pub(super) slope: f64,
 }
 
 impl Law {
-    /// By least squares of (log10 of the distance, dBm); a constant where all distances are alike.
+    /// Fits (log10 of the distance, dBm) by least squares; a constant if all distances are equal.
     pub(super) fn fit(points: &[(f64, f64)]) -> Self {
         Self::with_offsets(&[points]).0
     }
 
-    /// One slope for several groups, each with a level of its own: the law of the first and the level of each. A group
-    /// without points has the mean level of all points.
+    /// Fits one slope for several groups, with one level per group: (model of the first group, level of each). A group
+    /// without points gets the mean level of all points.
     pub(super) fn with_offsets(groups: &[&[(f64, f64)]]) -> (Self, Vec<f64>) {
         let mean = |points: &[(f64, f64)]| {
             let n = points.len().max(1) as f64;
@@ -140,7 +140,7 @@ impl Law {
         (Self { level: levels.first().copied().unwrap_or(of_all), slope }, levels)
     }
 
-    /// dBm at a distance, given as its logarithm.
+    /// Power in dBm at a distance, given as its logarithm.
     pub(super) fn at(&self, log_m: f64) -> f64 {
         self.level - self.slope * log_m
     }
@@ -154,7 +154,7 @@ pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
     distance(query.tx, receiver).max(NEAREST_M).log10()
 }
 
-/// (log10 of the distance, dBm) of links of powers.
+/// (log10 of the distance, dBm) of power links.
 pub(super) fn points(data: &Dataset, links: &[usize]) -> Vec<(f64, f64)> {
     let point = |&i: &usize| (log_distance(data, data.query(i)), data.image(i).pixels[0] as f64);
     links.iter().map(point).collect()

@@ -1,4 +1,4 @@
-//! `NearestNeighbours`: the spectra measured closest by, found by looking at all places: 80,000 take less than a millisecond.
+//! `NearestNeighbours`: mean of the nearest training samples by exhaustive search; 80,000 take less than a millisecond.
 
 use super::{ByReceiver, Fitted, all_of, choosing, weighted_mean};
 use pwrfgs_core::{
@@ -8,22 +8,22 @@ use rayon::prelude::*;
 use ron::value::RawValue;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-/// What `Auto` chooses from.
+/// Candidate values of k for `Auto`.
 const CHOICES: [usize; 13] = [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160];
-/// Samples that it is chosen on, at most.
+/// Largest number of samples used to choose k.
 const CHOSEN_ON: usize = 240;
 
-/// The mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
+/// Mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
 ///
-/// Where the transmitter stands on training transmitters, it is the mean of the spectra measured there. Powers and
-/// channels are averaged alike, each receiver by itself; a receiver without training links is given those of all. Where
-/// links have features, such as an uplink channel, distance is that between features.
+/// At the exact position of training transmitters it is the mean of their spectra. Powers and channels are averaged in
+/// the same way, per receiver; a receiver without training links uses those of all receivers. If links have features,
+/// such as an uplink channel, distance is measured between features.
 ///
-/// `k: Auto` takes the k out of 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that predicts the validation part best
-/// from the training part, by the mean SSIM of at most 240 samples (powers: the absolute error, channels: the squared
-/// error), and then learns from both. Where there is no
-/// validation part, every tenth training sample is left out for the choice; on a split that holds out whole stretches give
-/// it a validation part, or k comes out too small. A note under the table says which.
+/// `k: Auto` selects the k from 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that best predicts the validation
+/// set from the training set: mean SSIM over at most 240 samples (absolute error for powers, squared error for
+/// channels). It then learns from both sets. Without a validation set, every tenth training sample is held out for the
+/// choice. For `TimeBlock` and `Voxel` splits, set a validation share, or k is too small. A note under the table
+/// reports k.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -35,7 +35,7 @@ const CHOSEN_ON: usize = 240;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NearestNeighbours {
-    /// Neighbours that are averaged, at least 1, or `Auto`; more than there are training samples means all of them.
+    /// Number of neighbours to average, at least 1, or `Auto`; capped at the number of training samples.
     pub k: Neighbours,
 }
 
@@ -43,9 +43,9 @@ pub struct NearestNeighbours {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema)]
 #[schemars(inline, with = "usize", title = "whole number or Auto", extend("type" = ["integer", "string"]))]
 pub enum Neighbours {
-    /// The number with the best score on the validation set.
+    /// Number with the best score on the validation set.
     Auto,
-    /// This number of neighbours.
+    /// Fixed number of neighbours.
     Number(usize),
 }
 
@@ -66,7 +66,7 @@ impl Serialize for Neighbours {
 
 impl<'de> Deserialize<'de> for Neighbours {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // As text, since a bare word and a number have no type in common.
+        // Serialised as text, since a bare word and a number have no common type.
         let value = Box::<RawValue>::deserialize(deserializer)?;
         let text = value.get_ron().trim();
         match (text, text.replace('_', "").parse()) {
@@ -96,7 +96,7 @@ impl Baseline for NearestNeighbours {
         if data.placed || data.features.is_some() {
             return Ok(());
         }
-        let what = "does not say where the transmitters are, and NearestNeighbours looks for near ones";
+        let what = "has no transmitter positions, which NearestNeighbours needs";
         Err(Error::Config(format!("{} {what}; remove it from `baselines`", data.title)))
     }
 
@@ -125,7 +125,7 @@ impl Baseline for NearestNeighbours {
     }
 }
 
-/// The k that predicts `validation` best from `train`; of equals the smallest. 3 where there is nothing to compare.
+/// The k that best predicts `validation` from `train`, the smallest in a tie; 3 if there is nothing to compare.
 fn best(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
     let choices: Vec<usize> = CHOICES.iter().copied().filter(|k| *k <= train.len()).collect();
     let Some(most) = choices.last() else { return 3 };
@@ -140,12 +140,12 @@ fn best(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
     choices[(1..choices.len()).fold(0, first_best)]
 }
 
-/// The nearest of the samples learned from.
+/// Nearest-neighbour lookup in the training samples.
 struct Lookup<'a> {
     data: &'a Dataset,
     nearest: Nearest,
     k: usize,
-    /// Whether k was chosen on validation.
+    /// Whether k was selected on validation.
     chosen: bool,
 }
 
@@ -155,7 +155,7 @@ impl<'a> Lookup<'a> {
         Self { data, nearest: Nearest::new(samples, width, |i| place(data.query(i))), k, chosen: false }
     }
 
-    /// Samples with their weights, and whether they are those at `at` exactly, or else the k nearest.
+    /// Samples with their weights; true if they lie exactly at `at`, false for the k nearest.
     fn neighbours(&self, at: &[f64]) -> (bool, Vec<(usize, f64)>) {
         let (exact, near) = self.nearest.find(at, self.k);
         if exact.is_empty() {
@@ -165,10 +165,10 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// How well sample `i` is predicted from the nearest, for each number of `choices`, ascending; more is better.
+    /// Score of the prediction of sample `i` for each k of `choices`, ascending; higher is better.
     fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
         let truth = self.data.image(i);
-        // Those that stand at the very place all count, whatever k.
+        // Samples at the exact position all count, for any k.
         let (exact, neighbours) = self.neighbours(&place(self.data.query(i)));
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
@@ -186,12 +186,12 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// Where a link is looked for: its features, or the transmitter's place.
+/// Coordinates of a link: its features, or the transmitter position.
 fn place(query: Query<'_>) -> Vec<f64> {
     if query.features.is_empty() { query.tx.to_vec() } else { query.features.iter().map(|v| *v as f64).collect() }
 }
 
-/// How alike a prediction is to what was observed; more is better.
+/// Similarity of prediction and observation; higher is better.
 fn likeness(task: Task, predicted: &Image, truth: &Image) -> f64 {
     let errors = || predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| *p as f64 - *t as f64);
     if task.has_pixels {
@@ -212,38 +212,38 @@ impl Fitted for Lookup<'_> {
         let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
         let what = format!("best on validation {}", first.data.task().plural.trim_start_matches("spatial "));
         if each.iter().all(|(_, lookup)| lookup.k == first.k) {
-            return Some(format!("k-NN takes k = {}, which does {what}", first.k));
+            return Some(format!("k-NN uses k = {}, {what}", first.k));
         }
         let list: Vec<String> = each.iter().map(|(name, lookup)| format!("{} ({name})", lookup.k)).collect();
-        Some(format!("k-NN takes k = {}, each of which does {what}", list.join(", ")))
+        Some(format!("k-NN uses k = {}, each {what}", list.join(", ")))
     }
 }
 
-/// Places of any dimension, and the samples that they are of.
+/// Positions of any dimension, with their samples.
 pub(super) struct Nearest {
-    /// `[S,width]`, sample by sample.
+    /// Coordinates `[S,width]`, row-major.
     places: Vec<f64>,
     width: usize,
     samples: Vec<usize>,
 }
 
-/// |a - b|, in the unit of both; in space it is [`pwrfgs_core::neighbours::distance`] to the bit.
+/// |a - b| in the common unit; in 3D bit-identical to [`pwrfgs_core::neighbours::distance`].
 fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 impl Nearest {
-    /// Samples with their places, metres or any other unit, all of `width` numbers.
+    /// Creates a lookup for samples with coordinates of `width` numbers each, in metres or any other unit.
     pub(super) fn new<P: AsRef<[f64]>>(samples: Vec<usize>, width: usize, place: impl Fn(usize) -> P) -> Self {
         let mut places = Vec::with_capacity(samples.len() * width);
         samples.iter().for_each(|&i| places.extend_from_slice(place(i).as_ref()));
         Self { places, width: width.max(1), samples }
     }
 
-    /// The samples at `at` exactly, all of them, and the `k` nearest (all where there are fewer), nearest first, with
-    /// their distances. Ties go to the lower sample.
+    /// All samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
+    /// distances. Ties go to the lower sample index.
     pub(super) fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
-        /// Candidates that are kept beyond the k before the worst of them are dropped.
+        /// Number of candidates beyond k that are kept before the worst are dropped.
         const SPARE: usize = 1024;
         let k = k.clamp(1, self.samples.len().max(1));
         let by_distance = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));

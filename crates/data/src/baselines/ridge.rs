@@ -1,15 +1,15 @@
-//! `Ridge`: the best linear map from features to observations.
+//! `Ridge`: linear regression from features to observations.
 
 use super::{ByReceiver, Fitted, all_of};
 use pwrfgs_core::{Baseline, Cholesky, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Linear regression from what describes a transmitter, such as its uplink, to what was observed, for each receiver.
+/// Ridge regression from link features, such as the uplink channel, to observations, per receiver.
 ///
 /// y = ȳ + B (x − x̄) with B the minimum of Σ|y − ŷ|² + λ|B|² over the training links; λ is `weight` times the mean of
-/// Σ(x − x̄)² over the features. Downlink follows from uplink nearly linearly where few paths make both, so this is the honest
-/// floor of that task.
+/// Σ(x − x̄)² over the features. With few paths, the downlink is a nearly linear function of the uplink, so this is the
+/// reference baseline of that task.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ridge {
-    /// Weight of the ridge, in the mean square of the features.
+    /// Ridge weight, relative to the mean square of the features.
     pub weight: f64,
 }
 
@@ -40,7 +40,7 @@ impl Baseline for Ridge {
         if data.features.is_some() {
             return Ok(());
         }
-        let what = format!("Ridge() maps features to observations, and transmitters of {} have none", data.title);
+        let what = format!("Ridge() needs link features, and {} has none", data.title);
         Err(Error::Config(format!("{what}; use Kriging()")))
     }
 
@@ -57,11 +57,11 @@ impl Baseline for Ridge {
     }
 }
 
-/// The map of one receiver.
+/// Linear map of one receiver.
 struct Map {
     /// Means of features `[D]` and of observations `[M]`.
     means: [Vec<f64>; 2],
-    /// `[M,D]`.
+    /// Regression matrix `[M,D]`.
     slopes: Vec<f64>,
     /// Width and height of an observation.
     size: [usize; 2],
@@ -88,7 +88,7 @@ impl Map {
         });
         let ridge = weight * (0..d).map(|k| gram[k * d + k]).sum::<f64>() / d as f64 + f64::MIN_POSITIVE;
         (0..d).for_each(|k| gram[k * d + k] += ridge);
-        let no = || Error::Config("Ridge(): the features are too large for a linear map; scale them".into());
+        let no = || Error::Config("Ridge(): features are too large for a linear map; scale them".into());
         let factor = Cholesky::new(gram, d).ok_or_else(no)?;
         let mut slopes = vec![0.0; m * d];
         slopes.par_chunks_exact_mut(d).enumerate().for_each(|(n, slope)| {
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
     use pwrfgs_core::{Features, Observations, Pose, Receiver, Sample, rng};
 
-    /// Powers that are 3 − x₀ + 2x₁ at the first receiver and 5 x₀ at the second, as functions of two features.
+    /// Powers are 3 − x₀ + 2x₁ at the first receiver and 5 x₀ at the second, as functions of two features.
     #[test]
     fn a_linear_map_is_found_for_each_receiver() {
         let receivers = ["a", "b"].map(|name| Receiver::new(name, Pose::IDENTITY)).to_vec();

@@ -1,4 +1,4 @@
-//! Of the mean and of the nearest.
+//! Tests of the mean and of nearest neighbours.
 
 use super::neighbours::Nearest;
 use super::*;
@@ -67,7 +67,7 @@ fn the_nearest_of_thousands_are_found() {
     assert_eq!((exact.len(), near), (3000, vec![(0.0, 0), (0.0, 1)]), "all that stand there");
 }
 
-/// Spectra of two patterns that change over from one to the other along a line, with noise of their own.
+/// Spectra that change from one pattern to another along a line, with independent noise.
 fn noisy_line(noise: f64) -> Dataset {
     let mut random = rng::stream(2, "noise", 0);
     let samples: Vec<Sample> = (0..200).map(|id| Sample::new(id, [f64::from(id), 0.0, 0.0])).collect();
@@ -88,7 +88,7 @@ fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
     let chosen = |noise, known: Known<'_>| {
         let data = noisy_line(noise);
         let note = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap().note().unwrap();
-        let k = note.strip_prefix("k-NN takes k = ").and_then(|rest| rest.split(',').next()).unwrap();
+        let k = note.strip_prefix("k-NN uses k = ").and_then(|rest| rest.split(',').next()).unwrap();
         k.parse::<usize>().unwrap()
     };
     for known in [Known { train: &train, validation: &validation }, Known::train(&train)] {
@@ -97,7 +97,7 @@ fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
     }
 }
 
-/// The choice agrees with scoring every k by itself.
+/// The automatic choice agrees with scoring every k separately.
 #[test]
 fn auto_takes_the_best() {
     let data = noisy_line(0.1);
@@ -111,8 +111,8 @@ fn auto_takes_the_best() {
         [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160].into_iter().max_by(|a, b| score(*a).total_cmp(&score(*b)));
     let known = Known { train: &train, validation: &validation };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
-    assert!(fitted.note().unwrap().starts_with(&format!("k-NN takes k = {},", best.unwrap())));
-    // What it predicts it has learned from both parts.
+    assert!(fitted.note().unwrap().starts_with(&format!("k-NN uses k = {},", best.unwrap())));
+    // The prediction uses both training and validation samples.
     let known = Known { train: &[0], validation: &[1] };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
     assert_eq!(fitted.predict([1.0, 0.0, 0.0].into()), data.image(1));

@@ -1,4 +1,4 @@
-//! Channels in files, good and bad, and those of `NeWRF` where they are at hand.
+//! Valid and invalid channel files, and the `NeWRF` channels if they are available.
 
 use super::*;
 use crate::npy_header_as;

@@ -1,4 +1,4 @@
-//! Where positions and spectra come from: NumPy's arrays, archives of them, tables, folders of pictures.
+//! Readers of positions and spectra: NumPy arrays and archives, tables, folders of images.
 
 use super::Sink;
 use crate::nerf2::pictures::{self, Depth};
@@ -13,10 +13,10 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
-/// What spectra may be.
-const SPECTRA: &str = "spectra are an array .npy, an archive .npz, or a folder of pictures 00001.png ..";
+/// Supported formats of spectra.
+const SPECTRA: &str = "spectra are an array .npy, an archive .npz, or a folder of images 00001.png ..";
 
-/// The transmitters `[M,3]`, metres. `beside` the spectra they are an array of the same archive.
+/// Reads transmitter positions `[M,3]`, metres. If `beside`, they are an array in the archive of the spectra.
 pub(super) fn positions(path: &Path, beside: bool) -> Result<Vec<[f64; 3]>> {
     let (file, name) = named(path);
     let txs = match extension(&file) {
@@ -33,12 +33,12 @@ pub(super) fn positions(path: &Path, beside: bool) -> Result<Vec<[f64; 3]>> {
         _ => Err(Error::input(path, "positions are an array .npy, an archive .npz, or a table .csv")),
     }?;
     if txs.is_empty() {
-        return Err(Error::input(path, "holds no position; give one a spectrum"));
+        return Err(Error::input(path, "holds no position; give one per spectrum"));
     }
     Ok(txs)
 }
 
-/// Shows all spectra to `sink`; there are as many as `count` transmitters.
+/// Passes all spectra to `sink`; their number must equal the `count` of transmitters.
 pub(super) fn pictures(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     let (file, name) = named(path);
     if file.is_dir() {
@@ -57,7 +57,7 @@ pub(super) fn pictures(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result
     }
 }
 
-/// The spectra of an array of `bytes` bytes, header included.
+/// Passes on the spectra of an array of `bytes` bytes, header included.
 fn each(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     let header = Header::read(path, array)?;
     let (number, shape) = npy::spectra(&header, path)?;
@@ -80,17 +80,16 @@ fn each(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut 
     Ok(())
 }
 
-/// Pictures `NNNNN.png` of a folder: number k, counted from 1, is the spectrum of row k.
+/// Reads images `NNNNN.png` of a folder: number k, counted from 1, is the spectrum of row k.
 fn folder(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     let files = pictures::list(path, SPECTRA)?;
     let missing = (1..=count as u32).find(|id| !files.contains_key(id));
     if let Some(id) = missing {
-        let what =
-            format!("holds no picture {id:05}.png, and there are {count} transmitters: number k is that of row k");
+        let what = format!("holds no image {id:05}.png, but there are {count} transmitters: image k belongs to row k");
         return Err(Error::input(path, what));
     }
     if files.len() > count {
-        let what = format!("holds {} pictures, and there are {count} transmitters; give as many of each", files.len());
+        let what = format!("holds {} images, but there are {count} transmitters; give as many of each", files.len());
         return Err(Error::input(path, what));
     }
     let mut first: Option<((usize, usize), Number, String)> = None;
@@ -116,7 +115,7 @@ fn folder(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Reads an array of an archive: `name`, or `usual`, or the only one. `read` gets its bytes and how many they are.
+/// Reads an array of an archive: `name`, else `usual`, else the only one. `read` gets its bytes and length.
 fn in_archive<T>(
     path: &Path,
     name: Option<String>,
@@ -124,13 +123,13 @@ fn in_archive<T>(
     read: impl FnOnce(&Path, &mut dyn Read, u64) -> Result<T>,
 ) -> Result<T> {
     let broken =
-        |e: zip::result::ZipError| Error::input(path, format!("is no archive of NumPy ({e}); use numpy.savez"));
+        |e: zip::result::ZipError| Error::input(path, format!("is not a NumPy archive ({e}); use numpy.savez"));
     let file: File = files::open(path).map_err(|e| Error::read(path, e))?;
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(broken)?;
     let names = archive.file_names().collect::<Result<Vec<_>, _>>().map_err(broken)?;
     let names: Vec<String> = names.iter().map(|n| n.strip_suffix(".npy").unwrap_or(n).to_owned()).collect();
     if archive.has_duplicate_names() || names.iter().collect::<BTreeSet<_>>().len() < names.len() {
-        let what = "holds two arrays of one name, of which NumPy reads only the last; save each under its own name";
+        let what = "holds two arrays of the same name (NumPy reads only the last); save each under its own name";
         return Err(Error::input(path, what));
     }
     let wanted = match name {
@@ -150,7 +149,7 @@ fn in_archive<T>(
     read(&place, &mut entry, bytes)
 }
 
-/// `FILE.npz:NAME` as a file and the name of an array in it.
+/// Splits `FILE.npz:NAME` into file and array name.
 fn named(path: &Path) -> (PathBuf, Option<String>) {
     let text = path.to_string_lossy();
     match text.rsplit_once(".npz:") {
@@ -159,7 +158,7 @@ fn named(path: &Path) -> (PathBuf, Option<String>) {
     }
 }
 
-/// Lower case in all that is known.
+/// Extension; all supported ones are lower case.
 fn extension(path: &Path) -> &str {
     path.extension().and_then(OsStr::to_str).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! What comes in goes out as it is, and what cannot be meant is refused with what to do.
+//! Imports keep values; implausible input is an error with the next step.
 
 use super::*;
 use crate::Arrays;
@@ -9,7 +9,7 @@ use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 struct Folder(tempfile::TempDir);
 
 impl Folder {
-    /// With four positions.
+    /// Creates a folder with four positions.
     fn new() -> Self {
         let folder = Self(tempfile::tempdir().unwrap());
         folder.write("tx.npy", &array(Number::F64, &[4, 3], (0..12).flat_map(|v| f64::from(v).to_le_bytes())));
@@ -43,7 +43,7 @@ impl Folder {
         (imported, Arrays { root: out, ..Arrays::default() }.load(Path::new(""), &|_, _| {}).unwrap())
     }
 
-    /// The message, with this folder as `DIR`; nothing is left behind.
+    /// The error message, with this folder as `DIR`; nothing is left behind.
     fn fault(&self, work: &Import) -> String {
         let before = fs::read_dir(self.0.path()).unwrap().count();
         let error = work.write(&self.path("out"), &|_, _| {}).unwrap_err();
@@ -52,7 +52,7 @@ impl Folder {
         error.to_string().replace(&self.0.path().display().to_string(), "DIR")
     }
 
-    /// Four pictures of 3 x 2 with one value changed.
+    /// Four images of 3 x 2 with one value changed.
     fn floats(&self, name: &str, at: usize, value: f32) -> Import {
         let values = (0..24).map(|i| if i == at { value } else { i as f32 / 24.0 });
         self.write(name, &array(Number::F32, &[4, 2, 3], values.flat_map(f32::to_le_bytes)));
@@ -115,9 +115,9 @@ fn pictures_of_8_and_16_bits_are_read() {
     assert_eq!(folder.import(&folder.work("p")).1.observations.raw(3)[5], 221);
     fs::remove_dir_all(folder.path("out")).unwrap();
     save(5, 8);
-    assert!(folder.fault(&folder.work("p")).contains("holds 5 pictures, and there are 4 transmitters"));
+    assert!(folder.fault(&folder.work("p")).contains("holds 5 images, but there are 4 transmitters"));
     fs::remove_file(folder.path("p/00002.png")).unwrap();
-    assert!(folder.fault(&folder.work("p")).contains("holds no picture 00002.png"));
+    assert!(folder.fault(&folder.work("p")).contains("holds no image 00002.png"));
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn archives_are_read_stored_and_deflated() {
     let whole = fs::read(folder.path("all.npz")).unwrap();
     for end in [0, 10, whole.len() / 2, whole.len() - 5] {
         folder.write("all.npz", &whole[..end]);
-        assert!(folder.fault(&folder.work("all.npz")).contains("is no archive of NumPy"), "{end}");
+        assert!(folder.fault(&folder.work("all.npz")).contains("is not a NumPy archive"), "{end}");
     }
 }
 
@@ -166,7 +166,7 @@ fn two_arrays_of_one_name_are_refused() {
         bytes[at..at + 7].copy_from_slice(b"spectra");
     }
     folder.write("all.npz", &bytes);
-    assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of one name"));
+    assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of the same name"));
 
     let mut archive = ZipWriter::new(File::create(folder.path("all.npz")).unwrap());
     for name in ["spectra", "spectra.npy"] {
@@ -174,7 +174,7 @@ fn two_arrays_of_one_name_are_refused() {
         archive.write_all(&array(Number::U8, &[4, 2, 3], 60..84)).unwrap();
     }
     archive.finish().unwrap();
-    assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of one name"));
+    assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of the same name"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `Nerf2Csi`: channels of a base station in the folder layout of NeRF2; the uplink is known, the downlink asked for.
+//! `Nerf2Csi`: channels of a base station in the NeRF2 layout; predicts the downlink from the uplink.
 
 #[cfg(test)]
 mod tests;
@@ -17,25 +17,25 @@ const LAYOUT: &str = "a NeRF2 folder of channels holds csidata.npy and base-stat
 const SHAPE: &str =
     "channels are [N, A, 2F]: N snapshots, A antennas, F subcarriers of the uplink, then F of the downlink";
 
-/// Channels (CSI) of a base station in the layout of NeRF2 (Zhao et al., 2023): what the uplink says of the downlink.
+/// Channels (CSI) of a base station in the layout of NeRF2 (Zhao et al., 2023): predicts the downlink from the uplink.
 ///
 /// ```text
 /// root/csidata.npy         [N, A, 2F], complex64 or complex128: N snapshots at A antennas of the base station, the first
 ///                          half of the subcarriers is the uplink, the second the downlink (NeRF2: 8 antennas, 26 and 26)
-/// root/base-station.yml    base_station: [[x, y, z], ..], a place for each antenna; metres
-/// root/tx_pos.csv          columns x, y, z, a row a snapshot; metres; may be absent
-/// root/train_index.txt     snapshots counted from 0, one a line; this file and
-/// root/test_index.txt      this one come together or not at all
+/// root/base-station.yml    base_station: [[x, y, z], ..], one position per antenna; metres
+/// root/tx_pos.csv          columns x, y, z, one row per snapshot; metres; optional
+/// root/train_index.txt     snapshots counted from 0, one per line; the files train_index.txt and
+/// root/test_index.txt      test_index.txt must both exist or both be absent
 /// ```
 ///
-/// Every antenna is a receiver, called `antenna 1` and so on. A link is a snapshot and an antenna. Its features, which
-/// stand where the transmitter's position stands elsewhere, are its uplink: F real parts, then F imaginary parts. What was
-/// observed of it is its downlink, a channel of 1 antenna and F subcarriers. The id of a transmitter is its snapshot,
-/// counted from 0 as the index files do. Without `tx_pos.csv` nobody knows where the transmitters are, and what needs
-/// places, such as the split `Voxel`, is refused.
+/// Every antenna is a receiver, called `antenna 1` and so on, and a link is a snapshot at one antenna. The features of
+/// a link replace the transmitter position: they are its uplink, F real parts, then F imaginary parts. Its observation
+/// is the downlink, a channel of 1 antenna and F subcarriers. The id of a transmitter is its snapshot, counted from 0
+/// as in the index files. Without `tx_pos.csv` transmitter positions are unknown, and plugins that need them, such as
+/// the split `Voxel`, return an error.
 ///
-/// The whole array is divided by its largest modulus, which is looked for in the training part of the index files, and in
-/// all snapshots where there are none. NeRF2 looks for it in training and test data alike; no score depends on the factor.
+/// The array is divided by its largest modulus in the training part of the index files, or in all snapshots without
+/// index files. NeRF2 uses training and test data together; no score depends on this factor.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -47,15 +47,15 @@ const SHAPE: &str =
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Csi {
-    /// The folder, relative to the pipeline file.
+    /// Data folder, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
-    /// Frequency in the middle of all subcarriers, between uplink and downlink, Hz.
+    /// Centre frequency of all subcarriers, between uplink and downlink, Hz.
     pub carrier_hz: f64,
-    /// From one subcarrier to the next, Hz.
+    /// Subcarrier spacing, Hz.
     pub spacing_hz: f64,
-    /// Whether the antennas are one receiver's: a link is then a snapshot, its features are the uplinks of all antennas one
-    /// after the other, and what was observed of it is the downlink at all of them.
+    /// Whether all antennas form one receiver. A link is then a snapshot; its features are the uplinks of all antennas
+    /// in order, and its observation is the downlink at all antennas.
     pub together: bool,
 }
 
@@ -109,7 +109,7 @@ impl DataSource for Nerf2Csi {
     }
 }
 
-/// `[N,A,2F]`, for a base station of `antennas`.
+/// Reads channels `[N,A,2F]` of a base station with `antennas` antennas.
 fn read_all(path: &Path, antennas: usize) -> Result<Complex> {
     let all = read_complex(path, SHAPE)?;
     let [_, have, both] = all.shape;
@@ -118,13 +118,13 @@ fn read_all(path: &Path, antennas: usize) -> Result<Complex> {
         return Err(Error::input(path, what));
     }
     if both % 2 == 1 {
-        let what = format!("has {both} subcarriers, which are no two halves of uplink and downlink; {SHAPE}");
+        let what = format!("has {both} subcarriers, expected an even number: uplink, then downlink; {SHAPE}");
         return Err(Error::input(path, what));
     }
     Ok(all)
 }
 
-/// `tx_pos.csv`, where it is there: a row a snapshot.
+/// Reads `tx_pos.csv` if it exists: one row per snapshot.
 fn positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
     let path = root.join("tx_pos.csv");
     if !path.exists() {
@@ -138,7 +138,7 @@ fn positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
     Ok(Some(positions))
 }
 
-/// Each antenna is one.
+/// Each antenna as a receiver.
 fn receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
     let at = |(k, &position): (usize, &[f64; 3])| {
         Receiver::new(format!("antenna {}", k + 1), Pose { position, ..Pose::IDENTITY })
@@ -146,7 +146,7 @@ fn receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
     antennas.iter().enumerate().map(at).collect()
 }
 
-/// All antennas as those of one receiver in their middle.
+/// All antennas as one receiver at their centre.
 fn station(antennas: &[[f64; 3]]) -> Receiver {
     let middle = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / antennas.len().max(1) as f64);
     let about = |a: &[f64; 3]| std::array::from_fn(|k| a[k] - middle[k]);
@@ -154,7 +154,7 @@ fn station(antennas: &[[f64; 3]]) -> Receiver {
     Receiver { antennas: antennas.iter().map(about).collect(), ..Receiver::new("base station", pose) }
 }
 
-/// The uplink of every link as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
+/// Uplink of every link as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
 fn halves(all: &mut Complex) -> (Vec<Real>, Vec<[Real; 2]>) {
     let both = all.shape[2];
     let (mut uplinks, mut downlinks) = (Vec::with_capacity(all.values.len()), Vec::new());

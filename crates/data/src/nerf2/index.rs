@@ -1,4 +1,4 @@
-//! `train_index.txt` and `test_index.txt`: which ids serve what, one a line, zero-padded or not.
+//! `train_index.txt` and `test_index.txt`: sample ids of each set, one per line, zero-padded or not.
 
 use crate::text::{lines, read_text, split_blanks};
 use pwrfgs_core::{Error, Result, files::MAX_TEXT, words::quoted};
@@ -7,18 +7,18 @@ use std::{
     path::Path,
 };
 
-/// The id that a word of an index file says, and the index of its sample; or what is wrong with it.
+/// Function from a word of an index file to its id and sample index, or to the problem.
 pub(crate) type Find<'a> = dyn Fn(&str) -> Result<(u32, usize), String> + 'a;
 
-/// What is known of the ids of spectra, which count from 1.
+/// Ids of spectra, which count from 1.
 pub(crate) struct Known<'a> {
-    /// The file of the transmitters.
+    /// File of the transmitters.
     pub(crate) table: &'a str,
-    /// Its rows: ids are 1 to this.
+    /// Number of its rows; valid ids are 1 to this.
     pub(crate) rows: usize,
-    /// Ids that have a picture.
+    /// Ids that have an image.
     pub(crate) pictures: &'a BTreeSet<u32>,
-    /// Ids that have both, sorted: the samples.
+    /// Ids that have a row and an image, sorted: the samples.
     pub(crate) samples: &'a [u32],
 }
 
@@ -35,13 +35,13 @@ impl Known<'_> {
             return Err(format!("id {id} has no row in {table}, which has {rows}; add the row or remove the id"));
         }
         if !self.pictures.contains(&id) {
-            return Err(format!("id {id} has no picture spectrum/{id:05}.png; add the picture or remove the id"));
+            return Err(format!("id {id} has no image spectrum/{id:05}.png; add the image or remove the id"));
         }
         Ok((id, self.samples.binary_search(&id).expect("an id with a row and a picture is a sample")))
     }
 }
 
-/// One of the `rows` of `table`, which count from 0, as ids of powers and channels do.
+/// Parses a row number of `table`, counted from 0 as ids of powers and channels are.
 pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<(u32, usize), String> {
     match word.parse::<u32>() {
         Ok(id) if (id as usize) < rows => Ok((id, id as usize)),
@@ -52,7 +52,7 @@ pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<(u32, usize), 
     }
 }
 
-/// The two lists as indices into the samples, sorted; `None` where neither file exists.
+/// Both lists as sample indices, sorted; `None` if neither file exists.
 pub(crate) fn read(root: &Path, find: &Find<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
     let [train, test] = ["train_index.txt", "test_index.txt"].map(|name| root.join(name));
     match (train.exists(), test.exists()) {
@@ -71,7 +71,7 @@ pub(crate) fn read(root: &Path, find: &Find<'_>) -> Result<Option<(Vec<usize>, V
     }
 }
 
-/// One file; `seen` says where an id was named before.
+/// Reads one file; `seen` maps ids to where they were listed before.
 fn read_list(path: &Path, find: &Find<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
     let text = read_text(path, MAX_TEXT, "give both index files or neither")?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -82,7 +82,7 @@ fn read_list(path: &Path, find: &Find<'_>, seen: &mut BTreeMap<u32, String>) -> 
             list.push(sample);
             if let Some(before) = seen.insert(id, format!("{name}, line {line}")) {
                 let what = format!(
-                    "id {id} was already named in {before}; a sample serves one purpose: remove one of the two"
+                    "id {id} was already named in {before}; a sample belongs to one set: remove one of the two"
                 );
                 return Err(Error::at(path, line, field.column, what));
             }

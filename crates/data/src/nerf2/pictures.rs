@@ -1,4 +1,4 @@
-//! `spectrum/NNNNN.png`: 8-bit grey pictures, all of one size, decoded in parallel.
+//! `spectrum/NNNNN.png`: 8-bit grey images of one size, decoded in parallel.
 
 use crate::text::{read_bytes, unreadable};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, ImageResult, Limits, codecs::png::PngDecoder};
@@ -11,16 +11,15 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-/// Largest picture that is read, pixels: a header may promise more than memory holds.
+/// Largest image that is read, pixels: a header may declare more than fits into memory.
 const MAX_PIXELS: u64 = 1 << 24;
-/// Largest file of a picture, bytes: one that is not compressed at all, and what else it says.
+/// Largest image file, bytes: uncompressed pixels and metadata.
 const MAX_BYTES: u64 = 2 * MAX_PIXELS;
-/// Most memory that the decoder takes for what is beside the pixels: a colour profile of a megabyte may unpack to
-/// gigabytes.
+/// Largest memory of the decoder for metadata: a compressed colour profile of a megabyte may need gigabytes.
 const MAX_BESIDE: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-/// The pictures in a folder by id: files whose name is a number and ends in `.png`; others are left alone.
+/// Images in a folder by id: files named by a number with `.png`; others are ignored.
 pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(|e| unreadable(folder, e, "folder", advice))? {
@@ -30,7 +29,7 @@ pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>
             return Err(Error::input(&path, "there is no id 0; ids count from 1, so number the pictures from 00001"));
         }
         if let Some(other) = found.insert(id, path.clone()) {
-            // The folder comes in no particular order; the message does not depend on it.
+            // The folder order is arbitrary; the message must not depend on it.
             let (first, second) = if other < path { (other, path) } else { (path, other) };
             let name = first.file_name().unwrap_or_default().to_string_lossy();
             return Err(Error::input(&second, format!("{name} is id {id} as well; remove one of the two")));
@@ -45,7 +44,7 @@ fn id_of(path: &Path) -> Option<u32> {
     (is_png && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
 }
 
-/// Decodes all; the first gives the size. The message is about the first bad file in the given order.
+/// Decodes all images; the first sets the size. Errors are about the first bad file in the given order.
 pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
     let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
     let Picture { width, height, bytes, .. } = decode(first, Depth::Eight)?;
@@ -66,33 +65,33 @@ pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
         out.copy_from_slice(&picture.bytes);
         Ok(())
     };
-    // Results first, so that which error is told does not depend on the threads.
+    // Collect all results first, so that the reported error does not depend on the threads.
     let rest = all.par_chunks_exact_mut(width * height).skip(1).zip(others);
     let rest: Vec<Result<()>> = rest.map(decode_like_first).collect();
     rest.into_iter().collect::<Result<()>>()?;
     Spectra::grey((width, height), all)
 }
 
-/// Which pictures are taken.
+/// Accepted bit depths.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Depth {
-    /// 8-bit grey alone.
+    /// 8-bit grey only.
     Eight,
-    /// 16-bit grey too.
+    /// 8-bit and 16-bit grey.
     Sixteen,
 }
 
-/// One picture, row-major grey.
+/// Grey image, row-major.
 pub(crate) struct Picture {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) number: Number,
-    /// Little endian.
+    /// Pixels, little endian.
     pub(crate) bytes: Vec<u8>,
 }
 
 impl Picture {
-    /// Refuses another size than that of the picture `name`.
+    /// Returns an error if the size differs from that of the image `name`.
     pub(crate) fn is_like(&self, path: &Path, (width, height): (usize, usize), name: &str) -> Result<()> {
         let Self { width: w, height: h, .. } = self;
         if (*w, *h) == (width, height) {
@@ -103,9 +102,9 @@ impl Picture {
     }
 }
 
-/// Reads one picture.
+/// Decodes one image.
 pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
-    let file = read_bytes(path, MAX_BYTES, "add the picture")?;
+    let file = read_bytes(path, MAX_BYTES, "add the image")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG picture; save the spectrum as 8-bit grey PNG"));
     }
@@ -135,20 +134,20 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     let mut bytes = vec![0; width * height * number.bytes()];
     decoder.read_image(&mut bytes).map_err(damaged)?;
     if number == Number::U16 {
-        // The decoder gives the order of this machine.
+        // The decoder returns native byte order.
         bytes.as_chunks_mut().0.iter_mut().for_each(|v| *v = u16::from_ne_bytes(*v).to_le_bytes());
     }
     Ok(Picture { width, height, number, bytes })
 }
 
-/// A decoder that leaves out what is beside the pixels and takes more than [`MAX_BESIDE`].
+/// Creates a decoder that skips metadata and limits memory to [`MAX_BESIDE`].
 pub(super) fn decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(MAX_BESIDE);
     PngDecoder::with_limits(Cursor::new(file), limits)
 }
 
-/// A colour type in words.
+/// Colour type in words.
 fn kind(color: ExtendedColorType) -> String {
     let bits = color.bits_per_pixel() / u16::from(color.channel_count());
     match color.channel_count() {

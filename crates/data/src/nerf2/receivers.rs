@@ -1,4 +1,4 @@
-//! Where receivers and antennas are, in YAML: `gateway_info.yml`, `gateway_position.yml` and `base-station.yml`.
+//! Receiver and antenna positions in YAML: `gateway_info.yml`, `gateway_position.yml` and `base-station.yml`.
 
 use crate::checks::name_fault;
 use crate::text::{at, read_yaml};
@@ -15,23 +15,23 @@ const GATEWAYS: &str = "expected one gateway a line, such as `g01: [x, y, z]` (m
                         orientation: [x, y, z, w]}`";
 const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), a place for each antenna";
 
-/// What `gateway_info.yml` says: name of the data set, position and orientation of the receiver.
+/// Content of `gateway_info.yml`: name of the data set, position and orientation of the receiver.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Gateway {
     pub(crate) name: Option<String>,
     pub(crate) pose: Pose,
-    /// What the receiver is called, where it says so.
+    /// Name of the receiver, if given.
     receiver: Option<String>,
-    /// Of the pictures' rows, where it says so.
+    /// Elevations of the image rows, if given.
     pub(crate) elevation: Option<Elevation>,
 }
 
-/// A value of `gateway_info.yml`.
+/// Value in `gateway_info.yml`.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Value {
     Pose(Pose),
-    /// A gateway whose pose is not understood.
+    /// Gateway with an invalid pose.
     Gateway {
         #[serde(rename = "position")]
         _position: IgnoredAny,
@@ -53,7 +53,7 @@ impl Value {
 }
 
 impl Gateway {
-    /// Reads the file; `wanted` is the gateway that the user names, `gateway1` where none is named.
+    /// Reads the file; `wanted` is the gateway that the user selected, else `gateway1`.
     pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Self> {
         let file: BTreeMap<String, Spanned<Value>> = read_yaml(path, advice, GATEWAY)?;
         let name = wanted.unwrap_or("gateway1");
@@ -65,7 +65,7 @@ impl Gateway {
         let listed = others.iter().map(|(other, _)| format!("`{}`", clean(other))).collect::<Vec<_>>().join(", ");
         let Some(value) = file.get(name) else {
             let advice = others.first().map_or_else(String::new, |(one, _)| {
-                format!("name {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", clean(one))
+                format!("select {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", clean(one))
             });
             return Err(Error::at(path, 1, 1, format!("missing field `{}`; {advice}{GATEWAY}", clean(name))));
         };
@@ -103,14 +103,14 @@ impl Gateway {
     }
 }
 
-/// Keys with their values, as they follow each other in the file.
+/// Keys with their values, in file order.
 fn in_order<K, V: std::ops::Deref<Target = Spanned<T>>, T>(all: impl Iterator<Item = (K, V)>) -> Vec<(K, V)> {
     let mut all: Vec<(K, V)> = all.collect();
     all.sort_by_key(|(_, value)| (value.referenced.line(), value.referenced.column()));
     all
 }
 
-/// A gateway of `gateway_position.yml`.
+/// Gateway in `gateway_position.yml`.
 #[derive(Deserialize)]
 #[serde(untagged, expecting = "neither a position nor a pose")]
 enum Place {
@@ -118,7 +118,7 @@ enum Place {
     Pose(Pose),
 }
 
-/// Names and poses of the gateways in the order of the file; without an orientation, axes are those of the world.
+/// Names and poses of the gateways in file order; without an orientation, the axes are those of the world frame.
 pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
     let file: BTreeMap<String, Spanned<Place>> = read_yaml(path, advice, GATEWAYS)?;
     if file.is_empty() {
@@ -130,20 +130,20 @@ pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>>
             Place::Pose(pose) => pose,
         };
         let place = place_fault(pose.position);
-        let fault = place.or_else(|| pose.fault().map(|(_, fault)| format!("is turned: {fault}")));
+        let fault = place.or_else(|| pose.fault().map(|(_, fault)| format!("has an invalid orientation: {fault}")));
         let fault = fault.map(|fault| format!("`{}` {fault}", clean(name)));
         name_fault(name).or(fault).map_or_else(|| Ok((name.clone(), pose)), |fault| Err(at(path, value, fault)))
     };
     in_order(file.iter()).into_iter().map(read).collect()
 }
 
-/// `base-station.yml`.
+/// Content of `base-station.yml`.
 #[derive(Deserialize)]
 struct BaseStation {
     base_station: Vec<Spanned<[f64; 3]>>,
 }
 
-/// Places of the antennas of a base station `[A,3]`, metres.
+/// Antenna positions of a base station `[A,3]`, metres.
 pub(super) fn antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
     let BaseStation { base_station } = read_yaml(path, advice, ANTENNAS)?;
     if base_station.is_empty() {
@@ -260,10 +260,10 @@ mod tests {
         assert_eq!(
             said,
             format!(
-                "DIR/g.yml:1:1: missing field `gateway3`; name `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {GATEWAY}"
+                "DIR/g.yml:1:1: missing field `gateway3`; select `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {GATEWAY}"
             )
         );
-        // Whatever is called a gateway counts as one, other keys are left alone, and aliases that would grow are refused.
+        // Keys called gateway count, other keys are ignored, and recursive aliases are rejected.
         let odd = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
         assert!(read(&odd, None).unwrap_err().contains("`Gateway_2`"));
         let nine = |i: u8| format!("b{}: &b{} [{}]\n", i + 1, i + 1, vec![format!("*b{i}"); 9].join(", "));

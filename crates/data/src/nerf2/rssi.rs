@@ -20,23 +20,24 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// Received powers (RSSI) at many gateways in the layout of NeRF2 (Zhao et al., 2023).
 ///
 /// ```text
-/// root/gateway_position.yml    g01: [x, y, z], one line a gateway; metres; of one that is turned
+/// root/gateway_position.yml    g01: [x, y, z], one line per gateway; metres; with a rotation:
 ///                              g01: {position: [x, y, z], orientation: [x, y, z, w]}, a unit quaternion
-/// root/gateway_rssi.csv        header with the names of the gateways; row k is what each received, dBm; -100: not heard
-/// root/tx_pos.csv              header naming x, y, z among others; row k is the transmitter; metres
-/// root/train_index.txt         rows counted from 0, one a line; this file and
-/// root/test_index.txt          this one come together or not at all
+/// root/gateway_rssi.csv        header with the gateway names; row k: received powers, dBm; -100: no signal
+/// root/tx_pos.csv              header with x, y, z among others; row k is the transmitter; metres
+/// root/train_index.txt         rows counted from 0, one per line; the files train_index.txt and
+/// root/test_index.txt          test_index.txt must both exist or both be absent
 /// ```
 ///
-/// A link is a transmitter and a gateway that heard it; -100 dBm says that it did not, and is no link. The id of a
-/// transmitter is its row, counted from 0 as the index files do (ids of spectra count from 1). The split of the index
-/// files takes all links of a transmitter. Gateways are receivers of that name, in the order of `gateway_position.yml`.
+/// A link is a transmitter and a gateway that received it; -100 dBm marks a missing link. The id of a transmitter is
+/// its row, counted from 0 as in the index files (ids of spectra count from 1). The split of the index files assigns
+/// all links of a transmitter to one set. Gateways are receivers of the same name, in the order of
+/// `gateway_position.yml`.
 ///
-/// Of the data that NeRF2 released: whether rows are in the order of time is not known, so that `TimeBlock` may hold out
-/// something else than a stretch of time; the gateways `g08` and `g09` have the same coordinates, so that to leave out one
-/// of them means to leave out both; its gateways are in three separate areas, of which a transmitter is heard in one.
+/// Limits of the data released by NeRF2: it is unknown whether rows are in order of time, so `TimeBlock` may not hold
+/// out a block of time. The gateways `g08` and `g09` have the same coordinates, so hold out both or neither. The
+/// gateways are in three separate areas; each transmitter is received in one of them.
 ///
-/// A name that holds the word «simulated», or a `manifest.json` that says so, makes the data count as simulated.
+/// Data count as simulated if their name contains the word «simulated» or their `manifest.json` declares it.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -46,7 +47,7 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Rssi {
-    /// The folder, relative to the pipeline file.
+    /// Data folder, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Point cloud of the rooms (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
@@ -98,24 +99,24 @@ impl DataSource for Nerf2Rssi {
     }
 }
 
-/// One power that was received.
+/// Received power of one link.
 struct Heard {
-    /// Of the transmitters, counted from 0.
+    /// Index of the transmitter, counted from 0.
     row: usize,
-    /// Into the gateways.
+    /// Index of the gateway.
     gateway: usize,
     dbm: f64,
 }
 
-/// All that was heard, by row, then gateway. Every gateway has a column, every transmitter of `rows` a row, and each of
-/// them was heard at least once.
+/// Reads all received powers, by row, then gateway. Every gateway must have a column, each of the `rows` transmitters a
+/// row, and each of them at least one received power.
 fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<Heard>> {
     let text = read_text(path, MAX_TEXT, advice)?;
     let mut contents = lines(&text);
     let Some((line, header)) = contents.next() else {
         return Err(Error::input(
             path,
-            "is empty; write a header with the names of the gateways and a row a transmitter",
+            "is empty; write a header with the names of the gateways and one row per transmitter",
         ));
     };
     let header = split_commas(header);
@@ -142,7 +143,7 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
             Err(Error::at(path, lines_of[row], 1, what))
         }
         Some(Unheard::Receiver(g)) => {
-            let what = format!("{} heard no transmitter (-100 in all rows)", quoted(&gateways[g]));
+            let what = format!("{} received no transmitter (-100 in all rows)", quoted(&gateways[g]));
             let what = format!("{what}; remove its column here and its line in gateway_position.yml");
             Err(Error::at(path, line, header[column_of[g]].column, what))
         }
@@ -150,7 +151,7 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
     }
 }
 
-/// In which column each gateway stands.
+/// Column index of each gateway.
 fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[String]) -> Result<Vec<usize>> {
     let names = || gateways.iter().map(String::as_str);
     let known: BTreeSet<&str> = names().collect();

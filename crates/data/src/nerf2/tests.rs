@@ -1,4 +1,4 @@
-//! A small folder in the NeRF2 layout, and what is said when something in it is wrong.
+//! A small folder in the NeRF2 layout, and errors of invalid content.
 
 use super::*;
 use crate::splits::Voxel;
@@ -10,7 +10,7 @@ use std::{collections::BTreeSet, fs};
 const WIDTH: u32 = 8;
 const HEIGHT: u32 = 3;
 
-/// Four rows; pictures 1, 2 and 3; 1 and 3 are training samples, 2 is a test sample.
+/// Four rows; images 1, 2 and 3; 1 and 3 are training samples, 2 is a test sample.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -50,7 +50,7 @@ impl Folder {
         Self::source().load(self.0.path(), &|_, _| {}).unwrap()
     }
 
-    /// The message, with the folder's own path as `DIR`.
+    /// The error message, with the folder path as `DIR`.
     fn fault(&self) -> String {
         let error = Self::source().load(self.0.path(), &|_, _| {}).unwrap_err();
         assert!(error.is_input());
@@ -164,7 +164,7 @@ fn pictures_must_suit_their_angles() {
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: 90\n"));
     assert!(load(None).unwrap_err().starts_with("DIR/s/gateway_info.yml:4:"));
     folder.write("s/gateway_info.yml", gateway);
-    // As tests and others have them: 90 x 24, 48 x 12, 8 x 3; a hemisphere at half the rows.
+    // Usual sizes, 90 x 24, 48 x 12 and 8 x 3; a hemisphere at half the rows.
     for (width, height) in [(90, 24), (48, 12), (8, 3), (60, 24), (6, 1)] {
         shape(width, height);
         assert_eq!(load(None), Ok((0.0, 90.0)), "{width} x {height}");
@@ -208,7 +208,7 @@ fn a_missing_file_is_named() {
     );
     assert_eq!(
         of("s/spectrum/00003.png"),
-        "DIR/s/train_index.txt:1:1: id 3 has no picture spectrum/00003.png; add the picture or remove the id"
+        "DIR/s/train_index.txt:1:1: id 3 has no image spectrum/00003.png; add the image or remove the id"
     );
     let folder = Folder::new();
     fs::rename(folder.path("s"), folder.path("t")).unwrap();
@@ -255,16 +255,16 @@ fn mistakes_in_index_files_are_told_with_line_and_column() {
     let cases = [
         ("00001\n0\n", "train_index.txt:2:1: there is no id 0; ids count from 1, the first row of tx_pos.csv"),
         ("1\n\n 5\n", "train_index.txt:3:2: id 5 has no row in tx_pos.csv, which has 4; add the row or remove the id"),
-        ("4\n", "train_index.txt:1:1: id 4 has no picture spectrum/00004.png; add the picture or remove the id"),
+        ("4\n", "train_index.txt:1:1: id 4 has no image spectrum/00004.png; add the image or remove the id"),
         ("a.png\n", "train_index.txt:1:1: `a.png` is not a sample id; write one a line, such as 00001"),
         ("-1\n", "train_index.txt:1:1: `-1` is not a sample id; write one a line, such as 00001"),
         (
             "1\n00001\n",
-            "train_index.txt:2:1: id 1 was already named in train_index.txt, line 1; a sample serves one purpose: remove one of the two",
+            "train_index.txt:2:1: id 1 was already named in train_index.txt, line 1; a sample belongs to one set: remove one of the two",
         ),
         (
             "1\n3\n2\n",
-            "test_index.txt:1:1: id 2 was already named in train_index.txt, line 3; a sample serves one purpose: remove one of the two",
+            "test_index.txt:1:1: id 2 was already named in train_index.txt, line 3; a sample belongs to one set: remove one of the two",
         ),
         ("\r\n", "train_index.txt: names no sample; list at least one id, or remove both index files"),
     ];
@@ -368,10 +368,10 @@ fn a_folder_without_pictures_is_an_error() {
     (1..=3).for_each(|id| folder.remove(&format!("s/spectrum/{id:05}.png")));
     folder.remove("s/train_index.txt");
     folder.remove("s/test_index.txt");
-    assert_eq!(folder.fault(), format!("DIR/s/spectrum: no picture belongs to a row of tx_pos.csv; {LAYOUT}"));
+    assert_eq!(folder.fault(), format!("DIR/s/spectrum: no image matches a row of tx_pos.csv; {LAYOUT}"));
 }
 
-/// The measured spectra and their folder, where they are at hand.
+/// The measured spectra and their folder, if available.
 fn measured() -> Option<(PathBuf, Dataset)> {
     let root = shared("data/s23")?;
     let start = std::time::Instant::now();
@@ -393,7 +393,7 @@ fn the_measured_spectra_are_read() {
     assert!((0..4898).map(|i| data.observations.raw(i)).all(|s| s.contains(&0) && s.contains(&255)));
 }
 
-/// Checked from outside: the file has four decimals, so whole tenths of a millimetre decide.
+/// Independent check: the file has four decimals, so whole tenths of a millimetre decide.
 #[test]
 fn voxels_of_the_measured_spectra_share_no_cell() {
     let Some((root, data)) = measured() else { return };

@@ -47,7 +47,7 @@ pub(super) struct Element {
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
-    /// Which element is `vertex`, and which of its properties are x, y and z.
+    /// Index of the element `vertex`, and of its properties x, y and z.
     pub(super) vertex: usize,
     pub(super) xyz: [usize; 3],
     /// Length of the header, in bytes and lines.
@@ -79,7 +79,7 @@ impl Scalar {
         }
     }
 
-    /// What a number of an ascii file must be, where it is no such number.
+    /// Expected format of a number in an ascii file, if the text does not match it.
     pub(super) fn misfit(self, text: &str) -> Option<&'static str> {
         let whole = |low: i64, high: i64| text.parse().is_ok_and(|v: i64| (low..=high).contains(&v));
         let (fits, what) = match self {
@@ -94,7 +94,7 @@ impl Scalar {
         (!fits).then_some(what)
     }
 
-    /// The number in `raw`, which is [`Self::size`] bytes long.
+    /// Value of the number in `raw`, which is [`Self::size`] bytes long.
     pub(super) fn value(self, raw: &[u8], is_big: bool) -> f64 {
         let mut bytes = [0; 8];
         bytes[..raw.len()].copy_from_slice(raw);
@@ -165,7 +165,7 @@ impl Header {
         Ok(Self { encoding, elements, vertex, xyz, bytes: start, lines: line })
     }
 
-    /// Which element is `face`, and which of its properties lists the corners.
+    /// Index of the element `face`, and of its corner list.
     pub(super) fn corners(&self, path: &Path) -> Result<(usize, usize)> {
         let Some(face) = self.elements.iter().position(|e| e.name == "face") else {
             return Err(Error::input(path, "has no element `face`; export a mesh, not a point cloud"));
@@ -199,12 +199,12 @@ impl Encoding {
     }
 }
 
-/// A complaint about one word of the header.
+/// Error at one word of the header.
 fn fault(path: &Path, line: usize, field: Field<'_>, what: &str) -> Error {
     Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
 }
 
-/// `property TYPE NAME` or `property list TYPE TYPE NAME`.
+/// Parses `property TYPE NAME` or `property list TYPE TYPE NAME`.
 fn property(path: &Path, line: usize, fields: &[Field<'_>]) -> Result<Property> {
     let scalar = |i: usize| Scalar::named(fields[i].text).ok_or_else(|| fault(path, line, fields[i], TYPES));
     let (kind, name) = match fields.len() {
@@ -215,7 +215,7 @@ fn property(path: &Path, line: usize, fields: &[Field<'_>]) -> Result<Property> 
     Ok(Property { name: name.text.to_owned(), kind })
 }
 
-/// Which element is `vertex`, and where its x, y and z are.
+/// Index of the element `vertex`, and of its x, y and z.
 fn vertex(path: &Path, elements: &[Element]) -> Result<(usize, [usize; 3])> {
     let Some(vertex) = elements.iter().position(|e| e.name == "vertex") else {
         return Err(Error::input(path, "has no element `vertex`; export the cloud with its points"));

@@ -1,4 +1,4 @@
-//! The same small cloud in every encoding, and what is said about broken files.
+//! The same small cloud in every encoding, and errors of broken files.
 
 use super::*;
 

@@ -1,10 +1,10 @@
-//! What passes the checks is saved and read back as it was, and what does not is refused before anything is written.
+//! Valid data sets are saved and read back unchanged; invalid ones are rejected before writing.
 
 use super::*;
 use proptest::prelude::*;
 use pwrfgs_core::{Channels as Gains, Pose, Receiver, Sample, Simulation};
 
-/// The data set that a folder of it holds.
+/// The data set read back from a folder.
 fn again(data: &Dataset) -> Dataset {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("saved");
@@ -28,7 +28,7 @@ fn same(data: &Dataset, again: &Dataset) {
     assert_eq!(data.elevation, again.elevation);
     assert_eq!(data.is_simulated(), again.is_simulated());
     assert_eq!(data.scene.receivers.len(), again.scene.receivers.len());
-    // Sums and rotations of places round: to a hundredth of a micrometre on a map.
+    // Sums and rotations of positions round: to a hundredth of a micrometre on a map.
     let near = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-8);
     for (one, other) in data.scene.receivers.iter().zip(&again.scene.receivers) {
         assert_eq!((&one.name, one.pose.orientation), (&other.name, other.pose.orientation));
@@ -66,7 +66,7 @@ fn what_is_saved_is_read_again() {
     assert_eq!(data.scene.receivers, back.scene.receivers);
 }
 
-/// Small data of any kind, some of which no folder can hold: the numbers decide.
+/// Small data of any kind, some invalid for every layout, drawn from `numbers`.
 fn made(kind: usize, odd: usize, names: &[String], title: &str, numbers: &[f64]) -> Result<Dataset> {
     let number = |i: usize| numbers[i % numbers.len()];
     let far = if odd.is_multiple_of(2) { [0.0; 3] } else { [500_000.25, 5_400_000.5, 100.0] };
@@ -168,7 +168,7 @@ fn a_receiver_whose_name_cannot_be_saved_is_not_read() {
         fs::write(&path, text.replacen("\"receiver\"", "'a\"b'", 1)).unwrap();
         let said = source.load(Path::new(""), &|_, _| {}).unwrap_err();
         assert!(
-            said.is_input() && said.to_string().contains(&format!("{place}: a receiver is called `a\"b`")),
+            said.is_input() && said.to_string().contains(&format!("{place}: receiver name `a\"b` is invalid")),
             "{said}"
         );
     }

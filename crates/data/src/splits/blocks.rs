@@ -1,4 +1,4 @@
-//! `TimeBlock` and `Voxel`: a stretch of the trajectory, or whole cells of space, are the test set.
+//! `TimeBlock` and `Voxel`: hold out a block of the trajectory or whole cells of space.
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::rng::{self, Rng};
@@ -6,14 +6,14 @@ use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A contiguous block of the sorted ids of transmitters is the test set, with all links of each.
+/// Split by time: the test set is a contiguous block of the sorted transmitter ids, with all links of each.
 ///
-/// Ids follow the trajectory, so this holds out a stretch of it: most test samples are centimetres from training
-/// samples, not millimetres. Validation is a block too: the ids right behind the test block, and where these do not
-/// suffice, the ids right before it.
+/// Ids follow the trajectory, so this holds out a part of it: most test samples are centimetres from training samples,
+/// not millimetres. Validation is also a block: the ids after the test block, then, if these do not suffice, the ids
+/// before it.
 ///
-/// At the ends of the block consecutive ids are neighbours again. `gap` leaves out the samples on both sides of it: they
-/// serve neither part. `docs/data.md` says what a gap changes on measured spectra; `samples.csv` lists every distance.
+/// Consecutive ids at the ends of the block are still neighbours. `gap` removes the samples on both sides of the block
+/// from all sets. `docs/data.md` shows the effect of a gap on measured spectra; `samples.csv` lists every distance.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
@@ -24,13 +24,13 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TimeBlock {
-    /// Where the test block begins, a fraction of the sorted ids in [0, 1).
+    /// Start of the test block, as a fraction of the sorted ids in [0, 1).
     pub start: f64,
-    /// Length of the test block, a fraction of the sorted ids in (0, 1).
+    /// Length of the test block, as a fraction of the sorted ids in (0, 1).
     pub length: f64,
-    /// Samples left out on either side of the test block.
+    /// Number of samples removed on either side of the test block.
     pub gap: usize,
-    /// Share of the others held out next to the test block, in [0, 1); 0 for none.
+    /// Share of the remaining samples held out next to the test block, in [0, 1); 0 for none.
     pub validation: f64,
 }
 
@@ -47,7 +47,7 @@ impl Split for TimeBlock {
         let length = part(self.length, count);
         let first = ((self.start * count as f64).round() as usize).min(count - length);
         let test = first..first + length;
-        // What lies before the block and behind it, without the gaps.
+        // Ids before the block and after it, without the gaps.
         let (low, high) = (first.saturating_sub(self.gap), test.end.saturating_add(self.gap).min(count));
         let held = part(self.validation, low + count - high);
         let behind = held.min(count - high);
@@ -75,14 +75,14 @@ impl Split for TimeBlock {
     }
 }
 
-/// Whole cubic cells of space are held out, drawn at random until the test share is reached; all links of a transmitter
-/// are in one part. Data that do not say where the transmitters are are refused.
+/// Split by space: whole cubic cells are drawn at random until the test share is reached. All links of a transmitter
+/// are in one set. Data without transmitter positions are an error.
 ///
-/// No test sample has a training sample in its own cell, so the model must say what the field is where it was not
-/// measured. Cells lie on a grid through the world's origin; a sample on a wall belongs to the cell above. That is decided
-/// by the decimals that coordinates and `size_m` are written in, since 1.4/0.2 is less than 7 in floating point: who
-/// checks a split has to do the same. The last cell drawn may overshoot the share; one cell is
-/// always left to train on. Validation is drawn in the same way from the cells that remain.
+/// No test sample has a training sample in its own cell, so the test measures prediction at unmeasured places. Cells
+/// lie on a grid through the world origin; a sample on a wall belongs to the cell above. Cells are computed in decimal
+/// arithmetic from coordinates and `size_m` as written, since 1.4/0.2 is less than 7 in floating point: use decimal
+/// arithmetic to reproduce a split. The last cell drawn may exceed the share; one cell always remains for training.
+/// Validation cells are drawn in the same way from the remaining cells.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
@@ -96,7 +96,7 @@ pub struct Voxel {
     pub size_m: f64,
     /// Share of all samples in the test set, in (0, 1).
     pub test: f64,
-    /// Share of the others held out as whole cells, in [0, 1); 0 for none.
+    /// Share of the remaining samples held out as whole cells, in [0, 1); 0 for none.
     pub validation: f64,
 }
 
@@ -107,14 +107,13 @@ impl Default for Voxel {
 }
 
 impl Voxel {
-    /// The grid cell of a position.
+    /// Grid cell of a position.
     pub(super) fn cell(&self, position: [f64; 3]) -> [i128; 3] {
         position.map(|v| floor_of_ratio(v, self.size_m))
     }
 }
 
-/// ⌊v/size⌋, exact for the shortest decimals that stand for the two; `size` is above 0. What is out of range is all the
-/// same.
+/// ⌊v/size⌋, exact for the shortest decimals of both; `size` is above 0. Results out of range saturate.
 fn floor_of_ratio(v: f64, size: f64) -> i128 {
     let ((v, v_exponent), (size, exponent)) = (decimal(v), decimal(size));
     let shifted = |digits: i128, by: i32| 10_i128.checked_pow(by.max(0) as u32)?.checked_mul(digits);
@@ -125,7 +124,7 @@ fn floor_of_ratio(v: f64, size: f64) -> i128 {
     }
 }
 
-/// A finite number as digits · 10^exponent, from the shortest decimal that stands for it.
+/// Finite number as digits · 10^exponent, from its shortest decimal.
 fn decimal(v: f64) -> (i128, i32) {
     let text = format!("{v:e}");
     let (digits, exponent) = text.split_once('e').expect("the form is 1.5e-3");
@@ -138,7 +137,7 @@ fn decimal(v: f64) -> (i128, i32) {
 impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         if !data.placed {
-            let what = "does not say where the transmitters are, and Voxel divides space; use Random() or Official()";
+            let what = "has no transmitter positions, which Voxel needs; use Random() or Official()";
             return Err(Error::Config(format!("{} {what}", data.title)));
         }
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
@@ -170,7 +169,7 @@ impl Split for Voxel {
     }
 }
 
-/// Takes cells until they hold `wanted` samples; one cell stays.
+/// Draws cells until they hold `wanted` samples; one cell remains.
 fn draw(cells: &mut Vec<Vec<usize>>, wanted: usize) -> Vec<usize> {
     let mut drawn = Vec::new();
     while drawn.len() < wanted && cells.len() > 1 {
@@ -185,7 +184,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Positions on walls and a little off them, written as decimals; the cell by whole numbers.
+        /// Positions on walls and close to them, written as decimals; expected cells by integer arithmetic.
         #[test]
         fn a_wall_belongs_to_the_cell_above(
             size in 1..=5_000_i64, cell in -2_000..2_000_i64, off in -1..=1_i64, decimals in 0..6_usize,

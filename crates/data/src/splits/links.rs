@@ -1,4 +1,4 @@
-//! `LeaveReceiverOut` and `RandomLinks`: links are divided, not transmitters.
+//! `LeaveReceiverOut` and `RandomLinks`: split links instead of transmitters.
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out, part, transmitters};
 use pwrfgs_core::rng::{self, Rng};
@@ -7,14 +7,14 @@ use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, did_you_
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// All links of the receivers named are the test set; the links of the others are learned from.
+/// Split by receiver: the test set is all links of the named receivers; the other links are for training.
 ///
-/// Asks what somebody would hear where no receiver stood. Validation is a share of the transmitters that the other
-/// receivers heard, with all their links there. Receivers at the same place say much of each other: leave them out
-/// together, such as `g08` and `g09` of the NeRF2 powers.
+/// Tests prediction at a receiver position without measurements. Validation is a share of the transmitters of the other
+/// receivers, with all their links there. Leave out receivers at the same position together, such as `g08` and `g09` of
+/// the NeRF2 powers.
 ///
-/// A receiver that was never heard has a gain that nobody knows. `calibration` leaves some links of each receiver named,
-/// drawn at random, in the training part, so that its offset can be learned.
+/// The gain of an unseen receiver is unknown. `calibration` keeps a number of random links of each named receiver in
+/// the training set, so that its offset can be learned.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
@@ -26,11 +26,11 @@ use std::collections::BTreeSet;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LeaveReceiverOut {
-    /// Names of the receivers that are left out.
+    /// Names of the receivers to leave out.
     pub receivers: Vec<String>,
-    /// Links of each of them that stay in the training part; 0 for none.
+    /// Number of links per named receiver that stay in the training set; 0 for none.
     pub calibration: usize,
-    /// Share of the transmitters held out of the training part, in [0, 1); 0 for none.
+    /// Share of the training transmitters held out for validation, in [0, 1); 0 for none.
     pub validation: f64,
 }
 
@@ -80,7 +80,7 @@ impl Split for LeaveReceiverOut {
 }
 
 impl LeaveReceiverOut {
-    /// Indices of the receivers named; some, but not all.
+    /// Indices of the named receivers; at least one, but not all.
     fn left_out(&self, data: &Dataset) -> Result<BTreeSet<usize>> {
         let names = || data.scene.receivers.iter().map(|receiver| receiver.name.as_str());
         let refuse = |what: String| {
@@ -94,7 +94,7 @@ impl LeaveReceiverOut {
         for name in &self.receivers {
             match names().position(|known| known == name) {
                 Some(i) => out.insert(i),
-                None => return refuse(format!("there is no receiver {}{}", quoted(name), did_you_mean(name, names()))),
+                None => return refuse(format!("unknown receiver {}{}", quoted(name), did_you_mean(name, names()))),
             };
         }
         if out.len() == data.scene.receivers.len() {
@@ -104,9 +104,9 @@ impl LeaveReceiverOut {
     }
 }
 
-/// A random share of the links is the test set: most transmitters are then in training and test, at different receivers.
+/// Random share of all links as the test set: most transmitters are then in training and test, at different receivers.
 ///
-/// Asks what a receiver hears of a transmitter that others heard. With one receiver it is [`Random`](crate::Random).
+/// Tests prediction at one receiver from measurements at others. With one receiver it equals [`Random`](crate::Random).
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
@@ -118,7 +118,7 @@ impl LeaveReceiverOut {
 pub struct RandomLinks {
     /// Share of all links in the test set, in (0, 1).
     pub test: f64,
-    /// Share of the others held out at random, in [0, 1); 0 for none.
+    /// Share of the remaining links held out at random, in [0, 1); 0 for none.
     pub validation: f64,
 }
 

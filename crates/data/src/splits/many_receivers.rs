@@ -1,11 +1,11 @@
-//! Of several receivers: what is divided, and what stays together.
+//! Splits of data with several receivers.
 
 use super::testing::line_of_samples;
 use super::*;
 use crate::{NearestNeighbours, Neighbours};
 use pwrfgs_core::{Baseline, Features, Known, Observations, Plugin, Pose, Receiver, Sample, Split};
 
-/// `count` transmitters a metre apart; transmitter t is heard by the receivers `a`, `b` and `c`, but for `c` where t is odd.
+/// `count` transmitters a metre apart; receivers `a`, `b` and `c` receive each, except `c` for odd transmitters.
 fn three_receivers(count: u32) -> Dataset {
     let at = |(name, x): (&str, f64)| Receiver::new(name, Pose { position: [x, 3.0, 0.0], ..Pose::IDENTITY });
     let heard = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
@@ -63,7 +63,7 @@ fn a_receiver_left_out_is_the_test() {
     assert_eq!(counted, [(5, 35), (40, 0), (5, 15)]);
     let refused = [
         ("LeaveReceiverOut()", "name at least one of `receivers`; the receivers of three are `a`, `b`, `c`"),
-        (r#"LeaveReceiverOut(receivers: ["d"])"#, "there is no receiver `d`"),
+        (r#"LeaveReceiverOut(receivers: ["d"])"#, "unknown receiver `d`"),
         (r#"LeaveReceiverOut(receivers: ["a", "b", "c"])"#, "no receiver is left to learn from"),
         (
             r#"LeaveReceiverOut(receivers: ["c"], calibration: 20)"#,
@@ -115,7 +115,7 @@ fn baselines_learn_each_receiver_by_itself() {
         );
         assert!(predict("Kriging()", Known::train(&all), first_of(receiver)).0.is_finite());
     }
-    // A receiver that nothing is known of is predicted from all others.
+    // A receiver without training links is predicted from all others.
     let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].receiver < 2).collect();
     let (power, note) = predict("MeanSpectrum()", Known::train(&known), first_of(2));
     close(power, -64.5);
@@ -124,7 +124,7 @@ fn baselines_learn_each_receiver_by_itself() {
     close(power, -45.0);
     let note = note.unwrap();
     assert!(
-        note.starts_with("k-NN takes k = ") && note.contains("best on validation received powers; c has no"),
+        note.starts_with("k-NN uses k = ") && note.contains("best on validation received powers; c has no"),
         "{note}"
     );
     let note = predict("Kriging()", Known::train(&known), first_of(2)).1.unwrap();
@@ -146,7 +146,7 @@ fn features_stand_where_positions_do() {
     let one = NearestNeighbours { k: Neighbours::Number(1) };
     let fault =
         |baseline: &dyn Baseline, data: &Dataset| baseline.fit(data, Known::train(&all)).err().unwrap().to_string();
-    assert!(fault(&one, &data).contains("does not say where the transmitters are"));
+    assert!(fault(&one, &data).contains("has no transmitter positions"));
     // What is alike in features is far in number: transmitter t is like 9 - t.
     let feature = |i: &usize| {
         let t = data.links[*i].transmitter as pwrfgs_core::Real;
@@ -159,6 +159,6 @@ fn features_stand_where_positions_do() {
     assert_eq!(fitted.predict(data.query(0)).pixels, [-49.0]);
     assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));
     assert!(fault(&crate::LogDistance::default(), &data).contains("no places of transmitters"));
-    assert!(fault(&crate::Zero {}, &data).contains("is a floor of channels"));
+    assert!(fault(&crate::Zero {}, &data).contains("is a baseline for channels"));
     assert!(fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("holds spectra"));
 }

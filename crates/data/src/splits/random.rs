@@ -1,14 +1,14 @@
-//! `Random` and `Sparse`: transmitters by a draw of their own, many or few of them for training.
+//! `Random` and `Sparse`: random splits, with many or few training transmitters.
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, hold_out, part};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
 use serde::{Deserialize, Serialize};
 
-/// A random share of the transmitters is the test set, with all links of each.
+/// Random share of the transmitters as the test set, with all links of each.
 ///
-/// The usual split of this field, and the easiest: with a dense trajectory each test sample has a training sample
-/// beside it. Use [`TimeBlock`](crate::TimeBlock) or [`Voxel`](crate::Voxel) to ask for more than interpolation.
+/// The usual split of this field, and the easiest: on a dense trajectory each test sample is close to a training
+/// sample. Use [`TimeBlock`](crate::TimeBlock) or [`Voxel`](crate::Voxel) to test more than interpolation.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 pub struct Random {
     /// Share of all samples in the test set, in (0, 1).
     pub test: f64,
-    /// Share of the others held out at random, in [0, 1); 0 for none.
+    /// Share of the remaining samples held out at random, in [0, 1); 0 for none.
     pub validation: f64,
 }
 
@@ -46,9 +46,9 @@ impl Split for Random {
     }
 }
 
-/// A given number of random training samples (transmitters with all their links); all others are the test set.
+/// Fixed number of random training transmitters with all their links; all others are the test set.
 ///
-/// Asks how far few measurements go: with 220 of the NeRF2 spectra the nearest training sample is 6 cm away.
+/// Tests learning from few measurements: with 220 of the NeRF2 spectra the nearest training sample is 6 cm away.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
@@ -58,7 +58,7 @@ impl Split for Random {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sparse {
-    /// Training samples, those held out included.
+    /// Number of training samples, including those held out for validation.
     pub train: usize,
     /// Share of `train` held out at random, in [0, 1); 0 for none.
     pub validation: f64,

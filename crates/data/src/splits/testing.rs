@@ -1,11 +1,11 @@
-//! Small data sets for tests, and the laws that every split keeps.
+//! Small data sets for tests, and properties that every split must have.
 
 use super::*;
 use proptest::prelude::*;
 use pwrfgs_core::{Dataset, Plugin, Pose, Sample, Spectra, Split};
 use std::collections::BTreeMap;
 
-/// Samples with one-pixel spectra at these places; every fifth belongs to the official test list.
+/// Samples with one-pixel spectra at these positions; every fifth belongs to the official test list.
 pub(crate) fn samples_at(places: &[[f64; 3]]) -> Dataset {
     let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample::new(i as u32 + 1, tx);
     let (test, train) = (0..places.len()).partition(|i| i % 5 == 4);
@@ -24,7 +24,7 @@ fn split(split: &dyn Split, data: &Dataset) -> Result<Partition, String> {
     split.split(data, &mut rng::stream(3, "split", 0)).map_err(|e| e.to_string())
 }
 
-/// Sorted, disjoint, complete, train and test not empty, the same again.
+/// Checks that a split is sorted, disjoint, complete and reproducible, and that training and test sets are not empty.
 fn keeps_the_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestCaseError> {
     let partition = split(plugin, data).map_err(TestCaseError::fail)?;
     let lists = [&partition.train, &partition.validation, &partition.test];
@@ -123,7 +123,7 @@ fn samples_in_the_gap_serve_nothing() {
     let partition = parts(5, 0.4, &line_of_samples(100)).unwrap();
     assert_eq!((partition.test, partition.validation), (range(40..60), range(65..72)));
     assert_eq!(partition.train, [range(0..35), range(72..100)].concat());
-    // At either end there is less to leave out, and validation may have to lie before the block.
+    // At either end the gap is shorter, and validation may lie before the block.
     let partition = parts(5, 0.02, &line_of_samples(100)).unwrap();
     assert_eq!((partition.train, partition.validation), (range(34..100), range(27..34)));
     let partition = parts(5, 0.78, &line_of_samples(100)).unwrap();

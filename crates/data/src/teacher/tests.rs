@@ -1,4 +1,4 @@
-//! The teacher keeps its promises.
+//! Tests of the documented properties of `Teacher`.
 
 use super::*;
 use crate::baselines::{MeanSpectrum, NearestNeighbours};

@@ -1,23 +1,24 @@
-//! The equations of ordinary kriging, by Cholesky's method (Rasmussen and Williams, Gaussian Processes for Machine
-//! Learning, 2006, sections 2.2 and 2.7 with a mean that is not known; Cressie, Statistics for Spatial Data, 1993): how
-//! much two places have in common, what is predicted from others, and what the process is about.
+//! Equations of ordinary kriging by Cholesky factorisation (Rasmussen and Williams, Gaussian Processes for Machine
+//! Learning, 2006, sections 2.2 and 2.7 with an unknown mean; Cressie, Statistics for Spatial Data, 1993): correlation,
+//! prediction and trend.
 
 use super::super::log_distance::{Law, log_distance, points};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Cholesky, Dataset, Query, Real, Sampling};
 
-/// The prediction of one place from others.
+/// Prediction at one position from other samples.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Solution {
-    /// What each of the others counts; they add up to 1.
+    /// Weights of the samples; they add up to 1.
     pub(super) weights: Vec<f64>,
-    /// The same where the mean of the process is known to be zero: far from all places they are zero.
+    /// Weights for a process of known zero mean: zero far from all positions.
     pub(super) simple: Vec<f64>,
-    /// Variance of a measurement there, noise included, about the prediction, in units of the process.
+    /// Variance of a measurement at the position about the prediction, noise included, in units of the process
+    /// variance.
     pub(super) variance: f64,
 }
 
-/// Predicts a measurement at `at` from those at `places`, of which there is at least one, all in units of the length scales.
+/// Predicts a measurement at `at` from at least one sample at `places`, in units of the length scales.
 pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]) -> Solution {
     let n = places.len();
     let mut factor = vec![0.0; n * n];
@@ -27,7 +28,7 @@ pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]
         }
         factor[i * n + i] = 1.0 + correlation.noise;
     }
-    // Rounding may leave nothing of a pivot where places coincide and there is next to no noise.
+    // Rounding may cancel a pivot if positions coincide and noise is near zero.
     let factor = Cholesky::floored(factor, n, 1e-12);
     let towards: Vec<f64> = places.iter().map(|place| correlation.kind.at(distance(*place, at))).collect();
     let (mut simple, mut ones) = (towards.clone(), vec![1.0; n]);
@@ -41,7 +42,7 @@ pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]
     Solution { weights, simple, variance: variance.max(correlation.noise) }
 }
 
-/// Shape of a correlation over distance in units of the length scale.
+/// Correlation function over distance in units of the length scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// exp(-d), Matern 1/2: continuous and rough.
@@ -55,7 +56,7 @@ pub(super) enum Kind {
 impl Kind {
     pub(super) const ALL: [Self; 3] = [Self::Exponential, Self::Matern32, Self::SquaredExponential];
 
-    /// As a sentence says it.
+    /// Name for use in a sentence.
     pub(super) fn words(self) -> &'static str {
         match self {
             Self::Exponential => "exponential",
@@ -64,7 +65,7 @@ impl Kind {
         }
     }
 
-    /// Of distance `d` in length scales.
+    /// Correlation at distance `d`, in length scales.
     pub(super) fn at(self, d: f64) -> f64 {
         match self {
             Self::Exponential => (-d).exp(),
@@ -77,41 +78,41 @@ impl Kind {
     }
 }
 
-/// A Gaussian process of variance 1, and the noise of each measurement of it.
+/// Gaussian process of variance 1 with measurement noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Correlation {
     pub(super) kind: Kind,
     /// Length scales of x, y and z, metres.
     pub(super) scales_m: [f64; 3],
-    /// Variance of the noise, in units of that of the process.
+    /// Noise variance, relative to the process variance.
     pub(super) noise: f64,
 }
 
 impl Correlation {
-    /// A place in units of the length scales.
+    /// Position in units of the length scales.
     pub(super) fn scaled(&self, place: [f64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|k| place[k] / self.scales_m[k])
     }
 }
 
-/// What is taken off every observation first.
+/// Trend that is subtracted from every observation.
 pub(super) struct Trend<'a> {
     pub(super) data: &'a Dataset,
     pub(super) law: Option<Law>,
 }
 
 impl<'a> Trend<'a> {
-    /// By least squares of these links.
+    /// Fits the trend to these links by least squares.
     pub(super) fn of(data: &'a Dataset, links: &[usize]) -> Self {
         Self { data, law: data.task().is_scalar.then(|| Law::fit(&points(data, links))) }
     }
 
-    /// dBm that the law gives a link; 0 without one.
+    /// Power of the path-loss model for a link, dBm; 0 without a model.
     pub(super) fn at(&self, query: Query<'_>) -> f64 {
         self.law.map_or(0.0, |law| law.at(log_distance(self.data, query)))
     }
 
-    /// What is left of link `i`, every `stride`-th number of every `stride`-th row.
+    /// Residual of link `i` at every `stride`-th column of every `stride`-th row.
     pub(super) fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
         self.data.observations.sampled(i, Sampling::every(stride), out);
         if self.law.is_some() {

@@ -1,45 +1,44 @@
-//! Correlation, length scales and noise by likelihood.
+//! Maximum-likelihood fit of correlation, length scales and noise.
 
 use super::super::neighbours::Nearest;
 use super::equations::{Correlation, Kind, Trend, solve};
 use pwrfgs_core::{Real, evenly, neighbours, rng};
 use rayon::prelude::*;
 
-/// Samples that are predicted, at most.
+/// Largest number of samples predicted in the fit.
 const CASES: usize = 160;
-/// Samples that each is predicted from, at most.
+/// Largest number of neighbours per prediction.
 const FROM: usize = 24;
-/// The same of powers.
+/// Largest number of powers predicted in the fit.
 const POWERS: usize = 320;
 const FROM_POWERS: usize = 16;
-/// Pixels of a picture that are looked at, about: every n-th row and column.
+/// Approximate number of pixels per spectrum used in the fit: every n-th row and column.
 const PIXELS: usize = 2_000;
-/// Ends of the noise: below, places that coincide cannot be told from a fault of rounding.
+/// Range of the noise; below it, coinciding positions are dominated by rounding.
 const NOISE: [f64; 2] = [1e-4, 1e2];
-/// Ends of the length scales, in units of the distance between the samples of a case.
+/// Range of the length scales, in units of the sample distance.
 const SCALE: [f64; 2] = [1e-2, 1e4];
-/// Steps of the search, in powers of two.
+/// Step sizes of the search, in powers of two.
 const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 
-/// Samples to be predicted, each from those nearest to it.
+/// Samples to predict, each with its nearest neighbours.
 pub(super) struct Cases {
     all: Vec<Case>,
-    /// Whether they are powers: then the shape is Matern 3/2 and the three length scales are one, since so few numbers tell
-    /// no more.
+    /// Whether the samples are powers: single numbers suffice only for Matern 3/2 with one common length scale.
     powers: bool,
-    /// Distance from a sample to be predicted to those around it, metres: the middle.
+    /// Median distance from a sample to its neighbours, metres.
     typical_m: f64,
 }
 
 struct Case {
     at: [f64; 3],
     places: Vec<[f64; 3]>,
-    /// Sums over pixels of products of two spectra: of the one to be predicted (first) and the others, square.
+    /// Sums over pixels of products of two spectra: the predicted one (first) and its neighbours, square.
     products: Vec<f64>,
 }
 
 impl Cases {
-    /// `validation` samples predicted from `train`ing samples.
+    /// Predicts the `validation` samples from the `train` samples.
     pub(super) fn new(trend: &Trend<'_>, train: Vec<usize>, validation: &[usize]) -> Self {
         let place = |i: usize| trend.data.sample(i).tx;
         let nearest = Nearest::new(train, 3, place);
@@ -47,9 +46,9 @@ impl Cases {
         Self::of(evenly(validation, CASES).par_iter().map(case).collect(), false)
     }
 
-    /// Powers, of which each is one number, so that many are needed: each of at most [`POWERS`] predicted from the nearest of
-    /// those before it, in random order. Their densities multiply to that of all together (Vecchia, Journal of the Royal
-    /// Statistical Society B 50, 1988), and the first ones tell of long distances.
+    /// Creates cases for powers: at most [`POWERS`] samples, each predicted from the nearest of those before it in
+    /// random order. Their densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society B
+    /// 50, 1988), and the first samples constrain long distances.
     pub(super) fn of_powers(trend: &Trend<'_>, all: &[usize]) -> Self {
         let mut order = evenly(all, POWERS);
         rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
@@ -67,13 +66,13 @@ impl Cases {
         Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, powers }
     }
 
-    /// Logarithm of the density of what was measured, but for a constant, at the most likely strength: n times the logarithm
-    /// of that strength and all logarithms of variances, halved, and less is more likely.
+    /// Log-likelihood at the best process variance, up to a constant and sign: half of n times the logarithm of that
+    /// variance plus all logarithms of conditional variances. Lower is more likely.
     pub(super) fn log_likelihood(&self, correlation: &Correlation) -> f64 {
         let found: Vec<(f64, f64)> = self.all.par_iter().map(|case| case.error(correlation)).collect();
         let strength = found.iter().map(|(error, variance)| error / variance).sum::<f64>() / found.len() as f64;
         let logs: f64 = found.iter().map(|(_, variance)| variance.ln()).sum();
-        // Spectra that are all the same have no strength.
+        // Identical spectra have zero variance.
         -0.5 * (found.len() as f64 * strength.max(1e-30).ln() + logs)
     }
 }
@@ -90,7 +89,7 @@ impl Case {
         let pictures: Vec<Vec<Real>> =
             std::iter::once(sample).chain(from.iter().map(|(_, i)| *i)).map(picture).collect();
         let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
-        // From the first one, lest products of bright pictures cancel.
+        // Differences from the first spectrum avoid cancellation for bright spectra.
         let less: Vec<Vec<Real>> =
             pictures.iter().map(|p| p.iter().zip(&pictures[0]).map(|(p, first)| p - first).collect()).collect();
         let products = less.iter().flat_map(|a| less.iter().map(|b| product(a, b))).collect();
@@ -98,16 +97,16 @@ impl Case {
         Self { at: place(sample), places: from.iter().map(|(_, i)| place(*i)).collect(), products }
     }
 
-    /// To the middle one of those around it, metres.
+    /// Distance from the predicted sample to its median neighbour, metres.
     fn reach_m(&self) -> f64 {
         self.places.get(self.places.len() / 2).map_or(0.0, |place| neighbours::distance(*place, self.at))
     }
 
-    /// Square of the error of its prediction, summed over pixels, and the variance that the process gives it.
+    /// Squared prediction error, summed over pixels, and the variance predicted by the process.
     fn error(&self, correlation: &Correlation) -> (f64, f64) {
         let places: Vec<[f64; 3]> = self.places.iter().map(|place| correlation.scaled(*place)).collect();
         let solution = solve(correlation, &places, correlation.scaled(self.at));
-        // Weights add up to 1, so that the error is the weighted sum of differences from the one to be predicted.
+        // Weights add up to 1, so the error is the weighted sum of differences from the predicted sample.
         let n = places.len() + 1;
         let row = |(i, weight): (usize, &f64)| {
             let products = &self.products[(i + 1) * n + 1..(i + 2) * n];
@@ -117,8 +116,7 @@ impl Case {
     }
 }
 
-/// The most likely correlation of those tried: a search along one parameter at a time, in steps of factors from 4 down to
-/// 1.09.
+/// Finds the most likely correlation: coordinate search with step factors from 4 down to 1.09.
 pub(super) fn most_likely(cases: &Cases) -> Correlation {
     let of_kind = |kind| {
         let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
@@ -134,7 +132,7 @@ pub(super) fn most_likely(cases: &Cases) -> Correlation {
 fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
     let mut best = (cases.log_likelihood(&start), start);
     for step in STEPS {
-        // Each round but the last improves, and there is a best one; the bound is for noise in the last digits.
+        // Each round but the last improves the likelihood; the limit covers noise in the last digits.
         for _ in 0..20 {
             let before = best.0;
             for parameter in (0..6).filter(|p| !(cases.powers && (1..=3).contains(p))) {
@@ -156,8 +154,9 @@ fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
     best
 }
 
-/// One of three length scales, all of them, the noise, or both against each other (longer scales go with a stronger process,
-/// in which the same noise is a smaller part), times `factor`; nothing beyond the ends.
+/// Multiplies one parameter by `factor`: one of three length scales, all of them, the noise, or length scales and noise
+/// in opposite directions (longer scales go with a larger process variance, so relative noise falls). `None` outside
+/// the range.
 fn moved(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
     let mut next = *from;
     match parameter {

@@ -1,4 +1,4 @@
-//! Against closed forms, and against scikit-learn 1.9.1.
+//! Comparison with closed forms and scikit-learn 1.9.1.
 
 use super::equations::Kind;
 use super::likelihood::{Cases, most_likely};
@@ -13,8 +13,8 @@ fn close(a: f64, b: f64, by: f64) {
     assert!((a - b).abs() <= by, "{a} instead of {b}");
 }
 
-/// `GaussianProcessRegressor(ConstantKernel(1e7) + kernel, alpha=0.05, optimizer=None)`: a constant of next to no prior is
-/// a mean that is not known. Its variance is without the noise, 0.05, of the measurement.
+/// `GaussianProcessRegressor(ConstantKernel(1e7) + kernel, alpha=0.05, optimizer=None)`: a constant with a nearly flat
+/// prior is an unknown mean. Its variance excludes the measurement noise, 0.05.
 #[test]
 fn predictions_are_those_of_scikit_learn() {
     let values = [1.0, 2.0, 4.0, 3.0, 7.0, 5.0];
@@ -33,7 +33,7 @@ fn predictions_are_those_of_scikit_learn() {
     }
 }
 
-/// Of one place the weight is 1 and the variance that of a difference; of two at equal distance each counts half.
+/// With one position the weight is 1 and the variance that of a difference; two at equal distance have weight 1/2 each.
 #[test]
 fn one_and_two_places_have_a_closed_form() {
     let correlation = Correlation { kind: Kind::Exponential, scales_m: [1.0; 3], noise: 0.25 };
@@ -56,13 +56,13 @@ fn without_noise_what_was_measured_is_returned_and_coinciding_places_do_no_harm(
     }
 }
 
-/// Samples at random places, each a picture of 12 x 12 numbers drawn from a process with the given correlation.
+/// Samples at random positions, each with 12 x 12 values drawn from a process with the given correlation.
 fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     let mut random = rng::stream(5, "process", 0);
     let samples: Vec<Sample> = (0..count as u32)
         .map(|id| Sample::new(id, [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32))))
         .collect();
-    // Each from those before it: exact, if not fast.
+    // Each value is drawn given those before it: exact, but slow.
     let mut pixels: Vec<Vec<f64>> = Vec::new();
     for i in 0..count {
         let places: Vec<[f64; 3]> = samples[..i].iter().map(|s| correlation.scaled(s.tx)).collect();
@@ -92,13 +92,13 @@ fn likelihood_finds_what_the_samples_were_drawn_from() {
         assert_eq!(found.kind, kind);
         assert!(cases.log_likelihood(&found) > cases.log_likelihood(&truth) - 0.05);
         assert!((0.03..0.3).contains(&found.noise), "{found:?}");
-        // Length scale and strength of an exponential are hard to tell apart; what is stretched is not.
+        // Length scale and variance of an exponential are hard to separate; anisotropy is not.
         let stretch = found.scales_m[2] / found.scales_m[0];
         assert!((2.0..8.0).contains(&stretch), "{found:?}");
     }
 }
 
-/// The density of one sample, predicted from its neighbours, written out.
+/// Density of one sample given its neighbours, written out.
 #[test]
 fn the_likelihood_is_that_of_its_predictions() {
     let truth = Correlation { kind: Kind::Matern32, scales_m: [0.5; 3], noise: 0.2 };

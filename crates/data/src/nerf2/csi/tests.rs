@@ -1,4 +1,4 @@
-//! A small base station, and what is said when something in its folder is wrong.
+//! A small base station, and errors of invalid content.
 
 use super::*;
 use crate::folder::base_station_yaml;
@@ -49,7 +49,7 @@ fn uplinks_are_features_and_downlinks_observations() {
     assert_eq!(data.scene.receivers[1].name, "antenna 2");
     assert_eq!(data.scene.receivers[1].pose.position, [0.0625, 0.0, 1.0]);
     // Snapshot 1 at antenna 2 begins at the number 24 of 48.
-    // All are divided by the largest modulus of the training part: snapshots 0 and 2.
+    // All are divided by the largest modulus of the training set: snapshots 0 and 2.
     let largest = 46f64.hypot(47.0);
     let close = |found: &[Real], numbers: [f64; 4]| {
         assert!(found.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{found:?}");
@@ -59,7 +59,7 @@ fn uplinks_are_features_and_downlinks_observations() {
     assert_eq!(data.official, Some((vec![0, 1, 4, 5], vec![2, 3])));
     let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 + 1e6, 1e9 + 3e6]);
-    // That is also the largest of all, until the last snapshot is the test.
+    // That is also the overall maximum, until the last snapshot is the test set.
     folder.write("train_index.txt", "0\n1\n");
     folder.write("test_index.txt", "2\n");
     let scaled = folder.load().unwrap().image(5).pixels[3] as f64;
@@ -67,7 +67,7 @@ fn uplinks_are_features_and_downlinks_observations() {
     folder.write("train_index.txt", "0\n2\n");
     folder.write("test_index.txt", "1\n");
     let said = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
-    assert!(said.to_string().contains("does not say where the transmitters are"), "{said}");
+    assert!(said.to_string().contains("has no transmitter positions"), "{said}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
     let placed = folder.load().unwrap();
     assert!(placed.placed && placed.sample(3).tx == [4.0, 5.0, 6.0]);
@@ -85,11 +85,11 @@ fn uplinks_are_features_and_downlinks_observations() {
 fn mistakes_are_told_with_their_place() {
     let folder = Folder::new();
     let arrays = [
-        (complex(&[3, 2, 3], vec![1.0; 36]), "has 3 subcarriers, which are no two halves of uplink and downlink"),
+        (complex(&[3, 2, 3], vec![1.0; 36]), "has 3 subcarriers, expected an even number: uplink, then downlink"),
         (complex(&[3, 1, 4], vec![1.0; 24]), "has 1 antennas a snapshot, but base-station.yml 2"),
         (complex(&[6, 4], vec![1.0; 48]), "has shape [6, 4]; channels are [N, A, 2F]"),
         (complex(&[3, 2, 4], vec![1.0; 47]), "numbers of shape [3, 2, 4] do not fit its length"),
-        (complex(&[0, 2, 4], vec![]), "has shape [0, 2, 4] and holds nothing"),
+        (complex(&[0, 2, 4], vec![]), "has shape [0, 2, 4] and is empty"),
         (complex(&[usize::MAX, 2, 4], vec![1.0; 48]), "numbers of shape"),
         (complex(&[3, 2, 4], vec![0.0; 48]), "is zero in its training part; give channels"),
         (

@@ -1,4 +1,4 @@
-//! A small folder of powers, and what is said when something in it is wrong.
+//! A small folder of powers, and errors of invalid content.
 
 use super::*;
 use crate::folder::gateway_positions_yaml;
@@ -31,7 +31,7 @@ impl Folder {
         Nerf2Rssi { root: ".".into(), points: None }.load(self.0.path(), &|_, _| {})
     }
 
-    /// The message with `text` in the file `name`, which is put right again.
+    /// The error message with `text` in the file `name`, which is restored afterwards.
     fn fault(&self, name: &str, text: &str) -> String {
         let path = self.0.path().join(name);
         let before = fs::read(&path).unwrap();
@@ -75,7 +75,7 @@ fn mistakes_are_told_with_their_place() {
         (
             "gateway_position.yml",
             "a: [1, 2, 3]\n'b\"': [1, 2, 3]\n",
-            "DIR/gateway_position.yml:2:7: a receiver is called `b\"`; give it a name of 1 to 100 characters",
+            "DIR/gateway_position.yml:2:7: receiver name `b\"` is invalid; use 1 to 100 characters",
         ),
         ("gateway_position.yml", "{}", "DIR/gateway_position.yml: names no gateway"),
         (
@@ -93,8 +93,8 @@ fn mistakes_are_told_with_their_place() {
         ("gateway_rssi.csv", "a,b\n-60,x\n", "DIR/gateway_rssi.csv:2:5: `x` is not a number"),
         ("gateway_rssi.csv", "a,b\n-60\n", "DIR/gateway_rssi.csv:2:4: the row ends after 1"),
         ("gateway_rssi.csv", "a,b\n-60,-61,5\n", "DIR/gateway_rssi.csv:2:9: the row has 3 fields"),
-        ("gateway_rssi.csv", "a,b\n-60,1000\n", "DIR/gateway_rssi.csv:2:5: `1000` is no power in dBm"),
-        ("gateway_rssi.csv", "a,b\n-60,300.0000001\n", "DIR/gateway_rssi.csv:2:5: `300.0000001` is no power in dBm"),
+        ("gateway_rssi.csv", "a,b\n-60,1000\n", "DIR/gateway_rssi.csv:2:5: `1000` is not a power in dBm"),
+        ("gateway_rssi.csv", "a,b\n-60,300.0000001\n", "DIR/gateway_rssi.csv:2:5: `300.0000001` is not a power in dBm"),
         (
             "gateway_rssi.csv",
             "a,b\n-60,-61\n-100,-100.0\n-1,-1\n",
@@ -103,7 +103,7 @@ fn mistakes_are_told_with_their_place() {
         (
             "gateway_rssi.csv",
             "a,b\n-60,-100\n-61,-100\n-62,-100\n",
-            "DIR/gateway_rssi.csv:1:3: `b` heard no transmitter (-100 in all rows)",
+            "DIR/gateway_rssi.csv:1:3: `b` received no transmitter (-100 in all rows)",
         ),
         ("gateway_rssi.csv", "a,b\n-60,-61\n", "DIR/gateway_rssi.csv: holds 1 rows of powers, but tx_pos.csv 3"),
         ("tx_pos.csv", "x,y,z\n1,2,3\n1,2,inf\n", "DIR/tx_pos.csv:3:5: `inf` is not finite"),
