@@ -1,4 +1,4 @@
-//! The antenna array at the receiver, the pattern of its elements, and its channel: what every element receives.
+//! Antenna array of the receiver: element pattern and channel at every element.
 
 #[cfg(test)]
 mod tests;
@@ -10,16 +10,16 @@ use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Most rows, and most columns.
+/// Largest number of rows or columns.
 const LARGEST: usize = 32;
 
-/// A uniform planar array. Its elements lie in the x-y plane of the receiver frame, z is boresight.
+/// Uniform planar array. Its elements lie in the x-y plane of the receiver frame, z is boresight.
 ///
-/// Element `row * columns + column` stands at x from its column, y from its row, both centred: x runs fastest. That is
-/// the order of the measured files.
+/// Element `row * columns + column` has x from its column and y from its row, both centred: x varies fastest, as in the
+/// measured files.
 ///
-/// Spacing: at exactly half a wavelength a wave along the x or y axis of the array, on its horizon, cannot be told from
-/// one out of the opposite direction. A little less, such as 0.49, has no such pair.
+/// At a spacing of exactly half a wavelength, two opposite waves along the x or y axis of the array (on its horizon)
+/// cannot be distinguished. A slightly smaller spacing, such as 0.49, resolves this.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Array {
@@ -31,24 +31,23 @@ pub struct Array {
     pub spacing_wavelengths: f64,
     /// Pattern of each element; default isotropic.
     pub element: Element,
-    /// Axis of the polarisation in the receiver frame, of any length; default y, see [`response`].
+    /// Polarisation axis in the receiver frame, of any length; default y, see [`response`].
     pub polarization: [f64; 3],
-    /// How an element's phase follows from a path; default `Spherical`.
+    /// Model of the element phases; default `Spherical`.
     pub wavefront: Wavefront,
 }
 
-/// How the phase at an element follows from a path to the centre of the array.
+/// Model of the phase at each element, given a path to the centre of the array.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Wavefront {
-    /// As if every source were infinitely far away: exp(+j2π/λ rel·u) with u towards the wave that comes in. What the
-    /// steering vector assumes.
+    /// Sources at infinite distance: exp(+j2π/λ rel·u) with u towards the source, as in the steering vector.
     Plane,
-    /// The exact length of the path to the element, from the transmitter's image, the edge or the patch. Amplitude and
+    /// Exact path length to each element, from the image of the transmitter, the edge or the patch. Amplitude and
     /// interactions are those at the centre.
     #[default]
     Spherical,
-    /// Everything traced anew to every element: as many times the work as there are elements. Amplitudes, angles at
-    /// walls and shadows are then exact as well.
+    /// Separate ray tracing for each element; cost grows with the number of elements. Amplitudes, angles at walls and
+    /// shadows are then also exact.
     Traced,
 }
 
@@ -100,11 +99,11 @@ impl Array {
             .collect()
     }
 
-    /// The channel h `[K]`: the sum over paths, eq. (1), at each element.
+    /// Channel h `[K]`: the sum over paths, eq. (1), at each element.
     ///
-    /// `center` is the receiver's position, metres; the columns of `world_from_receiver` are its axes in the world. The
-    /// paths lead to `center`; their gains hold the patterns of both antennas already. [`Wavefront::Traced`] needs other
-    /// paths for each element and counts as `Spherical` here; the simulator sees to it.
+    /// `center` is the receiver position, metres; the columns of `world_from_receiver` are its axes in the world. The
+    /// paths lead to `center`; their gains include both antenna patterns. [`Wavefront::Traced`] needs separate paths
+    /// per element, which the simulator provides; here it is treated as `Spherical`.
     pub fn channel(&self, paths: &[Path], center: DVec3, world_from_receiver: DMat3, wavelength: f64) -> Vec<Complex> {
         let elements: Vec<DVec3> =
             self.offsets(wavelength).iter().map(|offset| center + world_from_receiver * *offset).collect();
@@ -112,8 +111,8 @@ impl Array {
     }
 }
 
-/// The channel `[elements, wavelengths]` at antennas anywhere near `center`, all in metres. Each wavelength has its own
-/// wavenumber, so that delays are exact; gains are the same for all. See [`Array::channel`].
+/// Channel `[elements, wavelengths]` at antennas near `center`, all in metres. Each wavelength has its own wavenumber,
+/// so delays are exact; gains are common to all. See [`Array::channel`].
 pub fn band_at(
     paths: &[Path],
     elements: &[DVec3],
@@ -137,17 +136,17 @@ pub fn band_at(
     channel
 }
 
-/// Pattern of an antenna, relative to its strongest direction: no directivity is added, |gain|² of the line of sight
-/// between two antennas that face each other is always that of Friis for isotropic ones.
+/// Antenna pattern relative to its strongest direction. No directivity is added: |gain|² of the line of sight between
+/// two antennas that face each other is the Friis value for isotropic antennas.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Element {
-    /// The same in all directions.
+    /// Equal in all directions.
     #[default]
     Isotropic,
-    /// A short dipole along the axis of polarisation: |sin| of the angle from the axis, in amplitude.
+    /// Short dipole along the polarisation axis: |sin| of the angle from the axis, in amplitude.
     Dipole,
-    /// A patch: cosᵠ of the angle from boresight (z) in amplitude, nothing behind.
+    /// Patch antenna: cosᵠ of the angle from boresight (z) in amplitude, zero behind.
     Patch {
         /// The exponent q; 1 is usual, 0 a half-space.
         exponent: f64,
@@ -155,10 +154,10 @@ pub enum Element {
 }
 
 impl Element {
-    /// Whether the numbers can be used.
+    /// Validates the parameters.
     ///
     /// # Errors
-    /// What is wrong and what to do.
+    /// The problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         match self {
             Self::Patch { exponent } if !(0.0..=100.0).contains(exponent) => {
@@ -171,9 +170,9 @@ impl Element {
 
 /// Amplitude of an antenna towards `direction`, and the unit vector of its electric field there.
 ///
-/// `axis` is its axis of polarisation ê and `direction` is r, away from the antenna, both unit vectors in its own frame.
-/// The field points along -(ê - (ê·r)r), made unit: for ê = z that is θ̂ of spherical coordinates, down the meridian. On
-/// the axis itself, where no such vector is singled out, it is one of those perpendicular to r.
+/// `axis` is its polarisation axis ê and `direction` is r, away from the antenna, both unit vectors in its own frame.
+/// The field points along -(ê - (ê·r)r), normalised: for ê = z that is θ̂ of spherical coordinates, down the meridian.
+/// If r is parallel to the axis, it is an arbitrary vector perpendicular to r.
 pub fn response(element: &Element, axis: DVec3, direction: DVec3) -> (f64, DVec3) {
     let across = axis.cross(direction);
     let amplitude = match element {
@@ -182,7 +181,7 @@ pub fn response(element: &Element, axis: DVec3, direction: DVec3) -> (f64, DVec3
         Element::Patch { .. } if direction.z <= 0.0 => 0.0,
         Element::Patch { exponent } => direction.z.powf(*exponent),
     };
-    // (ê×r)×r = -(ê - (ê·r)r), perpendicular to r even where ê and r all but agree.
+    // (ê×r)×r = -(ê - (ê·r)r), perpendicular to r even if ê and r are nearly parallel.
     let field = across.try_normalize().unwrap_or_else(|| direction.any_orthonormal_vector()).cross(direction);
     (amplitude, field)
 }

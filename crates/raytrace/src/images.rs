@@ -1,49 +1,49 @@
-//! Image sources of a fixed point: which sequences of faces can reflect a ray to it, found once by tracing beams.
+//! Image sources of a fixed point: the sequences of faces that can reflect a ray to it, found once by beam tracing.
 //!
-//! The receiver is mirrored at a face, its image at the next face, and so on. Behind each image stands a beam: the cone
-//! from the image through what is left of the face. Only faces inside the beam make further images, and a transmitter
-//! has to be tested against the beam alone. Walls in the way are not looked at here.
+//! The receiver is mirrored at a face, its image at the next face, and so on. Each image has a beam: the cone from the
+//! image through the clipped face. Only faces inside the beam create further images, and a transmitter is tested
+//! against the beam alone. Blocking walls are not tested here.
 
 use crate::world::World;
 use glam::DVec3;
 use std::ops::Range;
 
-/// Corners closer than this to a plane lie on it, metres.
+/// Distance below which corners lie in a plane, metres.
 const THIN: f64 = 1e-9;
-/// What is left of a face after clipping must be at least this large, m²: smaller beams are rounding.
+/// Minimum area of a clipped face, m²: smaller beams are rounding errors.
 pub(crate) const LEAST_AREA: f64 = 1e-12;
-/// Most images of one point: more would exhaust the memory.
+/// Largest number of images of one point, to limit memory.
 const MOST_IMAGES: usize = 2_000_000;
-/// Most planes of all beams, likewise.
+/// Largest number of planes of all beams, to limit memory.
 const MOST_PLANES: usize = 20 * MOST_IMAGES;
-/// Most pairs of image and face that are tried: more would take minutes.
+/// Largest number of tested pairs of image and face, to limit time to minutes.
 const MOST_TRIALS: usize = 500_000_000;
 
-/// Most pairs of a plane of a beam and a corner of a face: faces may have tens of thousands of corners.
+/// Largest number of tested pairs of beam plane and face corner; faces may have tens of thousands of corners.
 const MOST_CORNERS: usize = 50 * MOST_TRIALS;
 
-/// Pairs that take longer than somebody waits without a word: some ten seconds.
+/// Number of pairs above which a progress message is shown, about ten seconds.
 const SLOW_TRIALS: usize = 50_000_000;
 
-/// How often a path may be reflected.
+/// Largest numbers of reflections of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Orders {
-    /// Reflections on any faces.
+    /// Largest number of reflections on any faces.
     pub all: usize,
-    /// Reflections of a path that meets faces of the room alone.
+    /// Largest number of reflections of a path that meets only faces of the room.
     pub room: usize,
 }
 
-/// An image of the receiver and the faces that made it.
+/// Image of the receiver, and the faces that made it.
 #[derive(Clone, Debug)]
 struct Node {
-    /// The image one reflection nearer to the receiver; `u32::MAX` for its first images.
+    /// Parent image, one reflection nearer to the receiver; `u32::MAX` for first-order images.
     parent: u32,
-    /// The last mirror, the first that a ray from a transmitter meets.
+    /// Last mirror: the first face that a ray from a transmitter meets.
     face: u32,
     image: DVec3,
-    /// Planes through the image that bound the beam, and the plane of the mirror, in [`ImageTree::planes`]: a transmitter
-    /// sees the image where all are positive.
+    /// Planes through the image that bound the beam, and the plane of the mirror, in [`ImageTree::planes`]: the image
+    /// is visible to a transmitter if all are positive.
     planes: Range<u32>,
 }
 
@@ -57,11 +57,10 @@ pub struct ImageTree {
 }
 
 impl ImageTree {
-    /// Grows the tree of the point `origin`; `None` where it would have more than two million images, or take minutes to
-    /// grow.
+    /// Builds the tree of the point `origin`; `None` if it would exceed two million images or take minutes.
     pub fn grow(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
         let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
-        // The faces of the room, should more reflections be allowed on them than on all, come first.
+        // Faces of the room come first, in case their reflection limit is higher.
         let of_room = world.faces.iter().take_while(|f| f.is_room()).count() as u32;
         let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
         let (mut trials, mut corners) = (0, 0_usize);
@@ -77,7 +76,7 @@ impl ImageTree {
             }
             if beams.len() * candidates as usize > SLOW_TRIALS {
                 tracing::warn!(
-                    "{} images are tried with {candidates} faces, which takes a while; lower `order`, or simplify meshes",
+                    "testing {} images with {candidates} faces takes a while; lower `order`, or simplify meshes",
                     beams.len()
                 );
             }
@@ -105,13 +104,13 @@ impl ImageTree {
         Some(tree)
     }
 
-    /// About how much memory it takes, bytes.
+    /// Approximate memory use, bytes.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<(DVec3, f64)>()
     }
 
-    /// Shows each sequence of faces with its reflection points, in the order of travel from `tx`, that geometry allows;
-    /// whether the way between them is free is for the caller to see. The first sequence is the empty one.
+    /// Calls `see` with each geometrically possible sequence of faces and its reflection points, in order of travel
+    /// from `tx`. The caller tests for obstacles. The first sequence is empty (line of sight).
     pub fn candidates(&self, world: &World, tx: DVec3, mut see: impl FnMut(&[u32], &[DVec3])) {
         see(&[], &[]);
         let (mut faces, mut points) = (Vec::new(), Vec::new());
@@ -125,13 +124,13 @@ impl ImageTree {
         }
     }
 
-    /// The receiver's position.
+    /// Receiver position.
     pub fn origin(&self) -> DVec3 {
         self.origin
     }
 
-    /// Follows the ray from `tx` towards the image of `node` from mirror to mirror. Hulls were clipped; a face with a
-    /// hole or a bay is looked at here.
+    /// Follows the ray from `tx` towards the image of `node` from mirror to mirror. Beams use convex hulls; holes and
+    /// bays of faces are tested here.
     fn unfold(&self, world: &World, node: &Node, tx: DVec3, faces: &mut Vec<u32>, points: &mut Vec<DVec3>) -> bool {
         faces.clear();
         points.clear();
@@ -157,7 +156,7 @@ impl ImageTree {
     fn store_beam(&mut self, world: &World, face: u32, image: DVec3, clipped: &[DVec3]) -> Range<u32> {
         let start = self.planes.len() as u32;
         let face = &world.faces[face as usize];
-        // In front of the mirror: opposite to the image.
+        // In front of the mirror, opposite to the image.
         let side = -face.height(image).signum();
         self.planes.push((side * face.normal, side * face.offset));
         let middle = clipped.iter().sum::<DVec3>() / clipped.len() as f64;
@@ -176,7 +175,7 @@ impl ImageTree {
     }
 }
 
-/// The image of `image` in `face`, and what of the face lies in the beam; `None` where nothing does.
+/// Image of `image` in `face`, and the part of the face inside the beam; `None` if there is none.
 fn reflect(world: &World, face: u32, image: DVec3, beam: &[(DVec3, f64)]) -> Option<(DVec3, Vec<DVec3>)> {
     let face = &world.faces[face as usize];
     if face.height(image).abs() < THIN {
@@ -192,7 +191,7 @@ fn reflect(world: &World, face: u32, image: DVec3, beam: &[(DVec3, f64)]) -> Opt
     (area(&polygon) > LEAST_AREA).then(|| (face.mirror(image), polygon))
 }
 
-/// The part of a convex polygon where `normal`·x > `offset` (Sutherland and Hodgman, 1974).
+/// Clips a convex polygon to `normal`·x > `offset` (Sutherland and Hodgman, 1974).
 pub(crate) fn clip(polygon: &[DVec3], (normal, offset): (DVec3, f64)) -> Vec<DVec3> {
     let height = |p: DVec3| {
         let h = normal.dot(p) - offset;

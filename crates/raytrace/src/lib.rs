@@ -1,11 +1,11 @@
-//! A room that is known exactly: *simulated* spectra, their paths, and ray tracing as a baseline.
+//! Ray tracing in known rooms: *simulated* spectra with their paths, and a baseline.
 //!
 //! Everything is in double precision, metres, hertz and radians; the time factor is e^{+jωt}.
 //!
-//! * [`Scene`] is a file, [`Simulator`] the scene made ready: paths, channel and spectrum of every transmitter.
+//! * [`Scene`] is a scene file, [`Simulator`] a prepared scene: paths, channel and spectrum of every transmitter.
 //! * [`World`](world::World) holds faces and edges; [`ImageTree`](images::ImageTree) and [`Tracer`](tracer::Tracer) find
 //!   the [`Path`]s.
-//! * [`material`], [`fresnel`], [`diffraction`] and [`scattering`] are the physics, each a few functions.
+//! * [`material`], [`fresnel`], [`diffraction`] and [`scattering`] implement the physics in a few functions each.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

@@ -1,4 +1,4 @@
-//! `Listener`: one receiver of a scene made ready.
+//! `Listener`: one prepared receiver of a scene.
 
 use crate::array::{self, Wavefront};
 use crate::observe::{Draw, Heard, Noise, Observe, Observed, add_noise, reading};
@@ -12,33 +12,33 @@ use glam::{DMat3, DQuat, DVec3};
 use pwrfgs_core::{Error, Pose, Result};
 use std::sync::Arc;
 
-/// Most memory of the tracers of all antennas, bytes.
+/// Largest memory of the tracers of all antennas, bytes.
 pub(crate) const MOST_BYTES: usize = 2 << 30;
 
-/// One receiver of a scene made ready: image trees and beamformer, everything that no transmitter changes.
+/// Prepared receiver of a scene: image trees and beamformer, everything independent of the transmitter.
 #[derive(Debug)]
 pub struct Listener {
     scene: Arc<Scene>,
     receiver: Receiver,
-    /// The tracer of the array's centre, and with [`Wavefront::Traced`] one for each element behind it.
+    /// Tracer of the array centre; with [`Wavefront::Traced`] followed by one per element.
     tracers: Vec<Tracer>,
     beamformer: Beamformer,
 }
 
-/// What an array receives from one transmitter.
+/// Spectrum and paths of one transmitter at an array.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reception {
-    /// Its picture.
+    /// Spatial spectrum.
     pub spectrum: Spectrum,
     /// Paths to the centre of the array.
     pub paths: Vec<Path>,
 }
 
 impl Listener {
-    /// Makes `receiver` of `scene` ready.
+    /// Prepares `receiver` of `scene`.
     ///
     /// # Errors
-    /// An antenna inside something, too many images, too much memory.
+    /// An antenna inside an object, too many images or too much memory.
     pub(crate) fn new(scene: &Arc<Scene>, receiver: &Receiver, world: &Arc<World>) -> Result<Self> {
         let places = places(scene, receiver, world)?;
         let antennas = antennas(scene, receiver);
@@ -75,27 +75,27 @@ impl Listener {
         Ok(Self { scene: Arc::clone(scene), receiver: receiver.clone(), tracers, beamformer })
     }
 
-    /// The receiver, as the scene describes it.
+    /// Receiver description of the scene.
     pub fn receiver(&self) -> &Receiver {
         &self.receiver
     }
 
-    /// Where it is and how it is turned.
+    /// Receiver pose, world frame.
     pub fn pose(&self) -> Pose {
         self.receiver.pose()
     }
 
-    /// Places of its antennas `[A]` in the world, metres.
+    /// Antenna positions `[A]`, world frame, metres.
     pub fn antennas(&self) -> Vec<DVec3> {
         elements(&self.scene, &self.receiver)
     }
 
-    /// From the receiver's axes to the world's.
+    /// Rotation from the receiver axes to the world axes.
     pub fn world_from_receiver(&self) -> DMat3 {
         world_from_receiver(&self.pose())
     }
 
-    /// About how much memory the tracers take, bytes.
+    /// Approximate memory use of the tracers, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.tracers.iter().map(Tracer::bytes).sum()
     }
@@ -105,8 +105,8 @@ impl Listener {
         self.tracers[0].trace(tx)
     }
 
-    /// The channel h `[antennas, frequencies]`, without errors of the receiver, from the paths of `tx`; frequencies in Hz.
-    /// Each has its own wavenumber; gains of paths are those at the carrier.
+    /// Channel h `[antennas, frequencies]` without receiver errors, from the paths of `tx`; frequencies in Hz. Each
+    /// frequency has its own wavenumber; path gains are those at the carrier.
     pub fn channel(&self, tx: DVec3, paths: &[Path], frequencies: &[f64]) -> Vec<Complex> {
         let wavelengths: Vec<f64> = frequencies.iter().map(|f| SPEED_OF_LIGHT / f).collect();
         if self.tracers.len() == 1 {
@@ -121,13 +121,13 @@ impl Listener {
         self.tracers[1..].iter().flat_map(of_element).collect()
     }
 
-    /// The spectrum of `tx`. `sample` is the number of the draw of the scene's receiver errors; `None`: without any.
+    /// Spectrum of `tx`. `sample` selects the random receiver errors of the scene; `None`: no errors.
     pub fn spectrum(&self, tx: DVec3, sample: Option<u64>) -> Reception {
         let (channel, paths) = self.receive(tx, &[self.scene.carrier_hz], &self.scene.noise, sample);
         Reception { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
     }
 
-    /// What is observed of `tx`. `sample` is the number of the draw of all errors; `None`: without any.
+    /// Observation of `tx`. `sample` selects the random errors; `None`: no errors.
     pub fn observe(&self, tx: DVec3, what: &Observe, sample: Option<u64>) -> Heard {
         match *what {
             Observe::Spectrum => {
@@ -149,7 +149,7 @@ impl Listener {
         }
     }
 
-    /// The channel `[antennas, frequencies]` with errors, and the paths that it is made of.
+    /// Channel `[antennas, frequencies]` with errors, and its paths.
     fn receive(&self, tx: DVec3, hz: &[f64], noise: &Noise, sample: Option<u64>) -> (Vec<Complex>, Vec<Path>) {
         let paths = self.trace(tx);
         let mut channel = self.channel(tx, &paths, hz);
@@ -160,7 +160,7 @@ impl Listener {
     }
 }
 
-/// The centre of the array, and each element behind it where each is traced; none lies in something.
+/// Array centre; if each element is traced, followed by the elements. All must be in free space.
 fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3>> {
     let center = DVec3::from(receiver.position);
     world.check_free(center).map_err(|what| {
@@ -179,7 +179,7 @@ fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3
     Ok(places)
 }
 
-/// Places of the antennas `[A]` in the world, metres. Their spacing is that of the array at the carrier.
+/// Antenna positions `[A]`, world frame, metres. Their spacing refers to the carrier wavelength.
 fn elements(scene: &Scene, receiver: &Receiver) -> Vec<DVec3> {
     let (center, turn) = (DVec3::from(receiver.position), world_from_receiver(&receiver.pose()));
     receiver.array.offsets(scene.wavelength()).into_iter().map(|offset| center + turn * offset).collect()
@@ -190,7 +190,7 @@ fn world_from_receiver(pose: &Pose) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
 }
 
-/// Transmitter and receiver.
+/// Antennas of transmitter and receiver.
 fn antennas(scene: &Scene, receiver: &Receiver) -> (Antenna, Antenna) {
     let array = &receiver.array;
     let transmitter = Antenna {

@@ -1,4 +1,4 @@
-//! Triangle meshes: read from OBJ or PLY, checked, and put in their place.
+//! Triangle meshes: reading from OBJ or PLY, validation and placement.
 
 #[cfg(test)]
 mod tests;
@@ -7,29 +7,29 @@ use glam::{DMat3, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::{collections::HashMap, fs, path::Path};
 
-/// A triangle whose height is less than this part of its longest side has no area.
+/// Ratio of height to longest side below which a triangle is degenerate.
 const FLAT: f64 = 1e-9;
 
-/// Most triangles of a scene: more take minutes and gigabytes before the first path.
+/// Largest number of triangles of a scene: more take minutes and gigabytes before the first path.
 pub(crate) const MOST_TRIANGLES: usize = 300_000;
-/// Most bytes of a mesh file.
+/// Largest mesh file, bytes.
 pub(crate) const MOST_BYTES: u64 = 128 << 20;
-/// Most triangles that share an edge.
+/// Largest number of triangles that share an edge.
 const MOST_SHARED: usize = 64;
 
-/// A surface of triangles.
+/// Triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// Corners, metres.
+    /// Vertex positions, metres.
     pub vertices: Vec<DVec3>,
-    /// Three vertices a triangle, counted from 0, counterclockwise as seen from outside.
+    /// Three vertex indices per triangle, from 0, counterclockwise as seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Reads a mesh, by the extension `.obj` or `.ply`; it is welded and checked.
+/// Reads a mesh with extension `.obj` or `.ply`; vertices are welded and the mesh is validated.
 ///
 /// # Errors
-/// Those of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
+/// Errors of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
 pub fn read(path: &Path) -> Result<Mesh> {
     let bytes = fs::metadata(path).map_err(|e| Error::read(path, e))?.len();
     if bytes > MOST_BYTES {
@@ -47,11 +47,11 @@ pub fn read(path: &Path) -> Result<Mesh> {
 }
 
 impl Mesh {
-    /// Whether every triangle is one; `path` is the file to name.
+    /// Validates all triangles; `path` is named in errors.
     ///
     /// # Errors
-    /// No triangle, a vertex that is not finite, an index out of range, a triangle without area, an edge of too many
-    /// triangles. Triangles are counted from 1, in the order of the file.
+    /// No triangle, a vertex that is not finite, an index out of range, a triangle without area, or an edge of too many
+    /// triangles. Triangles are counted from 1, in file order.
     pub fn check(&self, path: &Path) -> Result<()> {
         if self.triangles.is_empty() {
             return Err(Error::input(path, "holds no triangle; export a surface with faces"));
@@ -67,9 +67,9 @@ impl Mesh {
                 return fault("has a vertex that is not finite; give every vertex a finite x, y and z".into());
             }
             let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-            // Twice the area against the square of the longest side is height against that side.
+            // Twice the area over the squared longest side is the height relative to that side.
             if (b - a).cross(c - a).length() <= FLAT * longest {
-                let what = "remove degenerate faces where the mesh was made";
+                let what = "remove degenerate faces in the modelling program";
                 return fault(format!("at ({}, {}, {}) has no area; {what}", a.x, a.y, a.z));
             }
         }
@@ -82,8 +82,8 @@ impl Mesh {
         }
     }
 
-    /// Merges vertices that are equal, as many programs write one per triangle and corner, and drops those that no
-    /// triangle names. Vertices come in the order in which the triangles name them; indices out of range are kept.
+    /// Merges equal vertices and drops unused ones: many programs write one vertex per triangle corner. Vertices keep
+    /// the order of their first use; indices out of range are kept.
     pub fn welded(self) -> Self {
         let mut merged = HashMap::new();
         let mut vertices = Vec::new();
@@ -99,18 +99,18 @@ impl Mesh {
         Self { vertices, triangles }
     }
 
-    /// How many edges belong to one triangle only: the rim of an open surface. Weld the mesh before.
+    /// Number of edges of only one triangle: the rim of an open surface. Weld the mesh first.
     pub fn boundary_edges(&self) -> usize {
         self.edges().filter(|triangles| *triangles == 1).count()
     }
 
-    /// Whether the surface has an inside: every edge belongs to an even number of triangles. Weld the mesh before.
+    /// Whether the surface is closed: every edge belongs to an even number of triangles. Weld the mesh first.
     pub fn is_closed(&self) -> bool {
         !self.triangles.is_empty() && self.edges().all(|triangles| triangles % 2 == 0)
     }
 
-    /// Scaled, then turned about +z by `yaw_deg` degrees counterclockwise, then shifted by metres. Quarter turns are
-    /// exact. A negative scale mirrors; the order of the corners is turned round so that outside stays outside.
+    /// Scales, then rotates about +z by `yaw_deg` degrees counterclockwise, then shifts by metres. Quarter turns are
+    /// exact. A negative scale mirrors; the corner order is then reversed so that the outside stays outside.
     pub fn transformed(mut self, scale: f64, yaw_deg: f64, shift: DVec3) -> Self {
         let turn = turn(yaw_deg);
         for vertex in &mut self.vertices {
@@ -126,7 +126,7 @@ impl Mesh {
         triangle.map(|v| self.vertices[v as usize])
     }
 
-    /// To how many triangles each edge belongs.
+    /// Number of triangles at each edge.
     fn edges(&self) -> impl Iterator<Item = usize> {
         let ends = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]].map(|[u, v]| (u.min(v), u.max(v)));
         let mut edges: Vec<(u32, u32)> = self.triangles.iter().flat_map(ends).collect();
@@ -136,7 +136,7 @@ impl Mesh {
     }
 }
 
-/// The rotation about +z by degrees, exact for quarter turns.
+/// Rotation about +z by degrees, exact for quarter turns.
 fn turn(degrees: f64) -> DMat3 {
     let (quarters, rest) = ((degrees / 90.0).round(), degrees - 90.0 * (degrees / 90.0).round());
     let (sin, cos) = rest.to_radians().sin_cos();

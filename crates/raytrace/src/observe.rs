@@ -1,5 +1,5 @@
-//! What is observed of a link: a picture, a power or a channel; and the errors of the receiver, thermal noise and antennas
-//! whose phases are not quite calibrated.
+//! Observations of a link (spectrum, power or channel) and receiver errors: thermal noise and phase errors of the
+//! antennas.
 
 #[cfg(test)]
 mod tests;
@@ -14,38 +14,38 @@ use pwrfgs_core::{JsonSchema, Task};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_1_SQRT_2;
 
-/// What is not heard has this, dBm, as in the files of NeRF2; nothing weaker is heard.
+/// Reading without a signal, dBm, as in the files of NeRF2; weaker signals are not received.
 pub const SILENT_DBM: f64 = -100.0;
-/// Readings of a power are multiples of this, dB, so that the decimals of a file are the same numbers.
+/// Power readings per dB: multiples of 1/1000 dB, so that file decimals are exact.
 const GRAINS: f64 = 1e3;
 
 /// Observation of each pair of transmitter and receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub enum Observe {
-    /// The spatial spectrum, a picture of 360 x 90 pixels, at the carrier.
+    /// Spatial spectrum of 360 x 90 pixels at the carrier.
     #[default]
     Spectrum,
-    /// The received power in dBm: `power_dbm` of the scene's transmitter and the mean of |h|² over antennas and subcarriers.
-    /// What is weaker than -100 dBm is not heard.
+    /// Received power in dBm: `power_dbm` of the scene's transmitter times the mean of |h|² over antennas and
+    /// subcarriers. Powers below -100 dBm are not received.
     Power {
-        /// Standard deviation of a reading in dB: normal, drawn anew for each; 0 for none. Measured BLE readings have
-        /// about 3.6.
+        /// Standard deviation of the normally distributed error of each reading, dB; 0 for none. About 3.6 dB in
+        /// measured BLE readings.
         #[serde(default)]
         noise_db: f64,
     },
-    /// The channel h, complex, of every antenna at every subcarrier of the scene.
+    /// Complex channel h of every antenna at every subcarrier of the scene.
     Channel {
-        /// Signal-to-noise ratio in dB, in place of that of the scene's `noise`: the mean of |h|² over the antennas and
-        /// subcarriers of this one snapshot against the variance of complex Gaussian noise, drawn anew for each of them.
-        /// Left out: that of the scene.
+        /// Signal-to-noise ratio in dB, in place of the scene's `noise`: mean of |h|² over the antennas and subcarriers
+        /// of each snapshot, relative to the variance of its complex Gaussian noise. Without it: the noise of the
+        /// scene.
         #[serde(default)]
         snr_db: Option<f64>,
     },
 }
 
 impl Observe {
-    /// What the data set observes.
+    /// Task of the data set.
     pub fn task(&self) -> Task {
         match self {
             Self::Spectrum => Task::Spectrum,
@@ -54,10 +54,10 @@ impl Observe {
         }
     }
 
-    /// Whether it can be drawn; says what is wrong and what to do otherwise.
+    /// Validates the parameters.
     ///
     /// # Errors
-    /// That sentence.
+    /// The problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         match *self {
             Self::Power { noise_db } if !(0.0..=100.0).contains(&noise_db) => {
@@ -71,14 +71,14 @@ impl Observe {
     }
 }
 
-/// What one receiver observes of one transmitter.
+/// Observation of one transmitter at one receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observed {
-    /// A picture.
+    /// Spatial spectrum.
     Spectrum(Spectrum),
-    /// A reading in dBm; [`SILENT_DBM`] where nothing was heard.
+    /// Reading in dBm; [`SILENT_DBM`] without a signal.
     Power(f64),
-    /// The channel `[antennas, subcarriers]`.
+    /// Channel `[antennas, subcarriers]`.
     Channel(Vec<Complex>),
 }
 
@@ -93,17 +93,17 @@ impl Observed {
     }
 }
 
-/// What one receiver observes of one transmitter, and why.
+/// Observation of one transmitter at one receiver, with its paths.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Heard {
-    /// What is observed.
+    /// The observation.
     pub observed: Observed,
     /// Paths to the centre of the array.
     pub paths: Vec<Path>,
 }
 
-/// The reading in dBm of a channel, of which `sent_dbm` was sent. `draw` is that of the error of `noise_db` and its seed;
-/// `None`: without.
+/// Reading in dBm of a channel at a transmit power of `sent_dbm`. `draw` selects the random error of `noise_db` with
+/// its seed; `None`: no error.
 pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, Draw<'_>)>) -> f64 {
     let power = mean_power(channel);
     if power.is_nan() {
@@ -115,20 +115,19 @@ pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: O
     ((exact * GRAINS).round() / GRAINS).max(SILENT_DBM)
 }
 
-/// Errors of the receiver; none by default.
+/// Receiver errors; none by default.
 ///
-/// Noise is relative to each transmitter's own channel, as if every transmitter had the power for the stated SNR: it
-/// does not tell near from far.
+/// Noise is relative to the channel of each transmitter, as if its power were set for the stated SNR: it does not
+/// depend on the distance.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Noise {
-    /// Signal-to-noise ratio of an element in dB: the mean of |h|² over the elements (and subcarriers) against the variance of the complex
-    /// Gaussian noise, drawn anew for each of them and each sample. Left out: no noise.
+    /// Signal-to-noise ratio per element in dB: mean of |h|² over elements (and subcarriers), relative to the variance
+    /// of complex Gaussian noise, which is independent per element and sample. Without it: no noise.
     pub snr_db: Option<f64>,
-    /// Standard deviation of the elements' phase errors, degrees: Gaussian, drawn once, the same in all samples;
-    /// default 0.
+    /// Standard deviation of the phase errors of the elements, degrees: Gaussian, equal in all samples; default 0.
     pub phase_error_deg: f64,
-    /// Which receivers: seed of the phase errors and of the noise; default 0.
+    /// Random seed of the phase errors and of the noise; default 0.
     pub seed: u64,
 }
 
@@ -146,8 +145,7 @@ impl Check for Noise {
     }
 }
 
-/// Whose errors are drawn, and for which sample. The bits depend on these and on the seed alone, not on what was drawn
-/// before.
+/// Receiver and sample of a random draw. Random numbers depend only on these and the seed, not on earlier draws.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Draw<'a> {
     /// The receiver.
@@ -157,13 +155,14 @@ pub(crate) struct Draw<'a> {
 }
 
 impl Draw<'_> {
-    /// The random stream `what` of this receiver and sample.
+    /// Random stream `what` of this receiver and sample.
     pub(crate) fn stream(&self, seed: u64, what: &str) -> Rng {
         rng::stream(seed, &self.receiver.stream(what), self.sample)
     }
 }
 
-/// Adds the errors to the channel `[K, subcarriers]` of one sample. An antenna has the same phase error at all subcarriers.
+/// Adds the errors to the channel `[K, subcarriers]` of one sample. An antenna has the same phase error at all
+/// subcarriers.
 pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usize, draw: Draw<'_>) {
     if noise.phase_error_deg > 0.0 {
         let deviation = noise.phase_error_deg.to_radians();
@@ -181,7 +180,7 @@ pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usi
     }
 }
 
-/// Mean of |h|²; 0 of nothing.
+/// Mean of |h|²; 0 for an empty channel.
 pub(crate) fn mean_power(channel: &[Complex]) -> f64 {
     channel.iter().map(Complex::norm_sqr).sum::<f64>() / channel.len().max(1) as f64
 }

@@ -1,4 +1,4 @@
-//! A simulated data set as a folder: the layouts of NeRF2, and what only a simulation knows.
+//! Simulated data set as a folder, in the layouts of NeRF2, with ground truth.
 
 mod files;
 
@@ -16,44 +16,44 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Everything about how the folder was made; written last, so that a folder without it is not whole.
+/// Recipe of the folder; written last, so that its presence marks a complete folder.
 pub const MANIFEST: &str = "manifest.json";
-/// The point cloud.
+/// Point cloud of the scene.
 pub const POINTS: &str = "points.ply";
 
 /// Simulates `recipe` into the new folder `out`.
 ///
 /// ```text
-/// out/tx_pos.csv            x,y,z; a row each transmitter
-/// out/train_index.txt, test_index.txt    every fifth sample is for testing
-/// out/paths.csv             a row each path, with `paths`; paths-NAME.csv of several receivers in one folder
+/// out/tx_pos.csv            x,y,z; one row per transmitter
+/// out/train_index.txt, test_index.txt    every fifth sample is a test sample
+/// out/paths.csv             one row per path, with `paths`; paths-NAME.csv for several receivers in one folder
 /// out/points.ply            points on all surfaces, with normals
 /// out/manifest.json         the recipe
 ///
-/// out/gateway_info.yml      spectra: pose of the receiver; the name of the data set says «simulated»
+/// out/gateway_info.yml      spectra: pose of the receiver; the data set name contains «simulated»
 /// out/spectrum/00001.png    8-bit grey, 360x90; or
-/// out/spectra.npy           all of them, 8-bit grey [M, 90, 360]
+/// out/spectra.npy           all spectra, 8-bit grey [M, 90, 360]
 /// out/power.csv             id, path gain in dB (mean over the antennas), lowest and highest value of the spectrum
 ///
 /// out/gateway_position.yml  powers: name: [x, y, z] of every receiver
-/// out/gateway_rssi.csv      dBm, a column each receiver, a row each transmitter; -100.0 was not heard
+/// out/gateway_rssi.csv      dBm, one column per receiver, one row per transmitter; -100.0: no signal
 ///
 /// out/channel.npy           channels: complex64 [M, antennas, subcarriers]
-/// out/receiver.yml          pose, frequencies, places of the antennas
+/// out/receiver.yml          pose, frequencies, antenna positions
 ///
 /// out/csidata.npy           CSI: the same array, first half of the subcarriers uplink, second half downlink
-/// out/base-station.yml      places of the antennas
+/// out/base-station.yml      antenna positions
 /// ```
 ///
-/// Ids are counted from 1 in the layout of spectra and from 0 in the others, as in NeRF2. Of several receivers each has a
-/// folder of its own inside `out`, called like it and whole in itself: as if the scene had this receiver alone. Only powers
-/// stand in one table.
+/// Ids are counted from 1 in the layout of spectra and from 0 in the others, as in NeRF2. With several receivers, each
+/// has its own complete folder inside `out`, named after it, as if the scene had this receiver alone. Only powers share
+/// one table.
 ///
-/// It is made beside `out` under another name and renamed at the end, so that `out` is whole or not there; what a killed
-/// process left of an earlier attempt is removed. `progress` counts transmitters, those of every folder.
+/// The folder is written under a temporary name and renamed at the end, so that `out` is complete or absent. Remains of
+/// killed attempts are removed. `progress` counts the transmitters of all folders.
 ///
 /// # Errors
-/// `out` holds something, the disk refuses, the layout does not suit, or `stop` is set ([`Error::Stopped`]; nothing is left
+/// `out` is not empty, a write failed, the layout does not fit, or `stop` is set ([`Error::Stopped`]; nothing is left
 /// behind).
 pub fn write_as(
     recipe: &Recipe,
@@ -88,11 +88,11 @@ pub fn write_as(
     making.publish()
 }
 
-/// Simulates `recipe` into the new folder `out` as arrays and tables of all receivers: those of a transmitter stand one after
-/// the other.
+/// Simulates `recipe` into the new folder `out` as arrays and tables of all links; the receivers of a transmitter are
+/// consecutive.
 ///
 /// # Errors
-/// As [`write_as`].
+/// Same as [`write_as`].
 pub(crate) fn write_links(recipe: &Recipe, out: &Path, progress: Progress<'_>) -> Result<()> {
     let (simulator, making) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
     let layout = match recipe.observe {
@@ -104,7 +104,7 @@ pub(crate) fn write_links(recipe: &Recipe, out: &Path, progress: Progress<'_>) -
     making.publish()
 }
 
-/// Simulates `recipe` into `folder`, which is there and empty.
+/// Simulates `recipe` into the existing, empty `folder`.
 fn fill(
     recipe: &Recipe,
     simulator: &Simulator,

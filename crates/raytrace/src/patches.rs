@@ -1,25 +1,25 @@
-//! Patches of rough faces, each of which scatters as one.
+//! Patches of rough faces; each patch scatters as a unit.
 
 use crate::world::{Face, Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::rng;
 use std::f64::consts::TAU;
 
-/// A piece of a rough face.
+/// Patch of a rough face.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Patch {
     /// Index of the face.
     pub(crate) face: u32,
-    /// Its middle, metres.
+    /// Centre, metres.
     pub(crate) point: DVec3,
-    /// m².
+    /// Area, m².
     pub(crate) area: f64,
-    /// Phase that its unevenness adds, radians: fixed, so that the field stays a smooth function of the transmitter.
+    /// Random phase of the rough surface, radians: fixed, so that the field is a smooth function of the transmitter.
     pub(crate) phase: f64,
 }
 
-/// All patches of all rough faces: squares of about `side` metres. Phases are drawn for each patch of each face, so that
-/// a face more or less changes no other.
+/// Patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per patch and face, so that
+/// adding a face changes no other.
 pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     let mut all = Vec::new();
     for (index, face) in world.faces.iter().enumerate() {
@@ -35,8 +35,8 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
                 all.push(Patch { face: index as u32, point, area: 0.0, phase });
             }
         }
-        // Whatever the lattice makes of a slanted border, the patches have the area of the face together; where another
-        // face lies on this one from both sides, that scatters instead.
+        // On slanted borders patch areas are rescaled to sum to the area of the face. If another face covers this one
+        // from both sides, only that one scatters.
         let area: f64 = world.triangles[face.triangles.clone()].iter().map(Triangle::area).sum();
         let share = area / (all.len() - start).max(1) as f64;
         let mut fresh = all.split_off(start);
@@ -51,20 +51,20 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     all
 }
 
-/// How many places of the rectangle about a face [`patches`] looks at.
+/// Number of cells of the bounding rectangle that [`patches`] tests.
 pub(crate) fn cells(face: &Face, side: f64) -> f64 {
     Lattice::new(&face.hull, face.normal, side).map_or(0.0, |l| l.columns * l.rows)
 }
 
-/// Cells of about a size that fill the rectangle about a convex polygon along its longest side.
+/// Grid of cells in the bounding rectangle of a convex polygon, along its longest side.
 struct Lattice {
     /// Axes in the plane, and the height of the plane.
     u: DVec3,
     v: DVec3,
     level: DVec3,
-    /// From where to where along the axes, metres.
+    /// Range along each axis, metres.
     extent: [(f64, f64); 2],
-    /// Whole numbers.
+    /// Number of cells along each axis, whole numbers.
     columns: f64,
     rows: f64,
 }
@@ -82,7 +82,7 @@ impl Lattice {
         Some(Self { u, v, level: normal * normal.dot(hull[0]), extent, columns, rows })
     }
 
-    /// Middles of the cells, metres, row by row.
+    /// Centres of the cells, metres, row by row.
     fn middles(&self) -> impl Iterator<Item = DVec3> {
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let middle = |(low, high): (f64, f64), i: usize, n: usize| low + (high - low) * (i as f64 + 0.5) / n as f64;

@@ -1,4 +1,4 @@
-//! One way by which a wave reaches the receiver, and its row in `paths.csv`.
+//! Propagation path to the receiver, and its row in `paths.csv`.
 
 use crate::world::World;
 use crate::{Complex, SPEED_OF_LIGHT};
@@ -6,35 +6,35 @@ use glam::{DMat3, DVec3};
 use pwrfgs_core::words::cell;
 use std::fmt::Write as _;
 
-/// What a wave meets on its way.
+/// Interaction of a wave on its path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Interaction {
     /// Specular reflection on a face.
     Reflection {
         /// Index of the face.
         face: u32,
-        /// Where, metres, world frame.
+        /// Position, metres, world frame.
         point: DVec3,
     },
-    /// Straight through a thin sheet.
+    /// Transmission through a thin sheet.
     Transmission {
         /// Index of the face.
         face: u32,
-        /// Where, metres, world frame.
+        /// Position, metres, world frame.
         point: DVec3,
     },
-    /// Around an edge.
+    /// Diffraction at an edge.
     Diffraction {
         /// Index of the edge.
         edge: u32,
-        /// Where, metres, world frame.
+        /// Position, metres, world frame.
         point: DVec3,
     },
-    /// Diffusely, off a patch of a rough face.
+    /// Diffuse scattering at a patch of a rough face.
     Scattering {
         /// Index of the face.
         face: u32,
-        /// Where, metres, world frame.
+        /// Position, metres, world frame.
         point: DVec3,
     },
 }
@@ -42,21 +42,21 @@ pub enum Interaction {
 /// A propagation path from transmitter to receiver: one summand of eq. (1).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// Complex gain without the phase of the carrier's delay: |gain|² is the path gain between the two antennas. The
-    /// line of sight between isotropic antennas has λ/(4πd), real and positive.
+    /// Complex gain without the phase of the carrier delay: |gain|² is the path gain between the two antennas. For the
+    /// line of sight between isotropic antennas it is λ/(4πd), real and positive.
     pub gain: Complex,
-    /// Length in all, metres.
+    /// Total length, metres.
     pub length: f64,
     /// Unit vector along which the wave leaves the transmitter, world frame.
     pub departure: DVec3,
-    /// Unit vector from the receiver towards the wave that comes in, world frame.
+    /// Unit vector from the receiver towards the incoming wave, world frame.
     pub arrival: DVec3,
-    /// Whence the last spherical wave spreads: the transmitter, mirrored for reflections, or the edge or patch that was
-    /// met last; metres, world frame. `|receiver - source| + before == length`.
+    /// Origin of the last spherical wave: the transmitter mirrored by reflections, or the last edge or patch; metres,
+    /// world frame. `|receiver - source| + before == length`.
     pub source: DVec3,
     /// Length of the path before `source`, metres; zero without diffraction or scattering.
     pub before: f64,
-    /// What it meets, in the order of travel.
+    /// Interactions, in order of travel.
     pub interactions: Vec<Interaction>,
 }
 
@@ -66,18 +66,18 @@ impl Path {
         self.length / SPEED_OF_LIGHT
     }
 
-    /// Gain with the phase of the carrier's delay: what adds up at the receiver. `wavelength` in metres.
+    /// Gain including the phase of the carrier delay: the contribution at the receiver. `wavelength` in metres.
     pub fn baseband(&self, wavelength: f64) -> Complex {
         self.gain * Complex::cis(-std::f64::consts::TAU * self.length / wavelength)
     }
 
-    /// Length of the path to a point near the receiver, the interactions kept: metres.
+    /// Length of the path to a point near the receiver with the same interactions, metres.
     pub fn length_to(&self, point: DVec3) -> f64 {
         self.before + point.distance(self.source)
     }
 }
 
-/// Names and frames that rows need.
+/// Names and frames for the rows of a path table.
 pub(crate) struct PathTable {
     receiver_from_world: DMat3,
     faces: Vec<String>,
@@ -85,14 +85,14 @@ pub(crate) struct PathTable {
 }
 
 impl PathTable {
-    /// `interactions` has a letter each: R reflection, T transmission, D diffraction, S diffuse scattering. Angles are in
-    /// degrees; departure and arrival in the world, `spectrum_*` where the path shows in the spectrum. `gain_*` is without
-    /// the phase of the delay.
+    /// Header of `paths.csv`. `interactions` has one letter each: R reflection, T transmission, D diffraction, S
+    /// diffuse scattering. Angles are in degrees; departure and arrival in the world frame, `spectrum_*` as pixel
+    /// coordinates of the spectrum. `gain_*` excludes the phase of the delay.
     pub(crate) const HEADER: &str = "id,path,interactions,gain_re,gain_im,gain_db,delay_ns,length_m,\
         departure_azimuth_deg,departure_elevation_deg,arrival_azimuth_deg,arrival_elevation_deg,spectrum_azimuth_deg,\
         spectrum_elevation_deg,surfaces";
 
-    /// Of the paths to a receiver with these axes.
+    /// Creates the table for a receiver with these axes.
     pub(crate) fn new(world: &World, world_from_receiver: DMat3) -> Self {
         let faces: Vec<String> = world.faces.iter().map(|f| f.name.clone()).collect();
         let edge = |[a, b]: [u32; 2]| match (&faces[a as usize], &faces[b as usize]) {
@@ -103,7 +103,7 @@ impl PathTable {
         Self { receiver_from_world: world_from_receiver.transpose(), faces, edges }
     }
 
-    /// The rows of transmitter `id`.
+    /// Rows of transmitter `id`.
     pub(crate) fn rows(&self, id: usize, paths: &[Path]) -> String {
         let mut text = String::new();
         for (i, path) in paths.iter().enumerate() {

@@ -1,26 +1,26 @@
-//! A scene as somebody would know it who measured it with errors.
+//! Scenes with errors of material and position, as from an imperfect survey.
 
 use crate::scene::{Object, Outline, Scene};
 use crate::world::TOUCHING;
 use glam::DVec2;
 use pwrfgs_core::rng::{self, Rng};
 
-/// How wrong a scene is known.
+/// Errors of a scene model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Errors {
     /// Standard deviation of the logarithm of permittivities, conductivities and thicknesses: 0.2 is about 20 %.
     pub(crate) materials: f64,
-    /// Standard deviation of the place of each wall and object along each horizontal axis, and of the ceiling's height,
-    /// metres.
+    /// Standard deviation of the position of each wall and object along each horizontal axis, and of the ceiling
+    /// height, metres.
     pub(crate) positions_m: f64,
-    /// Which errors.
+    /// Random seed.
     pub(crate) seed: u64,
-    /// Which draw of them.
+    /// Number of the random draw.
     pub(crate) draw: u64,
 }
 
-/// The scene with errors. Every finish has errors of its own. Objects stay on the floor, and the receiver and the
-/// transmitters stay where they are: they are what was measured best.
+/// Returns the scene with errors, drawn independently per finish. Objects stay on the floor; receiver and transmitters
+/// keep their positions, which are usually measured best.
 pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
     let mut wrong = scene.clone();
     finishes(&mut wrong, errors);
@@ -34,7 +34,7 @@ pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
     wrong
 }
 
-/// Gives each finish a material of its own, some way off the true one.
+/// Gives each finish its own perturbed material.
 fn finishes(scene: &mut Scene, errors: &Errors) {
     if errors.materials == 0.0 {
         return;
@@ -81,7 +81,7 @@ fn move_object(object: &mut Object, by: [f64; 2]) {
     }
 }
 
-/// Puts each opening where what it is cut out of has gone.
+/// Moves each opening together with its host.
 fn move_openings(truth: &Scene, wrong: &mut Scene) {
     let top = |scene: &Scene| match &scene.room.outline {
         Outline::Box { high, .. } => high[2],
@@ -102,7 +102,7 @@ fn move_openings(truth: &Scene, wrong: &mut Scene) {
     }
 }
 
-/// The upright sides of the room and of the first `count` objects as seen from above, always in the same order.
+/// Upright sides of the room and of the first `count` objects as seen from above, in a fixed order.
 fn uprights(scene: &Scene, count: usize) -> Vec<[DVec2; 2]> {
     let ring = |corners: &[DVec2]| -> Vec<[DVec2; 2]> {
         (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]).collect()
@@ -126,7 +126,7 @@ fn uprights(scene: &Scene, count: usize) -> Vec<[DVec2; 2]> {
     sides
 }
 
-/// Where on a side a point lies, from 0 to 1; `None` beside it.
+/// Position of a point along a side, from 0 to 1; `None` if it is not on the side.
 fn share([a, b]: &[DVec2; 2], point: [f64; 2]) -> Option<f64> {
     let (along, to) = (*b - *a, DVec2::from(point) - *a);
     let t = to.dot(along) / along.length_squared();

@@ -1,4 +1,4 @@
-//! `RayTracing`: what a model must be read against where the room is known.
+//! `RayTracing`: baseline that uses the scene.
 
 use crate::observe::{Observe, Observed};
 use crate::perturb::{Errors, perturbed};
@@ -13,16 +13,16 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Draws of errors that are tried.
+/// Largest number of random draws of errors.
 const DRAWS: u64 = 100;
-/// Relative difference of two frequencies that are one, written with a few digits.
+/// Relative tolerance between equal frequencies that were rounded in a file.
 const SAME_FREQUENCY: f64 = 1e-7;
 
-/// Ray tracing in a known room, as a predictor beside the model.
+/// Ray tracing in a known scene, as a baseline.
 ///
-/// It learns nothing from the training part. With the scene that the data were simulated from it *is* their generator,
-/// an upper bound for every model, and tables say so; what the errors of the receiver take from it nobody can win back.
-/// `material_error` and `position_error_m` spoil the scene by a stated amount: what one would have in practice.
+/// It ignores the training set. With the scene of simulated data it is their generator: an oracle baseline and upper
+/// bound, marked as such in tables; only receiver errors reduce its score. `material_error` and `position_error_m`
+/// perturb the scene, as in a realistic scene model.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -33,23 +33,22 @@ const SAME_FREQUENCY: f64 = 1e-7;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RayTracing {
-    /// A scene file, relative to the pipeline file; `None` for the scene of the data, which must be `Simulated` or a folder
-    /// that `pwrfgs simulate` wrote. A scene with meshes has to be named for such a folder, which does not hold them.
+    /// Scene file, relative to the pipeline file; `None` for the scene of the data, which must be `Simulated` or a
+    /// folder of `pwrfgs simulate`. Scenes with meshes must be named for such folders, which do not store meshes.
     #[schemars(extend("format" = "path"))]
     pub scene: Option<PathBuf>,
-    /// Whether receiver errors of the scene are drawn again.
+    /// Whether to draw the receiver errors of the scene again.
     pub noise: bool,
-    /// Standard deviation of the logarithm of every permittivity, conductivity and thickness; 0.2 is about
-    /// 20 %.
+    /// Standard deviation of the logarithm of every permittivity, conductivity and thickness; 0.2 is about 20 %.
     pub material_error: f64,
-    /// Standard deviation of the place of every wall and object along each horizontal axis, metres.
+    /// Standard deviation of the position of every wall and object along each horizontal axis, metres.
     pub position_error_m: f64,
     /// Random seed of the errors.
     pub seed: u64,
 }
 
 impl RayTracing {
-    /// What the name leaves out.
+    /// Note that explains the name.
     fn note(&self, knows_scene: bool, task: Task) -> String {
         let things = task.plural;
         let what = match (&self.scene, self.is_exact() && knows_scene) {
@@ -59,7 +58,7 @@ impl RayTracing {
                 } else {
                     "without receiver errors"
                 };
-                format!("the generator of these simulated {things} itself, {errors}: an upper bound, not a competitor")
+                format!("the generator of these simulated {things} , {errors}: an oracle baseline and upper bound")
             }
             (scene, false) => {
                 let scene = scene
@@ -80,7 +79,7 @@ impl RayTracing {
         self.material_error == 0.0 && self.position_error_m == 0.0
     }
 
-    /// The scene as this baseline knows it, and whether it is that of the data.
+    /// Scene of this baseline, and whether it is that of the data.
     fn scene(&self, data: &Dataset) -> Result<(Scene, bool)> {
         let of_data = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
         let of_data = of_data.and_then(|text| Scene::parse(text, Path::new("scene of the data")).ok());
@@ -99,7 +98,7 @@ impl RayTracing {
         }
     }
 
-    /// The scene with its errors, made ready. Where a wall moves past the receiver, another draw is taken.
+    /// Prepares the scene with its errors. If an error moves a wall past the receiver, another draw is used.
     fn simulator(&self, scene: &Scene) -> Result<Simulator> {
         if self.is_exact() {
             return Simulator::new(scene);
@@ -159,7 +158,7 @@ impl Baseline for RayTracing {
     }
 }
 
-/// What the data observe; refuses what this scene cannot give.
+/// Observation type of the data; an error if this scene cannot provide it.
 fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
     let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
     let Some(channels) = data.observations.channels() else {
@@ -168,12 +167,13 @@ fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
         }
         let (width, height) = (data.width, data.height);
         if (width, height) != (WIDTH, HEIGHT) {
-            let what = format!("have {width}x{height} pixels, and it makes {WIDTH}x{HEIGHT}");
+            let what = format!("have {width}x{height} pixels, but RayTracing makes {WIDTH}x{HEIGHT}");
             return refuse(format!("spectra of this data set {what}"));
         }
         if data.elevation != Elevation::UPPER {
             let Elevation { first, last } = data.elevation;
-            let what = format!("spectra of this data set are of elevations {first} to {last}, and it makes 0 to 90");
+            let what =
+                format!("spectra of this data set cover elevations {first} to {last}, but RayTracing makes 0 to 90");
             return refuse(what);
         }
         return Ok(Observe::Spectrum);
@@ -190,7 +190,7 @@ fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
     Ok(Observe::Channel { snr_db: None })
 }
 
-/// Which receiver of the scene each of the data is: by name, or the only one.
+/// Index in the scene of each receiver of the data: by name, or the only one.
 fn receivers(data: &Dataset, scene: &Scene) -> Result<Vec<usize>> {
     let of_data = &data.scene.receivers;
     let find = |name: &str| scene.receivers().position(|receiver| receiver.name == name);
@@ -205,7 +205,7 @@ fn receivers(data: &Dataset, scene: &Scene) -> Result<Vec<usize>> {
 
 struct Traced {
     simulator: Simulator,
-    /// The listener of each receiver of the data.
+    /// Index of the listener of each receiver of the data.
     listeners: Vec<usize>,
     what: Observe,
     noise: bool,
@@ -217,7 +217,7 @@ struct Traced {
 impl Predict for Traced {
     fn predict(&self, query: Query<'_>) -> Image {
         let tx = query.tx;
-        // Another draw for every position, and none of those that the data have: these count from 0.
+        // A separate draw for every position, different from those of the data, which count from 0.
         let draw = tx
             .iter()
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));

@@ -1,4 +1,4 @@
-//! Everything that decides a simulated data set, and the name under which it is kept.
+//! Recipe of a simulated data set, and its cache key.
 
 use crate::mesh;
 use crate::observe::Observe;
@@ -6,27 +6,28 @@ use crate::scene::{Object, Receiver, Scene};
 use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
-/// Changes whenever the same recipe would give other bytes than before.
+/// Version of the simulator output; increased whenever the same recipe gives other bytes.
 const EDITION: u32 = 2;
-/// Most links of a data set: 32 GB of spectra as an array. Pictures are fewer ([`crate::output::write_as`]).
+/// Largest number of links of a data set: 32 GB of spectra as an array. Fewer are allowed as images
+/// ([`crate::output::write_as`]).
 const MOST_SAMPLES: usize = 1_000_000;
-/// Most bytes of all channels of a data set, which memory has to hold to train on them.
+/// Largest size of all channels of a data set, bytes; training needs them in memory.
 const MOST_BYTES: usize = 8 << 30;
-/// Most points of a cloud.
+/// Largest number of points of a cloud.
 const MOST_POINTS: usize = 50_000_000;
 
-/// What to simulate.
+/// Recipe of a simulation.
 #[derive(Clone, Debug)]
 pub struct Recipe {
-    /// The scene, read.
+    /// The parsed scene.
     pub scene: Scene,
-    /// Spectra.
+    /// Number of transmitters.
     pub samples: usize,
-    /// Which transmitter positions and receiver errors.
+    /// Random seed of transmitter positions and receiver errors.
     pub seed: u64,
-    /// Points of the cloud.
+    /// Number of points of the cloud.
     pub points: usize,
-    /// What is observed.
+    /// Observation type.
     pub observe: Observe,
     /// Hash of every mesh file, in the order of the objects.
     meshes: Vec<String>,
@@ -36,7 +37,7 @@ impl Recipe {
     /// Reads the scene of a recipe, and the bytes of its meshes.
     ///
     /// # Errors
-    /// With line and column of a mistake in the scene; a mesh that cannot be read.
+    /// An invalid scene, with line and column, or a mesh that cannot be read.
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check(samples, points).map_err(Error::Config)?;
         let scene = Scene::read(scene)?;
@@ -58,10 +59,10 @@ impl Recipe {
         Ok(Self { scene, samples, seed, points, observe: Observe::Spectrum, meshes })
     }
 
-    /// The same with something else to observe than spectra.
+    /// Returns the recipe with another observation type.
     ///
     /// # Errors
-    /// The scene does not suit it.
+    /// The scene does not support it.
     pub fn observing(self, observe: Observe) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
         if let Observe::Channel { .. } = observe {
@@ -70,12 +71,12 @@ impl Recipe {
         Ok(Self { observe, ..self })
     }
 
-    /// The same of one of its receivers alone.
+    /// Returns the recipe with only one of its receivers.
     pub(crate) fn with_receiver(&self, receiver: &Receiver) -> Self {
         Self { scene: self.scene.with_receiver(receiver), ..self.clone() }
     }
 
-    /// The manifest: two recipes with the same text give the same data set.
+    /// Manifest as JSON: recipes with equal manifests give equal data sets.
     pub fn to_json(&self) -> String {
         let mut manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
@@ -95,7 +96,7 @@ impl Recipe {
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }
 
-    /// A name for a folder, the same for the same manifest.
+    /// Folder name, unique per manifest.
     pub fn folder_name(&self) -> String {
         let good = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' };
         let name: String = self.scene.name.chars().map(good).take(40).collect();
@@ -103,7 +104,7 @@ impl Recipe {
     }
 }
 
-/// Refuses numbers that cannot work.
+/// Returns an error for numbers out of range.
 pub(crate) fn check(samples: usize, points: usize) -> Result<(), String> {
     if !(5..=MOST_SAMPLES).contains(&samples) {
         return Err(format!("`samples` is {samples}; give 5 to {MOST_SAMPLES}"));
@@ -114,7 +115,7 @@ pub(crate) fn check(samples: usize, points: usize) -> Result<(), String> {
     Ok(())
 }
 
-/// Refuses an array of channels that has no one shape, or would not fit.
+/// Returns an error if the channels have different shapes or do not fit.
 fn check_channels(scene: &Scene, samples: usize) -> Result<()> {
     let elements = |receiver: &Receiver| receiver.array.elements();
     let (first, count) = (&scene.receiver, elements(&scene.receiver));
@@ -142,7 +143,7 @@ fn check_channels(scene: &Scene, samples: usize) -> Result<()> {
     Ok(())
 }
 
-/// The 64-bit FNV-1a hash: the same on every machine and in every version.
+/// 64-bit FNV-1a hash: equal on every machine and in every version.
 fn fnv(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
 }

@@ -1,4 +1,4 @@
-//! A scene file: the room, what stands in it, who sends, who listens.
+//! Scene files: room, objects, transmitter and receivers.
 
 mod antennas;
 mod propagation;
@@ -19,64 +19,64 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Most letters of a name.
+/// Longest name, characters.
 const LONGEST_NAME: usize = 200;
-/// Most bytes of a scene file.
+/// Largest scene file, bytes.
 const MOST_BYTES: u64 = 64 << 20;
-/// Smallest relative permittivity, real part, and largest: outside, coefficients are rounding or overflow.
+/// Smallest and largest real part of the relative permittivity; outside, coefficients round or overflow.
 const LEAST_PERMITTIVITY: f64 = 1e-6;
 const MOST_PERMITTIVITY: f64 = 1e70;
-/// Most materials of the scene's own that a message lists.
+/// Largest number of the scene's own materials listed in a message.
 const LISTED: usize = 20;
-/// Most receivers: each has images and beams of its own.
+/// Largest number of receivers; each has its own images and beams.
 const MOST_RECEIVERS: usize = 200;
 
-/// A scene, as `scenes/*.ron` say it. Metres, hertz, degrees; z is up.
+/// Scene as in `scenes/*.ron`. Metres, hertz, degrees; z is up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
-    /// What it is called.
+    /// Name of the scene.
     pub name: String,
-    /// What a reader should know, above all what is guessed.
+    /// Notes for the reader, in particular assumed values.
     #[serde(default)]
     pub about: String,
     /// Carrier frequency, Hz.
     pub carrier_hz: f64,
     /// Walls, floor and ceiling.
     pub room: Room,
-    /// Materials beside those of ITU-R P.2040, or instead of them.
+    /// Materials in addition to those of ITU-R P.2040; equal names replace them.
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
     /// Furniture and partitions.
     #[serde(default)]
     pub objects: Vec<Object>,
-    /// Who listens.
+    /// The first receiver.
     pub receiver: Receiver,
-    /// Who listens as well, each with a name of its own. What is new since the first scenes is not written out where it is
-    /// not used, so that their data keep their key.
+    /// Further receivers with unique names. Fields added later are omitted from the written scene if unused, so that
+    /// data of older scenes keep their key.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub more_receivers: Vec<Receiver>,
-    /// The frequencies of channels and powers; default the carrier alone.
+    /// Frequencies of channels and powers; default the carrier alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub subcarriers: Option<Checked<Subcarriers>>,
-    /// Who sends.
+    /// The transmitter.
     pub transmitter: Transmitter,
-    /// Which ways of the waves count.
+    /// Propagation effects to simulate.
     #[serde(default)]
     pub propagation: Checked<Propagation>,
-    /// What a picture holds.
+    /// Quantity in the pixels of a spectrum.
     #[serde(default)]
     pub spectrum: SpectrumKind,
-    /// Errors of the receiver.
+    /// Receiver errors.
     #[serde(default)]
     pub noise: Checked<Noise>,
 }
 
 impl Scene {
-    /// Reads a scene file; paths of meshes become relative to where one stands.
+    /// Reads a scene file; mesh paths become relative to the current directory.
     ///
     /// # Errors
-    /// Names the file, line and column of the mistake.
+    /// Reports file, line and column of an error.
     pub fn read(path: &Path) -> Result<Self> {
         let mut scene = Self::parse(&files::read_text_at_most(path, MOST_BYTES)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -88,10 +88,10 @@ impl Scene {
         Ok(scene)
     }
 
-    /// Reads a scene; `path` is for messages only.
+    /// Parses a scene; `path` is used only in messages.
     ///
     /// # Errors
-    /// With line and column of the mistake.
+    /// Reports line and column of an error.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let scene: Self = read_ron(text, path)?;
         scene.check_names().and_then(|()| scene.check()).map_err(|fault| match place(text, &fault.near) {
@@ -101,13 +101,13 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The scene as RON text, every default written out.
+    /// Scene as RON text, with every default written out.
     pub fn to_ron(&self) -> String {
         let config = ron::ser::PrettyConfig::new().struct_names(true);
         pwrfgs_core::plugin::ron_options().to_string_pretty(self, config).expect("a scene is plain data")
     }
 
-    /// The scene with its meshes by their file names alone: from where they were read does not matter.
+    /// The scene with mesh file names instead of paths, independent of the folder.
     pub(crate) fn portable(&self) -> Self {
         let mut scene = self.clone();
         for object in &mut scene.objects {
@@ -118,12 +118,12 @@ impl Scene {
         scene
     }
 
-    /// The material called `name`: the scene's own, else that of ITU-R P.2040.
+    /// Material called `name`: the scene's own, else that of ITU-R P.2040.
     pub fn material(&self, name: &str) -> Option<Material> {
         self.materials.get(name).cloned().or_else(|| material::named(name))
     }
 
-    /// Wavelength of the carrier, metres.
+    /// Carrier wavelength, metres.
     pub fn wavelength(&self) -> f64 {
         SPEED_OF_LIGHT / self.carrier_hz
     }
@@ -138,28 +138,28 @@ impl Scene {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
     }
 
-    /// The same scene with one of its receivers alone.
+    /// The scene with only one of its receivers.
     pub fn with_receiver(&self, receiver: &Receiver) -> Self {
         Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
     }
 
-    /// Frequencies of channels and powers, Hz, rising.
+    /// Frequencies of channels and powers, Hz, ascending.
     pub fn frequencies(&self) -> Vec<f64> {
         self.subcarriers.as_ref().map_or_else(|| vec![self.carrier_hz], |band| band.frequencies(self.carrier_hz))
     }
 
-    /// All finishes, with what has them.
+    /// All finishes, with the names of their objects.
     pub(crate) fn finishes(&self) -> impl Iterator<Item = (&str, &Finish)> {
         let room = [("walls", &self.room.walls), ("floor", &self.room.floor), ("ceiling", &self.room.ceiling)];
         room.into_iter().chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
-    /// Whether the scene can be built, in words.
+    /// The first problem of the scene, in words.
     pub(crate) fn fault(&self) -> Option<String> {
         self.check().err().map(|fault| fault.what)
     }
 
-    /// Whether every name can be shown.
+    /// Checks that every name is printable.
     fn check_names(&self) -> Result<(), Fault> {
         let is_plain = |name: &str| !name.chars().any(char::is_control) && name.chars().count() <= LONGEST_NAME;
         let fault = |what: String| {
@@ -200,7 +200,7 @@ impl Scene {
             let quoted = format!("\"{}\"", object.name());
             object.check().map_err(|why| Fault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
             if !names.insert(object.name()) {
-                let what = format!("two objects are called `{}`; give each its own name", object.name());
+                let what = format!("two objects are called `{}`; give each a unique name", object.name());
                 return Err(Fault::of(what, &quoted));
             }
         }
@@ -223,9 +223,9 @@ impl Scene {
             let quoted = format!("\"{}\"", receiver.name);
             receiver.check_name().map_err(|what| Fault::of(what, &quoted))?;
             receiver.check().map_err(|what| Fault::of(what, &quoted))?;
-            // Folders of some systems do not tell capitals apart.
+            // Folder names are not case-sensitive on some systems.
             if !names.insert(receiver.name.to_ascii_lowercase()) {
-                let what = format!("two receivers are called `{}`; give each a `name` of its own", receiver.name);
+                let what = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
                 return Err(Fault::of(what, "more_receivers"));
             }
         }
@@ -268,7 +268,7 @@ impl Scene {
     }
 }
 
-/// What is wrong, and a word of the file near which it stands.
+/// Problem, with a word of the file near it.
 struct Fault {
     what: String,
     near: String,
@@ -280,7 +280,7 @@ impl Fault {
     }
 }
 
-/// Line and column of the first place where `word` stands outside comments.
+/// Line and column of the first occurrence of `word` outside comments.
 fn place(text: &str, word: &str) -> Option<(usize, usize)> {
     text.lines().enumerate().find_map(|(i, line)| {
         let code = line.split("//").next().unwrap_or_default();

@@ -1,5 +1,4 @@
-//! `Simulated`: spectra, powers or channels of a known room as a data source, kept on disk under a key of everything that
-//! decides them.
+//! `Simulated`: spectra, powers or channels of a scene as a data source, cached on disk.
 
 #[cfg(test)]
 mod tests;
@@ -19,21 +18,20 @@ use pwrfgs_data::{Arrays, npy_header, npy_header_as, read_points};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Most bytes of spectra that memory holds; more stay in the file.
+/// Largest size of spectra in memory, bytes; larger ones stay in the file.
 const IN_MEMORY: u64 = 512 << 20;
 
-/// *Simulated* spectra, powers or channels of a room that is known exactly: ray tracing in a scene file.
+/// *Simulated* spectra, powers or channels: ray tracing in a scene file.
 ///
-/// Paths are found by image sources, diffraction at edges and diffuse patches; their sum on the antennas of the receiver
-/// gives the spectrum, as the measured files hold it (`docs/math.md`), or what `observe` says. A scene with several receivers
-/// gives a link each; one at which nothing is heard is left out. The point cloud of the scene is exact, so that
-/// `PointCloud` initialisation and `Chamfer` mean something here. Every fifth sample belongs to the test list of
-/// [`Official`](pwrfgs_data::Official).
+/// Paths are computed with image sources, diffraction at edges and diffuse scattering patches. Their sum at the
+/// receiver antennas gives the spectrum in the format of the measured files (`docs/math.md`), or another observation
+/// set by `observe`. With several receivers, each adds one link per transmitter; links without a signal are left out.
+/// The point cloud of the scene is exact, so `PointCloud` initialisation and `Chamfer` are meaningful. Every fifth
+/// sample belongs to the test list of [`Official`](pwrfgs_data::Official).
 ///
-/// The data set is simulated once and kept in the user's cache folder (`$PWRFGS_CACHE` names another) under a key of the
-/// scene, its meshes and all fields; it can be removed at any time. More than 512 MB of spectra stay there, and a picture is
-/// read when it is wanted. `pwrfgs simulate` writes the same data set where you
-/// want it, with every path.
+/// The data set is simulated once and cached in the user's cache folder (or `$PWRFGS_CACHE`), under a key of the scene,
+/// its meshes and all fields; the cache may be deleted at any time. Spectra of more than 512 MB stay on disk and are
+/// read one by one. `pwrfgs simulate` writes the same data set to a folder, with every path.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -44,18 +42,18 @@ const IN_MEMORY: u64 = 512 << 20;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Simulated {
-    /// The scene file, relative to the pipeline file.
+    /// Scene file, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub scene: PathBuf,
-    /// Number of transmitters; with one receiver, of spectra.
+    /// Number of transmitters; with one receiver, number of spectra.
     pub samples: usize,
     /// Random seed of transmitter positions and receiver errors, independent of the seed of the pipeline.
     pub seed: u64,
-    /// Points of the cloud, spread over all surfaces; the paper has 190,000.
+    /// Number of points of the cloud, spread over all surfaces; 190,000 in the paper.
     pub points: usize,
     /// Observation: `Spectrum`, `Power(noise_db: 3)` or `Channel(snr_db: 30)`.
     pub observe: Observe,
-    /// Whether the data set is kept on disk.
+    /// Whether to cache the data set on disk.
     pub cache: bool,
 }
 
@@ -73,7 +71,7 @@ impl Default for Simulated {
 }
 
 impl Simulated {
-    /// Reads what [`crate::output::write_links`] wrote.
+    /// Reads a data set written by [`crate::output::write_links`].
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| folder.join(POINTS));
         let one = self.observe == Observe::Spectrum && recipe.scene.more_receivers.is_empty();
@@ -83,7 +81,7 @@ impl Simulated {
             links(recipe, folder, points)?
         };
         if (one && data.len() != self.samples) || data.scene.points.len() != self.points {
-            return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
+            return Err(Error::input(folder, "holds an unexpected number of spectra or points"));
         }
         data.title = clean(&format!("{} (simulated)", recipe.scene.name));
         data.simulation = Some(Simulation { scene: Some(recipe.scene.to_ron()) });
@@ -91,7 +89,7 @@ impl Simulated {
     }
 }
 
-/// Anything else: all links of all receivers. Who is not heard has no link.
+/// Reads powers or channels: all received links of all receivers.
 fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
     let receivers: Vec<Receiver> = scene.receivers().map(|receiver| of_data(scene, receiver)).collect();
@@ -105,7 +103,7 @@ fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Data
         all.retain(is_heard);
     }
     if samples.is_empty() {
-        let what = "no receiver hears any transmitter; raise `power_dbm` of its transmitter";
+        let what = "no receiver receives any transmitter; raise `power_dbm` of its transmitter";
         return Err(Error::Config(format!("scene `{}`: {what}", scene.name)));
     }
     let (test, train) = (0..samples.len()).partition(|&i| is_test(samples[i].id as usize - 1));
@@ -114,9 +112,9 @@ fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Data
     Ok(Dataset { official: Some((train, test)), ..data })
 }
 
-/// Positions of the transmitters and what was observed of every link of a folder that the cache keeps; link
-/// `transmitter * receivers + receiver` is that of this pair. Only what this very program wrote is read here: anything else
-/// is damage, and the cache makes it anew.
+/// Transmitter positions and observations of every link of a cached folder; the link of a pair has index `transmitter *
+/// receivers + receiver`. Only files written by this program version are valid: others count as damaged, and the cache
+/// is rebuilt.
 fn read_links(recipe: &Recipe, folder: &Path) -> Result<(Vec<[f64; 3]>, Observations)> {
     let (scene, samples) = (&recipe.scene, recipe.samples);
     let receivers = scene.receivers().count();
@@ -151,21 +149,21 @@ fn channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
             let parts = numbers.as_chunks().0.as_chunks().0.iter();
             Ok(parts.map(|part| part.map(|bytes| Real::from(f32::from_le_bytes(bytes)))).collect())
         }
-        _ => Err(Error::input(path, "holds other channels than were simulated")),
+        _ => Err(Error::input(path, "holds unexpected channels")),
     }
 }
 
-/// The numbers `[rows, columns]` of a table with a header.
+/// Numbers `[rows, columns]` of a table with a header.
 fn table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
     let text = files::read_text(path)?;
     let cells = text.lines().skip(1).flat_map(|row| row.split(','));
     let numbers = cells.map(|cell| cell.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<_>>>();
-    // The last number of a file that is cut short may still be one.
+    // The last number of a truncated file may still be a valid number.
     let whole = numbers.filter(|numbers| numbers.len() == rows * columns && text.ends_with('\n'));
-    whole.ok_or_else(|| Error::input(path, "holds another table than was simulated"))
+    whole.ok_or_else(|| Error::input(path, "holds an unexpected table"))
 }
 
-/// A receiver as data sets have it.
+/// Converts a receiver of a scene to one of a data set.
 fn of_data(scene: &Scene, receiver: &scene::Receiver) -> Receiver {
     let antennas = receiver.array.offsets(scene.wavelength()).into_iter().map(|place| place.to_array()).collect();
     Receiver { antennas, ..Receiver::new(receiver.name.clone(), receiver.pose()) }
@@ -190,8 +188,7 @@ impl DataSource for Simulated {
     }
 }
 
-/// The folder of all kept data sets: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` where there is no
-/// such thing.
+/// Cache folder: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` if there is none.
 pub fn cache_root() -> Option<PathBuf> {
     match std::env::var_os("PWRFGS_CACHE") {
         Some(path) if !path.is_empty() => Some(path.into()),
@@ -199,16 +196,16 @@ pub fn cache_root() -> Option<PathBuf> {
     }
 }
 
-/// What `read` makes of the data set of `recipe`, simulated now or taken from the folder `root`.
+/// Result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
 ///
-/// An entry is a folder as [`output::write_as`] makes it, with one array or table of all links: the receivers of a
-/// transmitter one after the other. It is used only if its manifest is that of the recipe, word for
-/// word, and `read` finds nothing wrong with it; else it is made anew. Entries appear by renaming, so none is half
-/// written, what killed programs left is removed, and of two programs that make the same one the second finds it there.
-/// Where the disk refuses, the data set is made in the system's folder for temporary files instead, and lost.
+/// An entry is a folder made by [`output::write_as`], with one array or table of all links; the receivers of a
+/// transmitter are consecutive. It is used only if its manifest equals that of the recipe and `read` succeeds;
+/// otherwise it is simulated again. Entries are created by renaming, so they are always complete; remains of killed
+/// programs are removed, and concurrent programs share one entry. If the cache is not writable, a temporary folder is
+/// used instead and then deleted.
 ///
 /// # Errors
-/// Those of the simulation and of `read`.
+/// Errors of the simulation and of `read`.
 pub fn open_or_make<T>(
     recipe: &Recipe,
     root: Option<&Path>,
@@ -221,28 +218,28 @@ pub fn open_or_make<T>(
     if is_of(&folder, recipe) {
         match read(&folder) {
             Ok(data) => return Ok(data),
-            Err(e) => tracing::warn!("the kept data set {} is damaged ({e}) and made anew", folder.display()),
+            Err(e) => tracing::warn!("cached data set {} is damaged ({e}); simulating it again", folder.display()),
         }
     }
     if let Err(e) = files::check_place(&folder) {
-        tracing::warn!("simulated data are not kept: {e}");
+        tracing::warn!("cannot cache simulated data: {e}");
         return make_for_now(recipe, progress, read);
     }
     let cleared = if folder.exists() { NewFolder::remove(&folder) } else { Ok(()) }; // a damaged entry
     let made = cleared.and_then(|()| output::write_links(recipe, &folder, progress));
     match made {
         Ok(()) => read(&folder),
-        // Somebody else was faster.
+        // Another process finished first.
         Err(_) if is_of(&folder, recipe) => read(&folder),
         Err(e @ Error::Write { .. }) => {
-            tracing::warn!("simulated data are not kept: {e}");
+            tracing::warn!("cannot cache simulated data: {e}");
             make_for_now(recipe, progress, read)
         }
         Err(e) => Err(e),
     }
 }
 
-/// Whether the folder holds the data set of the recipe, as far as its manifest says.
+/// Whether the folder holds the data set of the recipe according to its manifest.
 fn is_of(folder: &Path, recipe: &Recipe) -> bool {
     files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
 }

@@ -1,4 +1,4 @@
-//! `Simulator`: a scene made ready, and what its receivers observe of every transmitter position.
+//! `Simulator`: a prepared scene, and observations of every transmitter at its receivers.
 
 use crate::listener::{Listener, MOST_BYTES};
 use crate::observe::{Heard, Observe};
@@ -13,24 +13,24 @@ use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Transmitters simulated at a time.
+/// Number of transmitters simulated at a time.
 const CHUNK: usize = 32;
 
-/// A scene made ready: geometry and receivers, everything that no transmitter changes.
+/// Prepared scene: geometry and receivers, everything independent of the transmitter.
 #[derive(Debug)]
 pub struct Simulator {
     scene: Arc<Scene>,
     world: Arc<World>,
-    /// At least one.
+    /// Receivers, at least one.
     listeners: Vec<Listener>,
 }
 
 impl Simulator {
-    /// Makes `scene` ready.
+    /// Prepares `scene`.
     ///
     /// # Errors
-    /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images or patches
-    /// than can be handled.
+    /// A mesh that cannot be read or is not closed as required, a receiver inside an object, or too many images or
+    /// patches.
     pub fn new(scene: &Scene) -> Result<Self> {
         let (scene, world) = (Arc::new(scene.clone()), Arc::new(world::from_scene(scene)?));
         check_patches(&scene, &world)?;
@@ -47,12 +47,12 @@ impl Simulator {
         &self.scene
     }
 
-    /// Its geometry.
+    /// Geometry of the scene.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// Its receivers, in the order of the scene; the first is `receiver`.
+    /// Receivers, in the order of the scene; the first is `receiver`.
     pub fn listeners(&self) -> &[Listener] {
         &self.listeners
     }
@@ -62,10 +62,10 @@ impl Simulator {
         self.listeners[0].trace(tx)
     }
 
-    /// Positions of `count` transmitters.
+    /// Draws the positions of `count` transmitters.
     ///
     /// # Errors
-    /// No room for them, a grid point inside something, or a transmitter in an antenna of a receiver.
+    /// No free space, a grid point inside an object, or a transmitter at a receiver antenna.
     pub fn positions(&self, count: usize, seed: u64) -> Result<Vec<DVec3>> {
         let free = |point: DVec3| self.world.check_free(point);
         let drawn = self.scene.transmitter.positions.draw(count, seed, &free);
@@ -73,7 +73,7 @@ impl Simulator {
         drawn.map_err(|e| Error::Config(format!("scene `{}`: {e}", self.scene.name)))
     }
 
-    /// Refuses a transmitter in an antenna, which has no line of sight to it and no finite gain.
+    /// Returns an error for a transmitter at an antenna, where the gain is infinite.
     fn check_apart(&self, positions: &[DVec3]) -> Result<()> {
         for listener in &self.listeners {
             let mut places = listener.antennas();
@@ -97,23 +97,23 @@ impl Simulator {
     }
 }
 
-/// What is simulated.
+/// Settings of a simulation.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// What is observed.
+    /// Observation type.
     pub what: Observe,
-    /// Transmitters.
+    /// Number of transmitters.
     pub samples: usize,
-    /// Which transmitter positions, and which errors.
+    /// Random seed of positions and errors.
     pub seed: u64,
 }
 
-/// Simulates what all receivers observe, with all errors, and shows each transmitter with its number, its position and what
-/// every receiver hears, in order. Between two transmitters it ends when `stop` is set. Memory holds a few at a time; bits
-/// do not depend on threads.
+/// Simulates the observations of all receivers with all errors. Calls `each` in order with number, position and
+/// observations of each transmitter. Stops between two transmitters if `stop` is set. Memory holds a few transmitters
+/// at a time; results do not depend on the number of threads.
 ///
 /// # Errors
-/// Those of [`Simulator::positions`] and of `each`, [`Error::Stopped`]; a channel that is not finite.
+/// Errors of [`Simulator::positions`] and of `each`, [`Error::Stopped`], or a channel that is not finite.
 pub fn simulate_links(
     simulator: &Simulator,
     wanted: &Wanted,
@@ -134,7 +134,7 @@ pub fn simulate_links(
         for ((i, tx), heard) in chunk.iter().enumerate().zip(all) {
             if !heard.iter().all(|heard| heard.observed.is_finite()) {
                 let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);
-                let what = "gives a field that is not finite; correct materials and places";
+                let what = "gives a field that is not finite; correct materials and positions";
                 return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {what}")));
             }
             each(c * CHUNK + i, *tx, heard)?;
@@ -143,7 +143,7 @@ pub fn simulate_links(
     Ok(())
 }
 
-/// Refuses receivers that together take too much.
+/// Returns an error if the receivers together need too much memory.
 fn check_memory(scene: &Scene, listeners: &[Listener]) -> Result<()> {
     let bytes: usize = listeners.iter().map(Listener::bytes).sum();
     if bytes <= MOST_BYTES {
@@ -158,10 +158,10 @@ fn check_memory(scene: &Scene, listeners: &[Listener]) -> Result<()> {
     )))
 }
 
-/// Refuses more patches than can be traced in reasonable time.
+/// Returns an error for too many patches to trace in reasonable time.
 fn check_patches(scene: &Scene, world: &World) -> Result<()> {
     const MOST: f64 = 300_000.0;
-    // Of the rectangle about a slanted or thin face most places lie beside it.
+    // Most cells of the bounding rectangle of a slanted or thin face lie outside the face.
     const MOST_CELLS: f64 = 10.0 * MOST;
     let is_rough = |t: &&Triangle| world.surface_of(t.face).roughness > 0.0;
     let area: f64 = world.triangles.iter().filter(is_rough).map(Triangle::area).sum();

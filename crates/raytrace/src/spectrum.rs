@@ -1,4 +1,4 @@
-//! The spatial spectrum: how strongly an array hears each direction, and the picture made of it.
+//! Spatial spectrum: beamforming power of an array over directions, as an image.
 
 #[cfg(test)]
 mod tests;
@@ -11,7 +11,7 @@ use pwrfgs_core::Axis;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// A picture whose values differ by less than this share of the largest shows nothing but rounding.
+/// Contrast relative to the largest value below which a spectrum is constant up to rounding.
 const NO_CONTRAST: f64 = 1e-12;
 /// Columns of a spectrum: azimuths 0 to 359 degrees.
 pub const WIDTH: usize = 360;
@@ -20,37 +20,37 @@ pub const HEIGHT: usize = 90;
 /// Directions are padded to a multiple of this, the widest vector of any processor.
 const LANES: usize = 8;
 
-/// What a picture holds.
+/// Quantity in the pixels of a spectrum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SpectrumKind {
-    /// The amplitude |aᴴh|/K; each picture stretched from its smallest value, black, to its largest, white. What the
-    /// measured files hold: absolute power is lost.
+    /// Amplitude |aᴴh|/K, stretched per spectrum from its smallest value (black) to its largest (white). As in the
+    /// measured files, absolute power is lost.
     #[default]
     Amplitude,
-    /// The power |aᴴh|²/K, eq. (2) of the paper; each picture divided by its largest value.
+    /// Power |aᴴh|²/K, eq. (2) of the paper, divided by the largest value of each spectrum.
     Power,
 }
 
-/// One spectrum as a picture, and what the picture lost.
+/// Spectrum as an image, with its absolute scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spectrum {
-    /// 8-bit grey, row-major: ⌊255 v⌋ as in the measured files. All black where nothing was received, and, for
-    /// [`SpectrumKind::Amplitude`], where all directions are equally strong (a single antenna).
+    /// 8-bit grey, row-major: ⌊255 v⌋ as in the measured files. All black without a signal, and, for
+    /// [`SpectrumKind::Amplitude`], if all directions are equally strong (a single antenna).
     pub pixels: Vec<u8>,
-    /// Smallest value before the picture was stretched.
+    /// Smallest value before stretching.
     pub low: f64,
-    /// Largest value before the picture was stretched.
+    /// Largest value before stretching.
     pub high: f64,
     /// Mean of |h|² over the elements: the path gain, from which RSSI follows.
     pub power: f64,
 }
 
-/// Steers an array to every pixel of a picture.
+/// Beamformer that steers an array to every pixel of a spectrum.
 ///
 /// Column c is azimuth 360 c/width degrees, row r elevation 90 r/height degrees above the plane of the array, in the
 /// receiver frame: the grid of the projector `Mercator`. The steering vector of a direction u is aₖ = exp(+j2π/λ pₖ·u).
-/// On a uniform array aᴴh is a polynomial in two phase factors, so a pixel costs K complex multiply-adds and no table of
-/// steering vectors is kept.
+/// For a uniform array aᴴh is a polynomial in two phase factors, so a pixel costs K complex multiply-adds, without a
+/// table of steering vectors.
 #[derive(Clone, Debug)]
 pub struct Beamformer {
     steering: Steering,
@@ -59,13 +59,13 @@ pub struct Beamformer {
 }
 
 impl Beamformer {
-    /// For pictures of `width` columns and `height` rows.
+    /// Creates a beamformer for images of `width` columns and `height` rows.
     pub fn new(array: &Array, width: usize, height: usize) -> Self {
         let axis = |degrees: f64, pixels: usize| Axis { first: 0.0, step: degrees / pixels as f64 };
         Self::on_grid(array, (width, axis(360.0, width)), (height, axis(90.0, height)))
     }
 
-    /// For any regular grid: columns and the azimuth of each, rows and the elevation of each.
+    /// Creates a beamformer for any regular grid: columns and their azimuths, rows and their elevations.
     fn on_grid(array: &Array, (width, azimuth): (usize, Axis), (height, elevation): (usize, Axis)) -> Self {
         let angle = |axis: Axis, pixel: usize| (axis.first + axis.step * pixel as f64).to_radians();
         let directions = (0..height).flat_map(|row| {
@@ -88,7 +88,7 @@ impl Beamformer {
         amplitude
     }
 
-    /// The picture of the channel h.
+    /// Spectrum of the channel h as an image.
     pub fn spectrum(&self, channel: &[Complex], kind: SpectrumKind) -> Spectrum {
         let elements = channel.len().max(1) as f64;
         let mut values = self.amplitude(channel);
@@ -105,13 +105,13 @@ impl Beamformer {
     }
 }
 
-/// Smallest and largest value; zeros for none.
+/// Smallest and largest value; zeros if there are none.
 fn range(values: &[f64]) -> (f64, f64) {
     let first = values.first().copied().unwrap_or(0.0);
     values.iter().fold((first, first), |(low, high), v| (low.min(*v), high.max(*v)))
 }
 
-/// ⌊255 (v - black)/(white - black)⌋.
+/// Quantised values ⌊255 (v - black)/(white - black)⌋.
 fn stretch(values: &[f64], black: f64, white: f64) -> Vec<u8> {
     let contrast = white - black;
     if contrast.is_nan() || contrast <= NO_CONTRAST * white {
@@ -120,15 +120,15 @@ fn stretch(values: &[f64], black: f64, white: f64) -> Vec<u8> {
     values.iter().map(|v| ((v - black) / contrast * 255.0) as u8).collect()
 }
 
-/// aᴴh of a uniform planar array for many directions at once, by Horner's rule in two variables: phase factors between
-/// neighbours in x and in y, one of each a direction.
+/// Steering to many directions: aᴴh of a uniform planar array by Horner's rule in two variables, with phase factors
+/// between neighbours in x and in y per direction.
 #[derive(Clone, Debug)]
 struct Steering {
     x: Lanes,
     y: Lanes,
 }
 
-/// Complex numbers, parts apart.
+/// Complex numbers as separate real and imaginary arrays.
 #[derive(Clone, Debug, Default)]
 struct Lanes {
     re: Vec<f64>,
@@ -143,7 +143,7 @@ impl Lanes {
 }
 
 impl Steering {
-    /// `directions` are unit vectors in the receiver frame, `spacing` is in wavelengths.
+    /// Creates the phase factors; `directions` are unit vectors in the receiver frame, `spacing` is in wavelengths.
     fn new(directions: impl Iterator<Item = DVec3>, spacing: f64) -> Self {
         let (mut x, mut y) = (Lanes::default(), Lanes::default());
         for direction in directions {
@@ -157,7 +157,7 @@ impl Steering {
         Self { x, y }
     }
 
-    /// |aᴴh| for every direction, with zeros or more behind up to a multiple of `LANES`. `channel` has rows of `columns`.
+    /// |aᴴh| for every direction, padded to a multiple of `LANES`. `channel` has rows of `columns`.
     fn magnitude(&self, channel: &[Complex], columns: usize) -> Vec<f64> {
         let mut magnitude = vec![0.0; self.x.re.len()];
         Arch::new().dispatch(Horner { steering: self, channel, columns, magnitude: &mut magnitude });
@@ -165,7 +165,8 @@ impl Steering {
     }
 }
 
-/// The phase of the array's corner, as against its centre, is left out: it does not change the magnitude.
+/// Horner evaluation; the phase of the array corner relative to its centre is omitted, since it does not change the
+/// magnitude.
 struct Horner<'a> {
     steering: &'a Steering,
     channel: &'a [Complex],
@@ -198,7 +199,7 @@ impl WithSimd for Horner<'_> {
     }
 }
 
-/// a·b + c. Multiplications and additions round on their own, so that every processor computes the same bits.
+/// a·b + c with separate rounding of multiplication and addition, so that all processors give identical results.
 #[inline(always)]
 fn multiply_add<S: Simd>(
     simd: S,

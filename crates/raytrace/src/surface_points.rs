@@ -1,4 +1,4 @@
-//! Points sampled on surfaces, and the PLY file that holds them.
+//! Point sampling on surfaces, and output as PLY.
 
 #[cfg(test)]
 mod tests;
@@ -13,20 +13,21 @@ const LEVELS: u32 = 24;
 /// Points on surfaces.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfacePoints {
-    /// Where, `[P,3]`, metres, world frame.
+    /// Positions `[P,3]`, metres, world frame.
     pub points: Vec<DVec3>,
-    /// The normals of the surfaces there, `[P,3]`.
+    /// Surface normals at the points, `[P,3]`.
     pub normals: Vec<DVec3>,
 }
 
-/// `count` points on `triangles`, evenly by area, with the normal of each triangle (`normals` has one a triangle).
+/// Samples `count` points on `triangles`, uniform by area, with the normal of each triangle (one per triangle in
+/// `normals`).
 ///
-/// Each triangle has its share of points, rounded up or down so that the shares of any triangles in a row add up. Within
-/// a triangle lies the low-discrepancy sequence of Basu and Owen (SIAM J. Numer. Anal. 53, 2015, section 3): the digits
-/// of the point's number in base 4 choose one of the four triangles between the midpoints, level by level. 4^k points
-/// are a lattice; of more, the seed says where the first ones beyond it lie.
+/// Each triangle gets its share of points, rounded so that the shares of consecutive triangles add up. Points in a
+/// triangle follow the low-discrepancy sequence of Basu and Owen (SIAM J. Numer. Anal. 53, 2015, section 3): the base-4
+/// digits of the point number select one of the four triangles between the midpoints, level by level. 4^k points form a
+/// lattice; the seed sets the positions of further points.
 ///
-/// Without any area there are no points.
+/// Without any area the result is empty.
 pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u64) -> SurfacePoints {
     let mut cumulated = 0.0;
     let areas: Vec<f64> = triangles
@@ -45,10 +46,10 @@ pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u
     let mut random = rng::stream(seed, "surface", 0);
     let comb = rng::uniform_f64(&mut random);
     for ((triangle, normal), area) in triangles.iter().zip(normals).zip(areas) {
-        // Tooth k of the comb stands at k + comb of `count` equal parts of the area; the last part ends at 1 exactly.
+        // Tooth k of the comb is at k + comb of `count` equal parts of the area; the last part ends at exactly 1.
         let end = (area / cumulated * count as f64 - comb).ceil().max(0.0) as usize;
         let share = end.saturating_sub(found.points.len());
-        // Digits of the lattice only: beyond, an offset would move points from the centres of cells to their corners.
+        // Offsets apply to digits of the lattice only; further digits would move points from cell centres to corners.
         let lattice = 1 << (2 * (share.max(1).ilog2() / 2));
         let offsets = rng::below(&mut random, lattice);
         found.points.extend((0..share).map(|k| in_triangle(triangle, k, offsets)));
@@ -57,7 +58,7 @@ pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u
     found
 }
 
-/// Point `number` of the sequence in a triangle: the centre of the smallest triangle that its digits choose.
+/// Point `number` of the sequence in a triangle: the centre of the smallest triangle selected by its digits.
 fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
     let [mut a, mut b, mut c] = *corners;
     for level in 0..LEVELS {
@@ -72,13 +73,13 @@ fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
     (a + b + c) / 3.0
 }
 
-/// A PLY file of the points: binary, little-endian, `x y z nx ny nz`, metres. All are float32; x, y and z are float64
-/// where a coordinate exceeds 1,000 m, which float32 would round.
+/// Writes a PLY file of the points: binary, little-endian, `x y z nx ny nz`, metres. All are float32; x, y and z are
+/// float64 if a coordinate exceeds 1,000 m, since float32 would round.
 ///
-/// The header says that the points are simulated; each line of `comment` becomes a line of it, in ASCII.
+/// The header marks the points as simulated; each line of `comment` is added to it, in ASCII.
 ///
 /// # Errors
-/// Those of `file`.
+/// Errors of `file`.
 pub fn write_ply(points: &SurfacePoints, comment: &str, file: &mut impl Write) -> io::Result<()> {
     let to_ascii = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
     let mut lines = "comment simulated by pwrfgs: points on the surfaces of a scene, metres\n".to_owned();

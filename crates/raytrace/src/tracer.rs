@@ -1,4 +1,4 @@
-//! From a transmitter to all paths that reach a receiver.
+//! Tracer: all paths from a transmitter to a receiver.
 
 use crate::Complex;
 use crate::array::{self, Element};
@@ -14,24 +14,24 @@ use glam::{DMat3, DVec3};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-/// A path is given up where less than this of its field is left, against free space.
+/// Field relative to free space below which a path is dropped.
 const NEGLIGIBLE: f64 = 1e-8;
-/// How far from an edge its faces are looked at, metres.
+/// Distance from an edge at which its faces are probed, metres.
 const BESIDE: f64 = 1e-3;
 
-/// An antenna with its pattern, turned.
+/// Antenna with pattern and orientation.
 #[derive(Clone, Debug)]
 pub struct Antenna {
-    /// Pattern.
+    /// Element pattern.
     pub element: Element,
-    /// Axis of polarisation in the antenna's frame.
+    /// Polarisation axis in the antenna frame.
     pub axis: DVec3,
-    /// From the antenna's frame to the world's.
+    /// Rotation from the antenna frame to the world frame.
     pub world_from_antenna: DMat3,
 }
 
 impl Antenna {
-    /// The field, world frame, that it sends towards the unit vector `direction` or receives from there.
+    /// Field, world frame, radiated towards or received from the unit vector `direction`.
     fn field(&self, direction: DVec3) -> DVec3 {
         let local = self.world_from_antenna.transpose() * direction;
         let (amplitude, polarization) = array::response(&self.element, self.axis, local);
@@ -39,7 +39,7 @@ impl Antenna {
     }
 }
 
-/// Everything about a receiver that does not depend on the transmitter, found once.
+/// Precomputed data of a receiver, independent of the transmitter.
 #[derive(Debug)]
 pub struct Tracer {
     world: Arc<World>,
@@ -48,12 +48,12 @@ pub struct Tracer {
     receiver: Antenna,
     tree: ImageTree,
     propagation: Propagation,
-    /// The patches that the receiver sees.
+    /// Patches visible from the receiver.
     patches: Vec<Patch>,
 }
 
 impl Tracer {
-    /// A tracer for one receiver; `None` where the image tree would grow too large.
+    /// Creates a tracer for one receiver; `None` if the image tree would grow too large.
     pub fn new(
         world: Arc<World>,
         wavelength: f64,
@@ -72,12 +72,12 @@ impl Tracer {
         Some(Self { world, wavelength, transmitter, receiver, tree, propagation: propagation.clone(), patches })
     }
 
-    /// About how much memory it takes, bytes.
+    /// Approximate memory use, bytes.
     pub fn bytes(&self) -> usize {
         self.tree.bytes() + self.patches.len() * size_of::<Patch>()
     }
 
-    /// Every path from `tx`: specular ones by image order, then diffracted, then scattered ones.
+    /// All paths from `tx`: specular by image order, then diffracted, then scattered.
     pub fn trace(&self, tx: DVec3) -> Vec<Path> {
         let mut walk = Walk { tracer: self, tx, rx: self.tree.origin(), met: Vec::new(), interactions: Vec::new() };
         let mut paths = Vec::new();
@@ -89,13 +89,13 @@ impl Tracer {
         paths
     }
 
-    /// λ/4π: the amplitude between isotropic antennas at a metre.
+    /// Amplitude between isotropic antennas at 1 m, λ/4π.
     fn unit_gain(&self) -> f64 {
         self.wavelength / (4.0 * PI)
     }
 }
 
-/// One transmitter's walk through the candidates; its buffers are used again and again.
+/// Traversal of the candidates of one transmitter, with reused buffers.
 struct Walk<'a> {
     tracer: &'a Tracer,
     tx: DVec3,
@@ -105,8 +105,8 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// The ray after the straight way from `from` to `to`, each with the faces that it lies on, through sheets; `None`
-    /// where it is closed.
+    /// Ray after the straight segment from `from` to `to` through sheets, each end with the faces at it; `None` if it
+    /// is blocked.
     fn go(&mut self, ray: Ray, (from, left): (DVec3, &[u32]), (to, reached): (DVec3, &[u32])) -> Option<Ray> {
         let Self { tracer, met, interactions, .. } = self;
         if !tracer.world.pass(from, to, [left, reached], met) || !(tracer.propagation.transmission || met.is_empty()) {
@@ -121,14 +121,14 @@ impl Walk<'_> {
         (ray.power() > NEGLIGIBLE * NEGLIGIBLE).then_some(ray)
     }
 
-    /// A ray that leaves the transmitter towards `to`.
+    /// Ray that leaves the transmitter towards `to`.
     fn leave(&mut self, to: DVec3) -> Option<Ray> {
         self.interactions.clear();
         let direction = (to - self.tx).try_normalize()?;
         Some(Ray::new(direction, self.tracer.transmitter.field(direction)))
     }
 
-    /// The path that ends with `ray`; `gain` is its spreading.
+    /// Path that ends with `ray`; `gain` is its spreading factor.
     fn arrive(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> Path {
         let arrival = -ray.direction;
         let field = self.tracer.receiver.field(arrival);
@@ -189,8 +189,8 @@ impl Walk<'_> {
         Some(self.arrive(ray, gain, departure, (point, before)))
     }
 
-    /// Diffraction coefficients at a point of an edge; `None` where transmitter or receiver is inside the wedge or on the
-    /// edge's line.
+    /// Diffraction coefficients at a point of an edge; `None` if transmitter or receiver is inside the wedge or on the
+    /// line of the edge.
     fn wedge(&self, edge: &Edge, point: DVec3) -> Option<fresnel::Polarized> {
         let Tracer { world, wavelength, .. } = self.tracer;
         let direction = (edge.ends[1] - edge.ends[0]).normalize();
@@ -205,12 +205,12 @@ impl Walk<'_> {
         if phi_in >= whole || phi_out >= whole || sine < 1e-6 {
             return None;
         }
-        // The smaller of the two angles on either face: exact where reflection begins, and the same when transmitter and
-        // receiver change places (El-Sallabi and Vainikainen, 2005).
+        // The smaller of the two angles on either face: exact at reflection boundaries and reciprocal (El-Sallabi and
+        // Vainikainen, 2005).
         let inwards = edge.inwards();
         let at = |k: usize, grazing: f64| {
             let face = edge.faces[k];
-            // What lies on the face next to the edge, if anything does.
+            // Face that covers the one next to the edge, if any.
             let counting = world.counting(face, point + BESIDE * inwards[k], self.tx);
             let cosine = (grazing.sin() * sine).abs();
             let through = |face: u32| {
@@ -225,7 +225,7 @@ impl Walk<'_> {
         };
         let (r0, t0) = at(0, phi_in.min(phi_out));
         let (rn, tn) = at(1, whole - phi_in.max(phi_out));
-        // Behind the rim of a sheet lies one sheet, behind an edge of two faces both.
+        // The rim of a sheet has one sheet behind it, an edge of two faces has both.
         let is_rim = edge.faces[0] == edge.faces[1];
         let through = if is_rim { t0 } else { t0.times(tn) };
         let distances = (to_tx.length(), to_rx.length());
@@ -253,7 +253,7 @@ impl Walk<'_> {
         let specular = departure - 2.0 * departure.dot(normal) * normal;
         let density = surface.lobe.density(cos_in.abs(), cos_out.abs(), specular.dot(out));
         let (before, after) = (to_tx.length(), to_rx.length());
-        // Nearer than its own size a patch is no point: its field does not grow further.
+        // Within its own size a patch is not a point source: its field is clamped.
         let size = (patch.area / PI).sqrt();
         let distances = (before.max(size), after.max(size));
         let (area, wavelength, roughness) = (patch.area, tracer.wavelength, surface.roughness);

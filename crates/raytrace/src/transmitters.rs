@@ -1,4 +1,4 @@
-//! Where transmitters stand.
+//! Transmitter positions.
 
 #[cfg(test)]
 mod tests;
@@ -10,41 +10,44 @@ use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Positions are multiples of this, metres, so that the four decimals of `tx_pos.csv` are the same numbers.
+/// Resolution of positions, metres, so that the four decimals of `tx_pos.csv` are exact.
 const GRAIN: f64 = 1e-4;
-/// Grains in a metre.
+/// Grains per metre.
 const GRAINS: f64 = 1e4;
-/// Most points of a grid.
+/// Largest number of points of a grid.
 const MOST: f64 = 1e7;
-/// Positions in a row that may be in the way of something before a draw gives up.
+/// Number of rejected positions in a row after which a draw fails.
 const TRIES: usize = 1000;
 /// Smallest `step_m` of a walk, metres: ten grains.
 const SMALLEST_STEP: f64 = 1e-3;
-/// Longest step of a walk over the median.
+/// Longest step of a walk relative to the median.
 const LONGEST: f64 = 100.0;
-/// Standard deviation of the heading's change a step, radians.
+/// Standard deviation of the heading change per step, radians.
 const WANDER: f64 = 0.28;
-/// Standard deviation of the wobble's yaw, radians.
+/// Standard deviation of the yaw wobble, radians.
 const WOBBLE_YAW: f64 = 0.8;
-/// Standard deviation of its pitch, radians.
+/// Standard deviation of the pitch wobble, radians.
 const WOBBLE_PITCH: f64 = 0.65;
 /// Steepest pitch, radians.
 const STEEPEST: f64 = 1.4;
-/// What a step keeps of the wobble of the step before.
+/// Correlation of the wobble between consecutive steps.
 const MEMORY: f64 = 0.45;
 
-/// Where the transmitters of a simulated scene stand: in a box of the world frame, metres.
+/// Transmitter positions of a simulated scene: in a box of the world frame, metres.
 ///
-/// Positions are multiples of 0.1 mm inside the box, as measured files have them. Equal seeds give equal positions.
+/// Positions are multiples of 0.1 mm inside the box, as in measured files. Equal seeds give equal positions.
 ///
-/// * `Uniform(low, high)`: each position by itself, uniform in the box, where nothing is in the way. A longer draw begins
-///   with the shorter one.
-/// * `Grid(low, high, step_m)`: the centres of as many cubes of edge `step_m` as fit into the box, which stand in its
-///   middle; x runs fastest, then y. Fewer samples than points are a random subset in that order; more are an error. So
-///   is a point inside of something: a grid with holes should be chosen, not happen.
-/// * `Walk(low, high, step_m)`: someone carries the transmitter about, as in the measured `s23` set. Steps have a median
-///   length of `step_m` and a heavy tail (a recording with gaps), the heading wanders and wobbles, walls of the box
-///   reflect, and the walk turns away from what is in the way. A longer draw begins with the shorter one.
+/// * `Uniform(low, high)`: independent positions, uniform in the free space of the box. A longer draw begins with the
+///   shorter one.
+/// * `Grid(low, high, step_m)`: centres of cubes of edge `step_m`, as many as fit, centred in the box; x varies
+/// fastest,
+///   then y. Fewer samples than points select a random subset in that order; more are an error. A point inside an
+/// object
+///   is also an error.
+/// * `Walk(low, high, step_m)`: a carried transmitter, as in the measured `s23` set. Steps have a median length of
+///   `step_m` and a heavy tail (a recording with gaps), the heading wanders and wobbles, walls of the box reflect, and
+/// the
+///   walk turns away from obstacles. A longer draw begins with the shorter one.
 ///
 /// ```
 /// # use pwrfgs_raytrace::transmitters::Transmitters;
@@ -72,7 +75,7 @@ pub enum Transmitters {
         /// Edge of a cube, metres.
         step_m: f64,
     },
-    /// Along a walk.
+    /// Random walk.
     Walk {
         /// Smallest corner, metres.
         low: [f64; 3],
@@ -84,7 +87,7 @@ pub enum Transmitters {
 }
 
 impl Transmitters {
-    /// Whether positions can be drawn; says what is wrong and what to do otherwise.
+    /// Validates the parameters; returns the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         let (low, high) = self.corners();
         let region = Region::new(low, high)?;
@@ -111,11 +114,11 @@ impl Transmitters {
         }
     }
 
-    /// `count` positions, metres, world frame. `free` says whether a position can hold a transmitter, and where it lies
-    /// otherwise, as in ``inside `desk 2` ``.
+    /// Draws `count` positions, metres, world frame. `free` tests whether a position can hold a transmitter and returns
+    /// the obstacle otherwise, such as ``inside `desk 2` ``.
     ///
     /// # Errors
-    /// What [`Self::check`] finds; no free space; a grid with too few points or with one that is not free.
+    /// Errors of [`Self::check`]; no free space; a grid with too few points or a blocked one.
     pub fn draw(&self, count: usize, seed: u64, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<Vec<DVec3>> {
         self.check().map_err(config)?;
         let (low, high) = self.corners();
@@ -142,9 +145,9 @@ fn config(why: impl std::fmt::Display) -> Error {
     Error::Config(format!("transmitters: {why}"))
 }
 
-/// The multiples of a grain inside a box.
+/// Positions of the 0.1 mm grid inside a box.
 struct Region {
-    /// Smallest and largest, in grains.
+    /// Smallest and largest corner, in grains.
     low: [i64; 3],
     high: [i64; 3],
 }
@@ -159,7 +162,7 @@ impl Region {
                 return Err(format!("{axis} runs from {low} down to {high}; swap `low` and `high`"));
             }
         }
-        // A bound such as 0.7 is a grain, though 0.7 * 10000 is a little less than 7000.
+        // Bounds such as 0.7 are whole grains, although 0.7 * 10000 is slightly less than 7000.
         let grains = |metres: f64, round: fn(f64) -> f64| {
             let nearest = (metres * GRAINS).round();
             if nearest / GRAINS == metres { nearest as i64 } else { round(metres * GRAINS) as i64 }
@@ -167,7 +170,7 @@ impl Region {
         let region = Self { low: low.map(|v| grains(v, f64::ceil)), high: high.map(|v| grains(v, f64::floor)) };
         match (0..3).find(|&k| region.low[k] > region.high[k]) {
             Some(k) => Err(format!(
-                "{} runs from {} to {}, where no multiple of 0.0001 m lies; use one of them as both",
+                "{} runs from {} to {}, which contains no multiple of 0.0001 m; use the same multiple for both",
                 ["x", "y", "z"][k],
                 low[k],
                 high[k]
@@ -176,12 +179,12 @@ impl Region {
         }
     }
 
-    /// Largest corner less smallest, metres.
+    /// Largest minus smallest corner, metres.
     fn size(&self) -> DVec3 {
         DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
     }
 
-    /// The nearest position inside.
+    /// Nearest position inside the box.
     fn nearest(&self, position: DVec3) -> DVec3 {
         let position = position.to_array();
         let grain = |k: usize| ((position[k] * GRAINS).round() as i64).clamp(self.low[k], self.high[k]);
@@ -193,7 +196,7 @@ impl Region {
         DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
     }
 
-    /// Sample `number` (counted from 0): uniform where nothing is in the way.
+    /// Position of sample `number` (counted from 0): uniform in free space.
     fn draw_free(&self, number: usize, random: &mut Rng, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<DVec3> {
         let mut last = String::new();
         for _ in 0..TRIES {
@@ -203,7 +206,7 @@ impl Region {
                 Err(place) => last = place,
             }
         }
-        let what = format!("after {number} found, {TRIES} positions in a row are not free, the last lies {last}");
+        let what = format!("after {number} found, {TRIES} positions in a row are not free, the last is {last}");
         Err(config(format!("{what}; move the box to where there is free space")))
     }
 
@@ -226,9 +229,9 @@ impl Region {
     }
 }
 
-/// How many cubes fit along each axis; one where the box is thinner than a cube.
+/// Number of cubes along each axis; one if the box is thinner than a cube.
 fn grid_cells(low: [f64; 3], high: [f64; 3], step: f64) -> [f64; 3] {
-    // A box of 3 m holds 30 cubes of 0.1 m, though 3.0 / 0.1 may be a little less than 30.
+    // A box of 3 m holds 30 cubes of 0.1 m, although 3.0 / 0.1 may be slightly less than 30.
     [0, 1, 2].map(|k| ((high[k] - low[k]) / step * (1.0 + 1e-12) + 1e-9).floor().max(1.0))
 }
 
@@ -244,7 +247,7 @@ fn draw_grid(
     let points: usize = cells.iter().product();
     if count > points {
         let what = "use a smaller `step_m`, a larger box or fewer samples";
-        return Err(config(format!("the grid has {points} points, but {count} samples are wanted; {what}")));
+        return Err(config(format!("the grid has {points} points, but {count} samples are requested; {what}")));
     }
     let mut chosen: Vec<usize> = (0..points).collect();
     if count < points {
@@ -259,19 +262,20 @@ fn draw_grid(
         let position = region.nearest(first + step * DVec3::from_array(cell.map(|i| i as f64)));
         free(position).map(|()| position).map_err(|place| {
             let DVec3 { x, y, z } = position;
-            let what = format!("transmitter {} at ({x}, {y}, {z}) lies {place}", number + 1);
+            let what = format!("transmitter {} at ({x}, {y}, {z}) is {place}", number + 1);
             Error::Config(format!("{what}; move the grid or the object"))
         })
     };
     chosen.into_iter().enumerate().map(place).collect()
 }
 
-/// A transmitter that is carried about, after the 6,123 positions of the measured `s23` set.
+/// Carried transmitter, modelled on the 6,123 positions of the measured `s23` set.
 ///
-/// There, a step is longer than x with a probability close to x₀/x, x₀ being half the median of 10.4 mm; the directions
-/// of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at 1, 3, 8 and 20 steps; and steps point up or down by 25° or
-/// more half of the time. The law of the steps is drawn as it is. The direction is a slow heading, which wanders, and a
-/// wobble of yaw and pitch about it, which forgets within a few steps; its four numbers were fitted to the correlations.
+/// In `s23`, a step is longer than x with a probability close to x₀/x, x₀ being half the median of 10.4 mm; the
+/// directions of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at lags of 1, 3, 8 and 20 steps; and half of the
+/// steps point up or down by 25° or more. Step lengths are drawn from that distribution. The direction is a slowly
+/// wandering heading plus a wobble of yaw and pitch with a memory of a few steps; its four parameters were fitted to
+/// the correlations.
 fn draw_walk(
     region: &Region,
     step: f64,
@@ -317,7 +321,7 @@ fn next_of_walk(
     Err(config(format!("{what}; move the box to where there is free space")))
 }
 
-/// Half the median at least; longer than x with the probability x₀/x, but for the longest.
+/// Random step length: at least half the median, longer than x with probability x₀/x, up to the limit.
 fn length_of_step(median: f64, random: &mut Rng) -> f64 {
     let shortest_over_longest = 0.5 / LONGEST;
     let u = shortest_over_longest + (1.0 - shortest_over_longest) * rng::uniform_f64(random);
@@ -326,9 +330,9 @@ fn length_of_step(median: f64, random: &mut Rng) -> f64 {
 
 #[derive(Clone)]
 struct Direction {
-    /// Radians from +x.
+    /// Angle from +x, radians.
     heading: f64,
-    /// Yaw and pitch about it, radians.
+    /// Yaw and pitch relative to the heading, radians.
     wobble: [f64; 2],
 }
 
@@ -340,7 +344,7 @@ impl Direction {
         }
     }
 
-    /// The unit vector of the next step.
+    /// Unit vector of the next step.
     fn turn(&mut self, random: &mut Rng) -> DVec3 {
         self.heading = (self.heading + WANDER * rng::normal_f64(random)).rem_euclid(TAU);
         for (wobble, deviation) in self.wobble.iter_mut().zip([WOBBLE_YAW, WOBBLE_PITCH]) {

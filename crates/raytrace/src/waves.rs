@@ -1,5 +1,5 @@
-//! What surfaces and edges do to a wave: a few pure functions each, from the recommendations and papers they name, and
-//! `Ray`, the electric field that they act on: a complex vector across its direction.
+//! Interactions of waves with surfaces and edges, as pure functions from the cited recommendations and papers, and
+//! `Ray`, the electric field: a complex vector perpendicular to its direction.
 //!
 //! Everything is in double precision, metres, hertz and radians; the time factor is e^{+jωt}.
 
@@ -13,12 +13,12 @@ use crate::world::Surface;
 use fresnel::Polarized;
 use glam::DVec3;
 
-/// A ray with its field, without spreading and without the phase of the way.
+/// Ray with its field, without spreading and without propagation phase.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ray {
     /// Unit vector of travel.
     pub(crate) direction: DVec3,
-    /// The field, real and imaginary part.
+    /// Real and imaginary part of the field.
     pub(crate) re: DVec3,
     pub(crate) im: DVec3,
 }
@@ -29,23 +29,23 @@ impl Ray {
         Self { direction, re: field, im: DVec3::ZERO }
     }
 
-    /// The component of the field along a real unit vector.
+    /// Component of the field along a real unit vector.
     pub(crate) fn along(&self, axis: DVec3) -> Complex {
         Complex::new(self.re.dot(axis), self.im.dot(axis))
     }
 
-    /// |E|².
+    /// Power |E|².
     pub(crate) fn power(&self) -> f64 {
         self.re.length_squared() + self.im.length_squared()
     }
 
-    /// The ray that leaves along `direction` with the field a·`p` + b·`q`.
+    /// Ray along `direction` with the field a·`p` + b·`q`.
     fn made_of(direction: DVec3, (a, p): (Complex, DVec3), (b, q): (Complex, DVec3)) -> Self {
         Self { direction, re: a.re * p + b.re * q, im: a.im * p + b.im * q }
     }
 
-    /// After a specular reflection at a plane with unit normal `normal`. Of a rough surface only √(1 - S²) of the
-    /// amplitude goes this way (Degli-Esposti et al., 2007).
+    /// Ray after a specular reflection at a plane with unit normal `normal`. Rough surfaces reflect only √(1 - S²) of
+    /// the amplitude specularly (Degli-Esposti et al., 2007).
     pub(crate) fn reflected(&self, surface: &Surface, normal: DVec3, wavelength: f64) -> Self {
         let cosine = self.direction.dot(normal);
         let out = self.direction - 2.0 * cosine * normal;
@@ -56,7 +56,7 @@ impl Ray {
         Self::made_of(out, (r.te * te * smooth, s), (r.tm * tm * smooth, s.cross(out)))
     }
 
-    /// After passing straight through a sheet; `None` behind a solid.
+    /// Ray after straight transmission through a sheet; `None` for a solid.
     pub(crate) fn transmitted(&self, surface: &Surface, normal: DVec3, wavelength: f64) -> Option<Self> {
         let cosine = self.direction.dot(normal).abs();
         let t = fresnel::transmission(surface.eta, surface.thickness?, cosine, wavelength);
@@ -65,8 +65,8 @@ impl Ray {
         Some(Self::made_of(self.direction, (t.te * self.along(s), s), (t.tm * self.along(p), p)))
     }
 
-    /// After diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′` in the ray-fixed axes
-    /// of Kouyoumjian and Pathak (1974).
+    /// Ray after diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′` in the
+    /// ray-fixed axes of Kouyoumjian and Pathak (1974).
     pub(crate) fn diffracted(&self, edge: DVec3, out: DVec3, d: &Polarized) -> Self {
         let phi_in = across(-edge, self.direction);
         let phi_out = across(edge, out);
@@ -74,8 +74,8 @@ impl Ray {
         Self::made_of(out, (-d.te * self.along(beta_in), beta_out), (-d.tm * self.along(phi_in), phi_out))
     }
 
-    /// After diffuse scattering into `out` with the given amplitude and phase: the polarisation is kept as far as the new
-    /// direction allows. Where it allows none, nothing is sent.
+    /// Ray after diffuse scattering into `out` with the given complex gain. The polarisation is projected onto the new
+    /// transverse plane; the field is zero if nothing remains.
     pub(crate) fn scattered(&self, out: DVec3, gain: Complex) -> Self {
         let bent = |v: DVec3| v - v.dot(out) * out;
         let (re, im) = (bent(self.re), bent(self.im));
@@ -86,7 +86,7 @@ impl Ray {
     }
 }
 
-/// The unit vector a × b / |a × b|; any unit vector across `a` where both are parallel.
+/// Unit vector a × b / |a × b|; an arbitrary unit vector perpendicular to `a` if both are parallel.
 fn across(a: DVec3, b: DVec3) -> DVec3 {
     let c = a.cross(b);
     let length = c.length();

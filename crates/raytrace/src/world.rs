@@ -1,4 +1,4 @@
-//! The room as geometry: faces, edges, and the test what a straight segment runs into.
+//! Room geometry: faces, edges, and intersection tests of straight segments.
 
 mod build;
 mod contact;
@@ -18,17 +18,17 @@ use std::cmp::Ordering;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// How close to its ends a segment meets nothing, metres: reflection points lie on faces.
+/// Margin at the ends of a segment without intersections, metres: reflection points lie on faces.
 pub(crate) const MARGIN: f64 = 1e-6;
 
-/// What a face is made of.
+/// Surface properties of a face.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
-    /// The object that has it, such as `desk 2`.
+    /// Name of its object, such as `desk 2`.
     pub object: String,
     /// Complex relative permittivity at the carrier.
     pub eta: Complex,
-    /// Thickness of the sheet, metres; `None`: a solid that nothing passes.
+    /// Thickness of the sheet, metres; `None` for an opaque solid.
     pub thickness: Option<f64>,
     /// Share of the reflected amplitude that is scattered diffusely, in [0, 1].
     pub roughness: f64,
@@ -36,28 +36,28 @@ pub struct Surface {
     pub lobe: Lobe,
 }
 
-/// A plane piece of surface: connected triangles in one plane.
+/// Planar piece of surface: connected triangles in one plane.
 #[derive(Clone, Debug)]
 pub struct Face {
-    /// Such as `floor` or `desk 2/top`.
+    /// Name, such as `floor` or `desk 2/top`.
     pub name: String,
-    /// Unit normal n; of the room it points inwards, of an object outwards.
+    /// Unit normal n; inwards for the room, outwards for objects.
     pub normal: DVec3,
-    /// n·x of its points, metres.
+    /// Offset n·x of its points, metres.
     pub offset: f64,
     /// Index into [`World::surfaces`].
     pub surface: u32,
-    /// Its triangles in [`World::triangles`].
+    /// Range of its triangles in [`World::triangles`].
     pub triangles: Range<usize>,
-    /// Faces in the same plane that may lie on it, or it on them; in order.
+    /// Faces in the same plane that may overlap with it, in order.
     pub twins: Vec<u32>,
     /// Convex hull, corners in order.
     pub hull: Vec<DVec3>,
-    /// To what kind of thing it belongs.
+    /// Type of the part it belongs to.
     pub layer: Layer,
 }
 
-/// What lies on what, where faces share a plane: the later kind lies on the front of the earlier.
+/// Order of overlapping faces in one plane: a later layer lies in front of an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Layer {
     /// Walls, floor and ceiling.
@@ -69,7 +69,7 @@ pub enum Layer {
 }
 
 impl Face {
-    /// Whether it belongs to the room rather than to an object in it.
+    /// Whether it belongs to the room rather than to an object.
     pub fn is_room(&self) -> bool {
         self.layer == Layer::Room
     }
@@ -79,20 +79,20 @@ impl Face {
         self.normal.dot(point) - self.offset
     }
 
-    /// The point mirrored at the plane.
+    /// Mirrors a point at the plane.
     pub fn mirror(&self, point: DVec3) -> DVec3 {
         point - 2.0 * self.height(point) * self.normal
     }
 }
 
-/// A straight edge at which waves are diffracted.
+/// Straight edge that diffracts waves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edge {
-    /// Its ends, metres.
+    /// End points, metres.
     pub ends: [DVec3; 2],
-    /// The two faces; the same twice for the rim of a sheet.
+    /// Indices of the two faces; equal for the rim of a sheet.
     pub faces: [u32; 2],
-    /// Unit vector in face 0, perpendicular to the edge, away from it: angles are counted from here.
+    /// Unit vector in face 0, perpendicular to the edge and away from it: angles start here.
     pub along: DVec3,
     /// Unit normal of face 0 on the outer side.
     pub normal: DVec3,
@@ -101,7 +101,7 @@ pub struct Edge {
 }
 
 impl Edge {
-    /// Unit vectors in its faces, perpendicular to it, away from it.
+    /// Unit vectors in its faces, perpendicular to the edge and away from it.
     pub fn inwards(&self) -> [DVec3; 2] {
         let (sin, cos) = (self.outer_angle * PI).sin_cos();
         let is_rim = self.faces[0] == self.faces[1];
@@ -109,7 +109,7 @@ impl Edge {
     }
 }
 
-/// Something closed.
+/// Closed surface of the room or of an object.
 #[derive(Debug)]
 struct Body {
     name: String,
@@ -118,7 +118,8 @@ struct Body {
 }
 
 impl Body {
-    /// Whether a ray from the point crosses the surface an odd number of times. Its direction is askew to anything built.
+    /// Whether a ray from the point crosses the surface an odd number of times. The ray direction is oblique to typical
+    /// faces.
     fn holds(&self, point: DVec3) -> bool {
         let [low, high] = self.bounds;
         let reach = DVec3::new(0.311, 0.577, 0.813) * 4.0 * (high - low).length();
@@ -127,41 +128,42 @@ impl Body {
     }
 }
 
-/// Everything that a wave can meet.
+/// Geometry that waves interact with.
 #[derive(Debug)]
 pub struct World {
-    /// What the faces are made of.
+    /// Surface properties, indexed by [`Face::surface`].
     pub surfaces: Vec<Surface>,
-    /// All faces; those of the room come first.
+    /// All faces; the faces of the room come first.
     pub faces: Vec<Face>,
     /// All edges that diffract.
     pub edges: Vec<Edge>,
     /// All triangles, in the order of their faces.
     pub triangles: Vec<Triangle>,
-    /// What has an inside; the room is the first.
+    /// Closed bodies; the room is the first.
     bodies: Vec<Body>,
     hierarchy: Hierarchy,
 }
 
 impl World {
-    /// What the face is made of.
+    /// Surface properties of a face.
     pub fn surface_of(&self, face: u32) -> &Surface {
         &self.surfaces[self.faces[face as usize].surface as usize]
     }
 
-    /// Whether a point of its plane lies on the face.
+    /// Whether a point in the plane of a face lies on it.
     pub fn is_on(&self, face: u32, point: DVec3) -> bool {
         self.triangles[self.faces[face as usize].triangles.clone()].iter().any(|t| t.contains(point))
     }
 
-    /// The face that counts at a point of the plane of `face` for a wave that comes from `from`: another one where that
-    /// lies on it.
+    /// Frontmost face at a point in the plane of `face`, for a wave that comes from `from`: another face if that covers
+    /// it.
     pub fn counting(&self, face: u32, point: DVec3, from: DVec3) -> u32 {
         let lies_on = |best: u32, twin: u32| self.goes_before(twin, best, from) && self.is_on(twin, point);
         self.faces[face as usize].twins.iter().fold(face, |best, &twin| if lies_on(best, twin) { twin } else { best })
     }
 
-    /// Of two faces in one plane: from its front what lies on the other, from behind the other; of a kind the first.
+    /// Whether `one` covers `other` in a common plane, as seen from `from`: the later layer in front, the earlier
+    /// behind; within a layer the first.
     fn goes_before(&self, one: u32, other: u32, from: DVec3) -> bool {
         let [a, b] = [one, other].map(|face| &self.faces[face as usize]);
         match a.layer.cmp(&b.layer) {
@@ -171,9 +173,9 @@ impl World {
         }
     }
 
-    /// The faces between `from` and `to`, nearest first, put into `met` after clearing it. Returns whether the way is
-    /// open: a solid face closes it, and then `met` says nothing. `ends` are the faces on which the two points lie:
-    /// what shares their planes is at an end, not between.
+    /// Collects the faces between `from` and `to` in `met` (cleared first), nearest first. Returns whether the segment
+    /// is free; if a solid face blocks it, `met` is undefined. `ends` are the faces of the two end points: faces in
+    /// their planes do not count as obstacles.
     pub fn pass(&self, from: DVec3, to: DVec3, ends: [&[u32]; 2], met: &mut Vec<(f64, u32)>) -> bool {
         met.clear();
         let span = to - from;
@@ -190,15 +192,15 @@ impl World {
             met.push((at, triangle.face));
         }
         met.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        // On the seam of two triangles of a face both are met.
+        // On the seam of two triangles of a face both are hit.
         met.dedup_by(|b, a| a.1 == b.1 && b.0 - a.0 < margin);
         true
     }
 
-    /// Refuses a point where no antenna can be: outside the room, or inside an object, which is named.
+    /// Returns an error for a point where no antenna can be: outside the room, or inside an object, which is named.
     ///
     /// # Errors
-    /// What is in the way, such as «inside `desk 2`».
+    /// The obstacle, such as «inside `desk 2`».
     pub fn check_free(&self, point: DVec3) -> Result<(), String> {
         let (room, objects) = self.bodies.split_first().expect("a world has a room");
         if !room.holds(point) {

@@ -1,4 +1,4 @@
-//! Things that lie on walls and on each other, and openings in them: against closed forms.
+//! Objects on walls and on each other, and openings, compared with closed forms.
 
 use crate::common::law_scene as scene;
 use glam::DVec3;

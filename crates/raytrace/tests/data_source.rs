@@ -1,4 +1,4 @@
-//! Simulated data sets: the same bits always, kept whole or not at all, and mistakes told clearly.
+//! Simulated data sets: reproducible, cached completely or not at all, with clear errors.
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};

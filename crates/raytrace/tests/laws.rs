@@ -1,4 +1,4 @@
-//! Laws that every room obeys: closed forms, reciprocity, occlusion, energy.
+//! Physical laws in every room: closed forms, reciprocity, occlusion, energy.
 
 use crate::common::law_scene as scene;
 use glam::DVec3;

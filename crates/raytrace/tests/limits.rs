@@ -1,4 +1,4 @@
-//! Scenes that nobody means: told as wrong input, before memory or minutes are spent.
+//! Extreme scenes are rejected as invalid input before they need much memory or time.
 
 use crate::common::law_scene;
 use pwrfgs_raytrace::{Scene, Simulator};
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 const ROOM: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
                     floor: (material: \"concrete\"), ceiling: (material: \"concrete\"))";
 
-/// What is said about the scene with `from` replaced, within seconds.
+/// The error for the scene with `from` replaced by `to`, within seconds.
 fn said(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     let begun = Instant::now();

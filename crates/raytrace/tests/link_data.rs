@@ -61,7 +61,7 @@ fn who_is_not_heard_has_no_link() {
         assert!(quiet > -100.0 && (loud - quiet - 50.0).abs() < 0.01);
     }
     let said = sends(-190.0).unwrap_err().to_string();
-    assert!(said.contains("no receiver hears any transmitter; raise `power_dbm`"), "{said}");
+    assert!(said.contains("no receiver receives any transmitter; raise `power_dbm`"), "{said}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Folders of powers and channels: the same bytes always, what they hold, and mistakes told clearly.
+//! Folders of powers and channels: reproducible bytes, content, and clear errors.
 
 use crate::common::{CSI, small_room};
 use pwrfgs_raytrace::output::{Layout, write_as};
@@ -179,7 +179,7 @@ fn mistakes_are_told_with_their_place() {
     };
     for (from, to, expected) in [
         ("name: \"b\"", "name: \"gateway1\"", "s.ron:6:11: two receivers are called `gateway1`"),
-        ("name: \"b\", ", "", "two receivers are called `gateway1`; give each a `name` of its own"),
+        ("name: \"b\", ", "", "two receivers are called `gateway1`; give each a unique `name`"),
         ("name: \"b\"", "name: \"GateWay1\"", "two receivers are called `GateWay1`"),
         ("name: \"b\"", "name: \"a/b\"", "s.ron:6:35: `a/b` is no name for a receiver; give a letter"),
         ("name: \"b\"", "name: \"\"", "`` is no name for a receiver"),

@@ -129,7 +129,7 @@ fn number(row: &Row, name: &str) -> f64 {
     row[name].parse().unwrap()
 }
 
-/// Rows of a table of the reference by column; `None` with a note where there is none.
+/// Rows of a reference table by column; `None` with a note if it is missing.
 fn reference(name: &str) -> Option<Vec<Row>> {
     let mut reader = csv::Reader::from_path(shared(&format!("reference/paths/sceneA/{name}"))?).unwrap();
     Some(reader.deserialize().map(|row| row.unwrap()).collect())
@@ -138,8 +138,8 @@ fn reference(name: &str) -> Option<Vec<Row>> {
 /// Position of the reference's receiver.
 const CENTER: DVec3 = DVec3::new(1.7, -0.9, 1.3);
 
-/// A path of the reference. Its directions were written in single precision, so the image of the transmitter is made
-/// anew from the names of the walls.
+/// Path of the reference. Its directions have single precision, so the image of the transmitter is computed from the
+/// names of the walls.
 fn reference_path(row: &Row) -> Path {
     let mut source = match row["tx"].as_str() {
         "tx1" => DVec3::new(-2.1, 1.4, 1.1),

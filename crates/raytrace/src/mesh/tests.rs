@@ -1,4 +1,4 @@
-//! A cube in every file format, and what is said about surfaces that are none.
+//! A cube in every file format, and errors of invalid surfaces.
 
 use super::*;
 use proptest::prelude::*;
@@ -20,18 +20,18 @@ fn cube() -> Mesh {
 }
 
 impl Mesh {
-    /// The corners of all triangles.
+    /// Corners of all triangles.
     fn soup(&self) -> Vec<[DVec3; 3]> {
         self.triangles.iter().map(|triangle| self.corners(*triangle)).collect()
     }
 
-    /// How many edges belong to more than two triangles, as where two bodies share an edge or a triangle is there twice.
+    /// Number of edges of more than two triangles, as between touching bodies or for duplicate triangles.
     fn crowded_edges(&self) -> usize {
         self.edges().filter(|triangles| *triangles > 2).count()
     }
 }
 
-/// By the divergence theorem.
+/// Volume by the divergence theorem.
 fn volume(mesh: &Mesh) -> f64 {
     mesh.soup().iter().map(|[a, b, c]| a.dot(b.cross(*c)) / 6.0).sum()
 }
@@ -40,7 +40,7 @@ fn area(mesh: &Mesh) -> f64 {
     mesh.soup().iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()
 }
 
-/// An OBJ file in which every triangle has vertices of its own.
+/// OBJ file in which every triangle has separate vertices.
 fn separate_triangles(mesh: &Mesh) -> String {
     let facet = |(k, t): (usize, &[DVec3; 3])| {
         let vertices = t.map(|v| format!("v {} {} {}\n", v.x, v.y, v.z)).concat();
@@ -122,7 +122,7 @@ fn a_mesh_is_scaled_turned_and_shifted_in_that_order() {
 fn surfaces_that_are_none_are_told() {
     let sample = |text: &str| read_text("a.obj", text.as_bytes()).unwrap_err();
     assert_eq!(sample("v 0 0 0\n"), "DIR/a.obj: holds no triangle; export a surface with faces");
-    let advice = "has no area; remove degenerate faces where the mesh was made";
+    let advice = "has no area; remove degenerate faces in the modelling program";
     let v = "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 2 1e-9 0\nv 0 0 0\n";
     for face in ["1 2 3", "1 2 2", "1 2 5", "1 6 4"] {
         assert_eq!(sample(&format!("{v}f 1 2 4\nf {face}\n")), format!("DIR/a.obj: triangle 2 at (0, 0, 0) {advice}"));
@@ -159,7 +159,7 @@ fn the_room_of_the_reference_paths_is_closed() {
 }
 
 proptest! {
-    /// Whatever is checked can be used.
+    /// Every validated mesh is usable.
     #[test]
     fn a_mesh_that_passes_the_check_has_triangles_with_area(
         corners in prop::collection::vec(prop::array::uniform3(-2..3i32), 1..8),

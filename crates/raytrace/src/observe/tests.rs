@@ -98,7 +98,7 @@ fn receivers_have_errors_of_their_own_and_subcarriers_share_those_of_phase() {
     let turns: Vec<Complex> = of(&noise, "north", 4).iter().zip(channel(16)).map(|(a, b)| a / b).collect();
     assert!(turns.chunks(4).all(|antenna| antenna.iter().all(|turn| (turn - antenna[0]).norm() < 1e-12)));
     assert!((turns[0] - turns[4]).norm() > 1e-6);
-    // The seed and the name alone decide: the default name has the draws that a scene without names always had.
+    // Only seed and name matter: the default name has the same draws as a scene without names.
     let noise = Noise { snr_db: Some(10.0), seed: 3, ..Noise::default() };
     let mut old = channel(16);
     let deviation = (mean_power(&old) * 0.1).sqrt() * FRAC_1_SQRT_2;

@@ -1,5 +1,5 @@
-//! The files of a simulated data set, which grow by a transmitter at a time: what is observed, in the layouts of NeRF2 or as
-//! arrays, positions, lists of numbers, and paths.
+//! Files of a simulated data set, written one transmitter at a time: observations in the layouts of NeRF2 or as arrays,
+//! positions, tables and paths.
 
 use crate::Complex;
 use crate::listener::Listener;
@@ -17,42 +17,42 @@ use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Every path of every transmitter.
+/// File of every path of every transmitter.
 pub const PATHS: &str = "paths.csv";
-/// Absolute power of every spectrum.
+/// File of the absolute power of every spectrum.
 pub const POWER: &str = "power.csv";
-/// The array of all spectra.
+/// File of the array of all spectra.
 pub(crate) const SPECTRA: &str = "spectra.npy";
 /// Channels, complex64 `[links, antennas, subcarriers]`.
 pub(crate) const CHANNELS: &str = "channel.npy";
-/// Readings in dBm: a row a transmitter, a column a receiver.
+/// File of readings in dBm: one row per transmitter, one column per receiver.
 pub(crate) const POWERS: &str = "gateway_rssi.csv";
-/// Positions of the transmitters.
+/// File of the transmitter positions.
 pub(crate) const POSITIONS: &str = "tx_pos.csv";
-/// The folder of the pictures.
+/// Folder of the images.
 const PICTURES: &str = "spectrum";
-/// Most pictures: their names have five digits.
+/// Largest number of images: their names have five digits.
 const MOST_PICTURES: usize = 99_999;
-/// Every how-manieth sample belongs to the test list.
+/// Every n-th sample belongs to the test list.
 const TEST_EVERY: usize = 5;
 
-/// Which files hold what is observed.
+/// File layout of the observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Spectra, a picture each, as NeRF2 has them.
+    /// Spectra as images, as in NeRF2.
     Pictures,
-    /// Spectra as one array, `spectra.npy`: however many there are, memory need not hold them.
+    /// Spectra as one array, `spectra.npy`, written without holding all in memory.
     Array,
-    /// Powers in a table, as NeRF2 has those of its BLE set; a column a receiver.
+    /// Powers in a table with one column per receiver, as in the BLE set of NeRF2.
     Rssi,
     /// Channels as one array, `channel.npy`.
     Channels,
-    /// Channels as NeRF2 has those of its MIMO set: the first half of the subcarriers is the uplink.
+    /// Channels as in the MIMO set of NeRF2: the first half of the subcarriers is the uplink.
     Csi,
 }
 
 impl Layout {
-    /// Whether `recipe` can be written this way.
+    /// Returns an error if `recipe` does not fit the layout.
     pub(super) fn check(self, recipe: &Recipe) -> Result<()> {
         let fits = match self {
             Self::Pictures | Self::Array => recipe.observe == Observe::Spectrum,
@@ -60,12 +60,12 @@ impl Layout {
             Self::Channels | Self::Csi => matches!(recipe.observe, Observe::Channel { .. }),
         };
         if !fits {
-            let what = "is not the layout of what is observed; choose another";
+            let what = "does not match the observation type; choose another layout";
             return Err(Error::Config(format!("{self:?} {what}")));
         }
         if self == Self::Pictures && recipe.samples > MOST_PICTURES {
             return Err(Error::Config(format!(
-                "{} spectra are more than the {MOST_PICTURES} pictures that have a name; write one array, with --npy",
+                "{} spectra exceed the limit of {MOST_PICTURES} images; write one array with --npy",
                 recipe.samples
             )));
         }
@@ -80,30 +80,29 @@ impl Layout {
         Ok(())
     }
 
-    /// Number of the first sample, as NeRF2 counts them: names of pictures from 1, rows from 0.
+    /// Number of the first sample, as in NeRF2: image names from 1, rows from 0.
     fn first(self) -> usize {
         usize::from(matches!(self, Self::Pictures | Self::Array))
     }
 }
 
-/// Whether the `i`th transmitter, counted from 0, is for testing.
+/// Whether the `i`th transmitter, counted from 0, is a test sample.
 pub(crate) fn is_test(i: usize) -> bool {
     (i + 1).is_multiple_of(TEST_EVERY)
 }
 
-/// Files under way in a folder that is there and empty; with several receivers, what they observe of a transmitter stands
-/// one after the other.
+/// Open files in an empty folder. With several receivers, their observations of a transmitter are consecutive.
 pub(super) struct Files {
     folder: PathBuf,
     layout: Layout,
-    /// Spectra or channels, unless each spectrum is a picture.
+    /// Array of spectra or channels, unless spectra are images.
     array: Option<Growing>,
-    /// The table of powers, or of absolute powers of spectra.
+    /// Table of powers, or of absolute powers of spectra.
     table: Option<(&'static str, String)>,
-    /// What a reader of the observations has to know: poses, frequencies, antennas.
+    /// Metadata of the observations: poses, frequencies, antennas.
     facts: Option<(&'static str, String)>,
     positions: String,
-    /// A table a receiver, or none.
+    /// Path tables, one per receiver, or none.
     paths: Vec<(PathTable, Growing)>,
 }
 
@@ -120,7 +119,7 @@ impl Files {
         let array = |name, header: Vec<u8>| Growing::begin(folder.join(name), &header).map(Some);
         let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
         let channels = |name| array(name, npy_header_as("<c8", &shape));
-        // Of one receiver; several have places of their own elsewhere.
+        // Only for one receiver; with several, the poses are in another file.
         let gateway = || ("gateway_info.yml", gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose()));
         let absolute = || (POWER, "id,path_gain_db,low,high\n".to_owned());
         let (array, table, facts) = match layout {
@@ -158,7 +157,7 @@ impl Files {
         Ok(Self { folder: folder.into(), layout, array, table, facts, positions: "x,y,z\n".into(), paths })
     }
 
-    /// Adds what the receivers hear of the `i`th transmitter, counted from 0.
+    /// Adds the observations of the `i`th transmitter, counted from 0.
     pub(super) fn add(&mut self, i: usize, tx: DVec3, all: &[Heard]) -> Result<()> {
         let id = i + self.layout.first();
         writeln!(self.positions, "{},{},{}", tx.x, tx.y, tx.z).expect("text grows");
@@ -185,7 +184,7 @@ impl Files {
                 (Observed::Power(dbm), Some((_, rows))) => {
                     let end = if receiver + 1 == all.len() { "\n" } else { "," };
                     if *dbm > SILENT_DBM {
-                        // Rounded, none is what stands for nothing received.
+                        // Rounded readings must not equal the marker of a missing link.
                         write!(rows, "{:.3}{end}", dbm.max(SILENT_DBM + 1e-3))
                     } else {
                         write!(rows, "{SILENT_DBM:.1}{end}")
@@ -198,7 +197,7 @@ impl Files {
         Ok(())
     }
 
-    /// Writes what is left.
+    /// Writes the remaining files.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
         self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(Growing::finish)?;
         for (name, text) in self.facts.into_iter().chain(self.table).chain([(POSITIONS, self.positions)]) {
@@ -219,7 +218,7 @@ impl Files {
     }
 }
 
-/// A file that is written bit by bit.
+/// File that is written incrementally.
 struct Growing {
     file: BufWriter<fs::File>,
     path: PathBuf,
@@ -241,8 +240,8 @@ impl Growing {
     }
 }
 
-/// Refuses a table with transmitters that no receiver receives, or receivers that receive none: who reads the layout cannot
-/// tell them from mistakes.
+/// Returns an error for a table with transmitters that no receiver receives, or receivers that receive none: readers of
+/// the layout would reject it.
 pub(super) fn check_powers(folder: &Path) -> Result<()> {
     let text = files::read_string(folder.join(POWERS)).map_err(|e| Error::read(folder, e))?;
     let silent = format!("{SILENT_DBM:.1}");
@@ -266,7 +265,7 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
     }
 }
 
-/// What the axes of an array of channels are: YAML.
+/// Axes of a channel array as YAML.
 fn receiver_yaml(simulator: &Simulator, listener: &Listener) -> String {
     let (scene, pose) = (simulator.scene(), listener.pose());
     let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
@@ -283,7 +282,7 @@ fn receiver_yaml(simulator: &Simulator, listener: &Listener) -> String {
     )
 }
 
-/// Numbers in brackets: YAML.
+/// Numbers in brackets, as YAML.
 fn list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
 }

@@ -1,4 +1,4 @@
-//! Who listens and who sends.
+//! Receivers and transmitter of a scene.
 
 use super::room::FAR;
 use crate::array::{Array, Element};
@@ -8,60 +8,60 @@ use pwrfgs_core::Pose;
 use pwrfgs_core::plugin::Checked;
 use serde::{Deserialize, Serialize};
 
-/// Farthest from 0 dBm that a transmitter may be.
+/// Largest absolute transmit power, dBm.
 const MOST_DBM: f64 = 200.0;
-/// Name of a receiver that has none of its own: that of the first receiver in `gateway_info.yml`.
+/// Name of an unnamed receiver, as of the first receiver in `gateway_info.yml`.
 const GATEWAY: &str = "gateway1";
-/// Most letters of a receiver's name.
+/// Longest receiver name, characters.
 const LONGEST: usize = 40;
-/// What YAML takes for a truth value or nothing, where a name is meant.
+/// Words that YAML reads as a truth value or null, and that are therefore invalid names.
 const WORDS_OF_YAML: [&str; 8] = ["y", "n", "yes", "no", "on", "off", "true", "false"];
 
 /// A receiver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Receiver {
-    /// What it is called, in files and folders; default `gateway1`. Its noise depends on the name, not on its place in the
-    /// scene. Not written out where it is the default, so that data of old scenes keep their key.
+    /// Name in files and folders; default `gateway1`. The noise depends on the name, not on the position in the scene
+    /// file. The default is not written out, so that data of old scenes keep their key.
     #[serde(default = "gateway", skip_serializing_if = "is_gateway")]
     pub name: String,
     /// Centre of the array, metres.
     pub position: [f64; 3],
-    /// How it is turned.
+    /// Orientation of the array.
     pub orientation: Orientation,
-    /// Its antennas.
+    /// Antenna array.
     #[serde(default)]
     pub array: Checked<Array>,
 }
 
-/// How the receiver is turned.
+/// Orientation of the receiver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Orientation {
     /// Unit quaternion x, y, z, w from the axes of the receiver to those of the world, as in `gateway_info.yml`.
     Quaternion(f64, f64, f64, f64),
-    /// Boresight towards `direction`, the y axis of the array as far up as that allows (for a boresight straight up or
-    /// down: towards +y of the world).
+    /// Boresight towards `direction`; the y axis of the array points up as far as possible (for a vertical boresight:
+    /// towards +y of the world).
     Facing {
         /// A direction in the world, of any length.
         direction: [f64; 3],
     },
 }
 
-/// The transmitter: one antenna that moves.
+/// The transmitter: one moving antenna.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Transmitter {
-    /// Where it stands.
+    /// Positions of the transmitter.
     pub positions: Transmitters,
-    /// Its pattern; default isotropic.
+    /// Antenna pattern; default isotropic.
     #[serde(default)]
     pub element: Element,
-    /// Axis of its polarisation, world frame; default upright.
+    /// Polarisation axis, world frame; default vertical.
     #[serde(default = "upright")]
     pub polarization: [f64; 3],
-    /// What it sends, dBm; default 0. Received powers count from it; spectra and channels do not know it. Not written out
-    /// where it is the default.
+    /// Transmit power, dBm; default 0. Used for received powers; spectra and channels ignore it. The default is not
+    /// written out.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub power_dbm: f64,
 }
@@ -83,22 +83,22 @@ fn upright() -> [f64; 3] {
 }
 
 impl Receiver {
-    /// Its pose.
+    /// Receiver pose.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation.quaternion() }
     }
 
-    /// Its name with `what` before, or `what` alone where it has no name of its own.
+    /// Name with the prefix `what`, or `what` alone for an unnamed receiver.
     pub(crate) fn called(&self, what: &str) -> String {
         if is_gateway(&self.name) { what.into() } else { format!("{what} `{}`", self.name) }
     }
 
-    /// The name of a random stream that is this receiver's own.
+    /// Name of a random stream unique to this receiver.
     pub(crate) fn stream(&self, what: &str) -> String {
         if is_gateway(&self.name) { what.into() } else { format!("{what} of {}", self.name) }
     }
 
-    /// Refuses a name that cannot be that of a folder, a column and a key on every machine.
+    /// Returns an error for a name that is not valid as folder, column and key on every system.
     pub(super) fn check_name(&self) -> Result<(), String> {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         let begins = self.name.starts_with(|c: char| c.is_ascii_alphabetic());
@@ -155,7 +155,7 @@ impl Transmitter {
 }
 
 impl Orientation {
-    /// Unit quaternion x, y, z, w from the receiver's axes to the world's.
+    /// Unit quaternion x, y, z, w from the receiver axes to the world axes.
     pub fn quaternion(&self) -> [f64; 4] {
         match self {
             Self::Quaternion(x, y, z, w) => {

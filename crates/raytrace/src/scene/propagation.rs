@@ -1,31 +1,31 @@
-//! Which ways of the waves count, and at which frequencies.
+//! Propagation effects and frequencies of a scene.
 
 use crate::scattering::Lobe;
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
 
-/// Most subcarriers.
+/// Largest number of subcarriers.
 const MOST_SUBCARRIERS: usize = 4096;
 
-/// Which ways of the waves count.
+/// Propagation effects to simulate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Propagation {
-    /// Most specular reflections; default 2.
+    /// Largest number of specular reflections; default 2.
     pub order: usize,
-    /// Most specular reflections of a path that meets the room alone, no object; default 3.
+    /// Largest number of specular reflections of a path that meets only the room and no object; default 3.
     pub room_order: usize,
-    /// Whether waves pass sheets; default yes.
+    /// Whether waves pass through sheets; default yes.
     pub transmission: bool,
-    /// Whether waves go around one edge; default yes.
+    /// Whether waves diffract at an edge, once per path; default yes.
     pub diffraction: bool,
-    /// Diffuse scattering: share S of the reflected amplitude where a finish says nothing; default 0, none.
+    /// Diffuse scattering: share S of the reflected amplitude of finishes without `roughness`; default 0, none.
     pub roughness: f64,
     /// Shape of the diffuse lobe; default Lambertian.
     pub lobe: Lobe,
-    /// Side of the square patches that scatter, metres; default 0.5.
+    /// Side of the square scattering patches, metres; default 0.5.
     pub patch_m: f64,
-    /// Seed of the phases that patches add; default 0.
+    /// Random seed of the patch phases; default 0.
     pub seed: u64,
 }
 
@@ -61,17 +61,17 @@ impl Check for Propagation {
     }
 }
 
-/// Subcarriers about the carrier, evenly spaced, as those of OFDM: subcarrier i of n stands at
-/// carrier + (i - (n-1)/2) · bandwidth/n. The carrier is the middle of the band, and one of them where n is odd.
+/// Subcarriers about the carrier, evenly spaced, as in OFDM: subcarrier i of n has the frequency carrier + (i -
+/// (n-1)/2) · bandwidth/n. The carrier is the centre of the band; for odd n it is one of the subcarriers.
 ///
-/// Delays are exact: every subcarrier has a wavenumber of its own. What materials, edges and patterns do to a wave is that
-/// at the carrier, over the whole band.
+/// Delays are exact: every subcarrier has its own wavenumber. Materials, edges and antenna patterns are evaluated at
+/// the carrier for the whole band.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Subcarriers {
-    /// How many.
+    /// Number of subcarriers.
     pub count: usize,
-    /// `count` times their spacing, Hz.
+    /// Bandwidth, `count` times the subcarrier spacing, Hz.
     pub bandwidth_hz: f64,
 }
 
@@ -88,18 +88,18 @@ impl Check for Subcarriers {
 }
 
 impl Subcarriers {
-    /// Distance between neighbours, Hz.
+    /// Subcarrier spacing, Hz.
     pub fn spacing_hz(&self) -> f64 {
         self.bandwidth_hz / self.count as f64
     }
 
-    /// The frequencies, Hz, rising.
+    /// Subcarrier frequencies, Hz, ascending.
     pub fn frequencies(&self, carrier_hz: f64) -> Vec<f64> {
         let middle = (self.count as f64 - 1.0) / 2.0;
         (0..self.count).map(|i| carrier_hz + (i as f64 - middle) * self.spacing_hz()).collect()
     }
 
-    /// Refuses a band that reaches to no frequency at all.
+    /// Returns an error for a band that reaches zero frequency.
     pub(super) fn check_around(&self, carrier_hz: f64) -> Result<(), String> {
         if self.bandwidth_hz <= carrier_hz {
             return Ok(());

@@ -1,27 +1,27 @@
-//! The room: its outline, what stands in it, and what surfaces are made of.
+//! The room: outline, objects, and finishes of surfaces.
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Farthest coordinate, metres.
+/// Largest absolute coordinate, metres.
 pub(crate) const FAR: f64 = 1e6;
 
-/// The room.
+/// Room shape and finishes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Room {
-    /// Its shape.
+    /// Shape of the room.
     pub outline: Outline,
-    /// What its walls are made of.
+    /// Finish of the walls.
     pub walls: Finish,
-    /// What its floor is made of.
+    /// Finish of the floor.
     pub floor: Finish,
-    /// What its ceiling is made of.
+    /// Finish of the ceiling.
     pub ceiling: Finish,
 }
 
-/// Most corners of a floor plan.
+/// Largest number of corners of a floor plan.
 const MOST_CORNERS: usize = 1000;
 
 /// The outline of the room.
@@ -30,19 +30,19 @@ const MOST_CORNERS: usize = 1000;
 pub enum Outline {
     /// A box between two corners, metres.
     Box {
-        /// Smallest corner.
+        /// Smallest corner, metres.
         low: [f64; 3],
-        /// Largest corner.
+        /// Largest corner, metres.
         high: [f64; 3],
     },
-    /// Upright walls over a floor plan.
+    /// Vertical walls over a floor plan.
     Plan {
         /// Corners (x, y) of the floor in order, metres; wall k goes from corner k to the next.
         corners: Vec<[f64; 2]>,
-        /// Height of the floor; default 0.
+        /// Height of the floor, metres; default 0.
         #[serde(default)]
         floor: f64,
-        /// Height of the ceiling.
+        /// Height of the ceiling, metres.
         ceiling: f64,
     },
 }
@@ -73,7 +73,7 @@ impl Outline {
     }
 }
 
-/// Two walls of a plan that are not neighbours and meet, or neighbours on each other, or a wall without length.
+/// Two non-adjacent walls of a plan that meet, adjacent walls that overlap, or a wall of zero length.
 fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     let n = corners.len();
     let corner = |i: usize| DVec2::from(corners[i % n]);
@@ -94,7 +94,7 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
             let (c, d) = (corner(j), corner(j + 1));
             let sides = [side(a, b, c), side(a, b, d), side(c, d, a), side(c, d, b)];
             if sides == [0.0; 4] {
-                // On one line: apart, as the walls beside a niche, or over each other.
+                // On one line: separate, like the walls beside a niche, or overlapping.
                 let along = |p: DVec2| (p - a).dot(b - a);
                 let (low, high) = (along(c).min(along(d)), along(c).max(along(d)));
                 if low <= (b - a).length_squared() && high >= 0.0 {
@@ -108,7 +108,7 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     None
 }
 
-/// Refuses what is not a box with an inside.
+/// Returns an error unless the box has an inside.
 pub(super) fn check_box(low: [f64; 3], high: [f64; 3]) -> Result<(), String> {
     let fine = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > 1e-3);
     if fine {
@@ -120,80 +120,80 @@ pub(super) fn check_box(low: [f64; 3], high: [f64; 3]) -> Result<(), String> {
     ))
 }
 
-/// What a surface is made of.
+/// Material and thickness of a surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Finish {
-    /// A material of ITU-R P.2040 or of the scene.
+    /// Name of a material of ITU-R P.2040 or of the scene.
     pub material: String,
-    /// Thickness of the sheet, metres: waves are reflected by both of its sides and pass it with loss. Left out, the thing
-    /// is solid: nothing passes.
+    /// Thickness of the sheet, metres: waves reflect at both sides and pass through with loss. Without it, the object
+    /// is an opaque solid.
     #[serde(default)]
     pub thickness_m: Option<f64>,
-    /// Share S of the reflected amplitude that is scattered diffusely, in [0, 1]; default that of the scene.
+    /// Share S of the reflected amplitude that is scattered diffusely, in [0, 1]; default: that of the scene.
     #[serde(default)]
     pub roughness: Option<f64>,
 }
 
-/// A thing in the room.
+/// Object in the room.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Object {
-    /// A box between two corners, turned about its upright axis.
+    /// Box between two corners, rotated about its vertical axis.
     Box {
-        /// What it is called.
+        /// Name of the object.
         name: String,
-        /// Smallest corner before it is turned, metres.
+        /// Smallest corner before rotation, metres.
         low: [f64; 3],
-        /// Largest corner before it is turned, metres.
+        /// Largest corner before rotation, metres.
         high: [f64; 3],
-        /// Turned counter-clockwise as seen from above, degrees; default 0.
+        /// Rotation, counter-clockwise as seen from above, degrees; default 0.
         #[serde(default)]
         yaw_deg: f64,
-        /// What it is made of.
+        /// Finish of its surface.
         finish: Finish,
     },
-    /// An upright rectangle: a partition, a window, a board.
+    /// Vertical rectangle: a partition, a window, a board.
     Panel {
-        /// What it is called.
+        /// Name of the object.
         name: String,
         /// One lower corner (x, y), metres.
         from: [f64; 2],
         /// The other lower corner (x, y), metres.
         to: [f64; 2],
-        /// Heights of its lower and upper rim, metres.
+        /// Heights of its lower and upper edge, metres.
         heights: [f64; 2],
-        /// What it is made of; a panel needs a thickness.
+        /// Finish of its surface; a panel needs a thickness.
         finish: Finish,
     },
-    /// An upright rectangular hole in a wall, a panel or the side of a box that stands before it in the file: a doorway, an
-    /// open window. What comes after it may close it again, such as a panel for the door.
+    /// Vertical rectangular hole in a wall, a panel or the side of a box that precedes it in the file: a doorway or an
+    /// open window. A later object may close it, such as a panel for the door.
     Opening {
-        /// What it is called.
+        /// Name of the opening.
         name: String,
         /// One lower corner (x, y), metres.
         from: [f64; 2],
         /// The other lower corner (x, y), metres.
         to: [f64; 2],
-        /// Heights of its lower and upper rim, metres.
+        /// Heights of its lower and upper edge, metres.
         heights: [f64; 2],
     },
-    /// A triangle mesh.
+    /// Triangle mesh.
     Mesh {
-        /// What it is called.
+        /// Name of the object.
         name: String,
-        /// OBJ or PLY; relative to the scene file.
+        /// OBJ or PLY file, relative to the scene file.
         file: PathBuf,
-        /// Metres a unit of the file; default 1.
+        /// Metres per unit of the file; default 1.
         #[serde(default = "one")]
         scale: f64,
-        /// Turned counter-clockwise as seen from above, after scaling, degrees; default 0.
+        /// Rotation after scaling, counter-clockwise as seen from above, degrees; default 0.
         #[serde(default)]
         yaw_deg: f64,
-        /// Moved by this, after turning, metres; default nothing.
+        /// Translation after rotation, metres; default zero.
         #[serde(default)]
         shift: [f64; 3],
-        /// What it is made of.
+        /// Finish of its surface.
         finish: Finish,
     },
 }
@@ -203,7 +203,7 @@ fn one() -> f64 {
 }
 
 impl Object {
-    /// What it is called.
+    /// Name of the object.
     pub fn name(&self) -> &str {
         match self {
             Self::Box { name, .. }
@@ -213,7 +213,7 @@ impl Object {
         }
     }
 
-    /// What it is made of; an opening of nothing.
+    /// Finish of the object; `None` for an opening.
     pub fn finish(&self) -> Option<&Finish> {
         match self {
             Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => Some(finish),
@@ -239,7 +239,7 @@ impl Object {
             Self::Panel { from, to, heights, finish, .. } => {
                 check_upright("panel", from, to, heights)?;
                 if finish.thickness_m.is_none() {
-                    return Err("a panel has no inside that could be solid; give its finish a `thickness_m`".into());
+                    return Err("a panel needs a sheet material; give its finish a `thickness_m`".into());
                 }
                 Ok(())
             }
@@ -258,7 +258,7 @@ impl Object {
     }
 }
 
-/// Refuses what is not an upright rectangle.
+/// Returns an error unless it is a vertical rectangle.
 fn check_upright(kind: &str, from: &[f64; 2], to: &[f64; 2], heights: &[f64; 2]) -> Result<(), String> {
     if !from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR) {
         return Err(format!("`from`, `to` and `heights` must be finite numbers in metres within {:.0} km", FAR / 1e3));
@@ -267,5 +267,5 @@ fn check_upright(kind: &str, from: &[f64; 2], to: &[f64; 2], heights: &[f64; 2])
         return Ok(());
     }
     let article = if kind == "opening" { "an" } else { "a" };
-    Err(format!("{article} {kind} needs two different lower corners and a lower rim below its upper one"))
+    Err(format!("{article} {kind} needs two different lower corners and a lower edge below its upper edge"))
 }

@@ -16,7 +16,7 @@ const SCENE: &str = r#"(
     transmitter: (positions: Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))),
 )"#;
 
-/// The observations as numbers, a row a link.
+/// The observations as numbers, one row per link.
 fn rows(observations: &Observations, links: usize) -> Vec<Vec<f64>> {
     let flat: Vec<f64> = match observations {
         Observations::Pictures(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
@@ -52,7 +52,7 @@ fn every_kind_is_kept_and_read_back_and_made_anew_where_it_is_damaged() {
     }
 }
 
-/// The same without any folder.
+/// The same data, simulated without a folder.
 fn heard(recipe: &Recipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
     let (mut places, mut rows) = (Vec::new(), Vec::new());
     let simulator = Simulator::new(&recipe.scene).unwrap();

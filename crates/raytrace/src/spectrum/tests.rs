@@ -114,7 +114,7 @@ fn a_plane_wave_peaks_within_a_degree_all_over_the_hemisphere() {
         // Uniform on the hemisphere.
         (360.0 * rng::uniform(random) as f64, (rng::uniform(random) as f64).asin().to_degrees())
     });
-    // And where it is hardest: along the axes of the array, at the horizon and off the middle of pixels.
+    // And in the hardest cases: along the axes of the array, at the horizon and off pixel centres.
     let horizon = (0..72).flat_map(|k| [0.0, 0.3, 0.5, 1.5, 2.5].map(|el| (5.0 * f64::from(k) + 0.5, el)));
     let axes = [0.0, 90.0, 180.0, 270.0].into_iter().flat_map(|az| [0.0, 0.5, 1.0, 3.5, 10.0].map(|el| (az, el)));
     for (azimuth, elevation) in drawn.chain(horizon).chain(axes).chain([(12.5, 89.9), (0.0, 90.0)]) {
@@ -204,7 +204,7 @@ fn nothing_received_and_nothing_told_apart_are_black() {
         let broken = beamformer.spectrum(&[Complex::new(f64::NAN, 0.0); 16], kind);
         assert!(broken.pixels.iter().all(|p| *p == 0));
     }
-    // A single element of sixteen hears all directions alike, but for rounding.
+    // A single element of sixteen receives all directions equally, except for rounding.
     let mut single = [Complex::ZERO; 16];
     single[10] = Complex::new(0.3, -0.4);
     assert!(beamformer.spectrum(&single, SpectrumKind::Amplitude).pixels.iter().all(|p| *p == 0));

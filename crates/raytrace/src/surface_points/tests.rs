@@ -1,4 +1,4 @@
-//! Points lie on their triangles, evenly; the file is one.
+//! Points lie on their triangles, evenly; the PLY file is valid.
 
 use super::*;
 

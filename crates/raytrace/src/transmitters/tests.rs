@@ -1,4 +1,4 @@
-//! Positions stand in their box, in free space, and are the same for the same seed.
+//! Positions are inside their box, in free space, and reproducible.
 
 use super::*;
 
@@ -98,7 +98,7 @@ fn fewer_samples_are_a_subset_of_the_grid_in_its_order() {
     assert_eq!(columns.len(), 10);
     assert_ne!(some, draw(&grid, 100, 1));
     let what = "use a smaller `step_m`, a larger box or fewer samples";
-    let expected = format!("transmitters: the grid has 1000 points, but 1001 samples are wanted; {what}");
+    let expected = format!("transmitters: the grid has 1000 points, but 1001 samples are requested; {what}");
     assert_eq!(message(&grid, 1001, &|_| Ok(())), expected);
 }
 
@@ -107,7 +107,7 @@ fn a_point_of_the_grid_inside_of_something_is_told() {
     let free = |p: DVec3| if p.x > 0.5 { Err("inside `desk 2`".to_owned()) } else { Ok(()) };
     assert_eq!(
         message(&grid([0.0; 3], [1.0, 0.2, 0.1], 0.1), 20, &free),
-        "transmitter 6 at (0.55, 0.05, 0.05) lies inside `desk 2`; move the grid or the object"
+        "transmitter 6 at (0.55, 0.05, 0.05) is inside `desk 2`; move the grid or the object"
     );
 }
 
@@ -115,13 +115,13 @@ fn a_point_of_the_grid_inside_of_something_is_told() {
 fn a_box_without_free_space_is_told() {
     let never = |_: DVec3| Err("inside `wardrobe`".to_owned());
     let advice = "move the box to where there is free space";
-    let expected = "1000 positions in a row are not free, the last lies inside `wardrobe`";
+    let expected = "1000 positions in a row are not free, the last is inside `wardrobe`";
     for transmitters in [uniform_box(), walk()] {
         let expected = format!("transmitters: after 0 found, {expected}; {advice}");
         assert_eq!(message(&transmitters, 5, &never), expected);
         assert_eq!(transmitters.draw(0, 0, &never).unwrap(), []);
     }
-    // One position is free, and the walk stands on it.
+    // One position is free, and the walk starts on it.
     let first = draw(&walk(), 1, 0)[0];
     let only = move |p: DVec3| if p == first { Ok(()) } else { never(p) };
     let found = message(&walk(), 2, &only);
@@ -173,7 +173,8 @@ fn settings_that_cannot_work_are_told() {
         (at([0.0; 3], [1e9; 3]), "x runs from 0 to 1000000000; give `low` and `high` in metres".to_owned()),
         (
             at([0.000_01; 3], [0.000_09; 3]),
-            "x runs from 0.00001 to 0.00009, where no multiple of 0.0001 m lies; use one of them as both".to_owned(),
+            "x runs from 0.00001 to 0.00009, which contains no multiple of 0.0001 m; use the same multiple for both"
+                .to_owned(),
         ),
         (walk(0.0), format!("`step_m` of the walk is 0; {walk_advice}")),
         (walk(f64::NAN), format!("`step_m` of the walk is NaN; {walk_advice}")),

@@ -1,4 +1,4 @@
-//! How a wave bends round an edge: uniform theory of diffraction, with finite conductivity by a heuristic.
+//! Diffraction at edges: uniform theory of diffraction, with a heuristic for finite conductivity.
 
 #[cfg(test)]
 mod tests;
@@ -8,21 +8,20 @@ use crate::waves::fresnel::Polarized;
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_4, PI};
 
-/// An incoming ray closer to a face than this, radians, grazes it.
+/// Angle to a face below which an incoming ray is grazing, radians.
 const GRAZING: f64 = 1e-9;
-/// Nodes of the trapezium rule for the transition function.
+/// Number of nodes of the trapezium rule for the transition function.
 const NODES: u32 = 12;
 
-/// The two faces of an edge, as a wave meets them: coefficients (te soft, tm hard).
+/// Reflection and transmission coefficients of the two faces of an edge (te soft, tm hard).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sides {
     /// Reflection at face 0; [`Polarized::PERFECT_CONDUCTOR`] for metal.
     pub r0: Polarized,
     /// Reflection at face n.
     pub rn: Polarized,
-    /// What passes the sheets on a straight way close behind the edge: the shadow is that much less deep, so the terms of
-    /// its boundary count 1 - T (Burnside and Burgener, 1983). An edge of nothing, with T = 1 and no reflection, does
-    /// nothing.
+    /// Transmission T of the sheets on a straight path close behind the edge: the shadow is weaker, so the terms of its
+    /// boundary are scaled by 1 - T (Burnside and Burgener, 1983). An edge with T = 1 and no reflection has no effect.
     pub through: Polarized,
 }
 
@@ -34,17 +33,20 @@ pub struct Sides {
 /// * `distances`: s′ from the source to the edge and s from the edge to the receiver, metres.
 /// * `angles`: φ′ of the source and φ of the receiver about the edge, radians, from face 0 through air, in [0, nπ].
 /// * `sin_beta`: sine of the angle between ray and edge.
-/// * `sides`: what the two faces reflect and let through, at angles the caller chooses. With cos θ = sin β sin α, where α is min(φ, φ′) at face 0 and
-///   nπ - max(φ, φ′) at face n, they join the reflected rays at the boundaries and swap with the ends of the path.
+/// * `sides`: reflection and transmission of the two faces, at angles chosen by the caller. With cos θ = sin β sin α,
+/// where
+///   α is min(φ, φ′) at face 0 and nπ - max(φ, φ′) at face n, the reflected rays are continuous at the boundaries and
+/// the
+///   coefficients are reciprocal.
 ///
 /// The gain of the path is λ/(4π)·D/√(ss′(s + s′)), without the phase e^{-jk(s + s′)}. With ê along the edge so that φ
 /// turns by the right hand about it, k̂′ and k̂ along the ray before and after, φ̂′ = -ê×k̂′/sin β, φ̂ = ê×k̂/sin β,
 /// β̂′ = φ̂′×k̂′ and β̂ = φ̂×k̂ the field becomes -Dₛ(E·β̂′)β̂ - Dₕ(E·φ̂′)φ̂.
 ///
 /// On a shadow or reflection boundary it is the limit from the lit side. At grazing incidence (φ′ of 0 or nπ) the
-/// incident and the reflected ray are one, and it is halved, as Kouyoumjian and Pathak have it: the direct ray counts
-/// once, the reflected one not at all. A receiver on a face is not treated so. Zero
-/// where the ray runs along the edge, or an end lies on it.
+/// incident and the reflected ray coincide, and the coefficient is halved as in Kouyoumjian and Pathak: the direct ray
+/// counts once, the reflected one not at all. A receiver on a face is not treated this way. Zero if the ray runs along
+/// the edge or an end lies on it.
 pub fn wedge(
     n: f64,
     k: f64,
@@ -65,7 +67,7 @@ pub fn wedge(
     let reflected_0 = side(PI - (phi + phi_in));
     let reflected_n = side(PI + (phi + phi_in));
     let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
-    // √L cancels the 1/√(2πk) of the coefficient but for 1/√π: see `boundary_term`.
+    // √L cancels the 1/√(2πk) of the coefficient except for 1/√π: see `boundary_term`.
     let front = Complex::cis(-FRAC_PI_4) * (-once * spreading / (2.0 * n * PI.sqrt()));
     let of = |r0: Complex, rn: Complex, through: Complex| {
         front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
@@ -73,9 +75,9 @@ pub fn wedge(
     Polarized { te: of(r0.te, rn.te, through.te), tm: of(r0.tm, rn.tm, through.tm) }
 }
 
-/// cot(δ/2n) F(2kL sin²(δ/2)) / √(2kL), where `scale` is √(2kL) and δ is `angle` brought to [-nπ, nπ]: the boundary
-/// lies at δ = 0 and the lit side above. There the cotangent is infinite and F is zero; their product, which is
-/// written as ±cos(δ/2n)·[sin(|δ|/2)/sin(|δ|/2n)]·F(v²)/v with v = √(2kL) sin(|δ|/2), is not.
+/// Boundary term cot(δ/2n) F(2kL sin²(δ/2)) / √(2kL), where `scale` is √(2kL) and δ is `angle` reduced to [-nπ, nπ]:
+/// the boundary is at δ = 0 with the lit side above. There the cotangent is infinite and F is zero. The product is
+/// finite and is computed as ±cos(δ/2n)·[sin(|δ|/2)/sin(|δ|/2n)]·F(v²)/v with v = √(2kL) sin(|δ|/2).
 fn boundary_term(n: f64, angle: f64, scale: f64) -> Complex {
     let turn = 2.0 * PI * n;
     let delta = angle - turn * (angle / turn).round();
@@ -85,11 +87,11 @@ fn boundary_term(n: f64, angle: f64, scale: f64) -> Complex {
     over_root(scale * wide.sin()) * (sign * narrow.cos() * ratio)
 }
 
-/// F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite. F(x) = 2j√x e^{jx} ∫ e^{-jt²} dt from √x to ∞,
-/// Kouyoumjian and Pathak (1974). Relative error below 10⁻¹⁴.
+/// Transition function F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite. F(x) = 2j√x e^{jx} ∫ e^{-jt²} dt
+/// from √x to ∞, Kouyoumjian and Pathak (1974). Relative error below 10⁻¹⁴.
 ///
-/// The Fresnel integral by the trapezium rule with a correction for its pole, Alazah, Chandler-Wilde and La Porte,
-/// Numerische Mathematik 128 (2014): errors fall like e^{-πN}, whatever v.
+/// The Fresnel integral uses the trapezium rule with a correction for its pole, Alazah, Chandler-Wilde and La Porte,
+/// Numerische Mathematik 128 (2014): errors fall like e^{-πN} for all v.
 fn over_root(v: f64) -> Complex {
     let eighth = Complex::cis(FRAC_PI_4);
     let a = ((f64::from(NODES) + 0.5) * PI).sqrt();
@@ -104,9 +106,9 @@ fn over_root(v: f64) -> Complex {
     2.0 * PI.sqrt() * eighth * integral.conj()
 }
 
-/// Where the path from `tx` by the line a + t(b - a) to `rx` is shortest, and meets the line at the same angle before
-/// and after (Keller's cone): t, which may lie outside [0, 1]. Half-way where both ends lie on the line; 0 for an edge
-/// without length.
+/// Diffraction point t on the line a + t(b - a) for the path from `tx` to `rx`: the shortest path, with equal angles
+/// before and after the edge (Keller's cone). t may lie outside [0, 1]. Midway if both ends lie on the line; 0 for an
+/// edge of zero length.
 pub fn edge_point(a: DVec3, b: DVec3, tx: DVec3, rx: DVec3) -> f64 {
     let edge = b - a;
     let length = edge.length();

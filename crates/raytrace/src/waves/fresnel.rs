@@ -1,4 +1,4 @@
-//! How much of a plane wave a flat surface throws back and lets through: half-space and slab, ITU-R P.2040-3.
+//! Reflection and transmission of plane waves at flat surfaces: half-space and slab, ITU-R P.2040-3.
 
 #[cfg(test)]
 mod tests;
@@ -6,28 +6,28 @@ mod tests;
 use crate::Complex;
 use std::f64::consts::TAU;
 
-/// A pair of coefficients, one for each polarisation.
+/// Pair of coefficients, one per polarisation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Polarized {
-    /// Electric field perpendicular to the plane of incidence (of an edge: parallel to it, soft).
+    /// Electric field perpendicular to the plane of incidence (for an edge: parallel to it, soft).
     pub te: Complex,
-    /// Electric field in the plane of incidence (of an edge: perpendicular to it, hard).
+    /// Electric field in the plane of incidence (for an edge: perpendicular to it, hard).
     pub tm: Complex,
 }
 
 impl Polarized {
-    /// What reflects everything: -1 and 1.
+    /// Total reflection: -1 and 1.
     pub const PERFECT_CONDUCTOR: Self = Self { te: Complex::new(-1.0, 0.0), tm: Complex::new(1.0, 0.0) };
-    /// No wave at all.
+    /// Zero coefficients.
     pub const NOTHING: Self = Self { te: Complex::ZERO, tm: Complex::ZERO };
 
-    /// One after the other.
+    /// Product of two interactions.
     pub fn times(self, next: Self) -> Self {
         Self { te: self.te * next.te, tm: self.tm * next.tm }
     }
 }
 
-/// Reflection by a slab of `thickness` metres, or by a half-space without one; ITU-R P.2040-3, section 2.2.
+/// Reflection by a slab of `thickness` metres, or by a half-space if `None`; ITU-R P.2040-3, section 2.2.
 ///
 /// `eta` is the complex relative permittivity, `cos_incidence` the cosine from the normal (its sign does not matter),
 /// `wavelength` that in free space, metres. With c = cos θ, s = √(η - 1 + c²) and q = 2πds/λ a face reflects
@@ -46,11 +46,11 @@ pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wave
     })
 }
 
-/// Transmission through a slab of `thickness` metres and out again, as against free space along the same straight line:
-/// the T of ITU-R P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air changes nothing.
+/// Transmission through a slab of `thickness` metres, relative to free space along the same straight line: T of ITU-R
+/// P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air has no effect.
 ///
 /// T = (1 - r²)e^{-jq}/(1 - r²e^{-2jq}). The field becomes `te`·(E·ŝ)ŝ + `tm`·(E·p̂)p̂, p̂ the same before and after.
-/// Arguments are those of [`reflection`]. That the ray leaves displaced along the slab is not modelled.
+/// Arguments as in [`reflection`]. The lateral displacement of the ray in the slab is not modelled.
 pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength: f64) -> Polarized {
     let face = Face::new(eta, cos_incidence);
     let path = face.phase(thickness, wavelength);
@@ -60,7 +60,7 @@ pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength
     face.each(|interface| interface.over_echoes(interface.through() * through, echo, Complex::ONE))
 }
 
-/// What both polarisations share: cos θ outside, and η and s = √(η - sin²θ) inside.
+/// Quantities common to both polarisations: cos θ outside, η and s = √(η - sin²θ) inside.
 struct Face {
     eta: Complex,
     cos: f64,
@@ -71,11 +71,11 @@ impl Face {
     fn new(eta: Complex, cos_incidence: f64) -> Self {
         let cos = cos_incidence.abs();
         let root = (eta - 1.0 + cos * cos).sqrt();
-        // Of the two roots the one that decays inwards; they differ for a real root of a negative number only.
+        // The root that decays inwards; the roots differ only for a real root of a negative number.
         Self { eta, cos, root: if root.im > 0.0 { root.conj() } else { root } }
     }
 
-    /// q = 2πds/λ.
+    /// Phase q = 2πds/λ.
     fn phase(&self, thickness: f64, wavelength: f64) -> Complex {
         self.root * (TAU * thickness / wavelength)
     }
@@ -86,7 +86,7 @@ impl Face {
     }
 }
 
-/// One interface and polarisation: r = (x - s)/(x + s), of which the numbers are x and s.
+/// Interface for one polarisation: r = (x - s)/(x + s), stored as x and s.
 #[derive(Clone, Copy)]
 struct Interface(Complex, Complex);
 
@@ -96,13 +96,13 @@ impl Interface {
         if x == s { Complex::ZERO } else { (x - s) / (x + s) }
     }
 
-    /// 1 - r² without cancellation where |r| is near 1.
+    /// 1 - r² without cancellation if |r| is near 1.
     fn through(self) -> Complex {
         let (x, s) = (self.0, self.1);
         if x == s { Complex::ONE } else { (2.0 * x / (x + s)) * (2.0 * s / (x + s)) }
     }
 
-    /// `amplitude` over 1 - r²e^{-2jq}, with `echo` = 1 - e^{-2jq}; `none` where there is nothing to meet: the slab has
+    /// `amplitude` over 1 - r²e^{-2jq}, with `echo` = 1 - e^{-2jq}; `none` if the wave does not interact: the slab has
     /// no thickness and the wave does not enter.
     fn over_echoes(self, amplitude: Complex, echo: Complex, none: Complex) -> Complex {
         let r = self.reflection();

@@ -1,4 +1,4 @@
-//! What walls are made of: permittivity and conductivity over frequency, ITU-R P.2040-3.
+//! Materials: permittivity and conductivity over frequency, ITU-R P.2040-3.
 
 #[cfg(test)]
 mod tests;
@@ -9,15 +9,15 @@ use std::f64::consts::TAU;
 
 /// Electric constant ε₀, F/m, CODATA 2018.
 pub const ELECTRIC_CONSTANT: f64 = 8.854_187_812_8e-12;
-/// Conductivity of `perfect_conductor`, S/m: the TM coefficient differs from 1 by about 10⁻²⁴, and nothing overflows.
+/// Conductivity of `perfect_conductor`, S/m: the TM coefficient differs from 1 by about 10⁻²⁴, without overflow.
 const PERFECT: f64 = 1e40;
-/// Largest |b| and |d|: beyond, a power of the frequency may overflow.
+/// Largest |b| and |d|: larger powers of the frequency may overflow.
 const STEEPEST: f64 = 10.0;
-/// What a material without a stated range vouches for.
+/// Frequency range of a material without a stated range.
 const EVERYWHERE: (f64, f64) = (0.0, f64::INFINITY);
 
-/// The four numbers of ITU-R P.2040-3 (08/2023), section 3 and Table 3: εᵣ = a·f^b and σ = c·f^d, f in GHz and σ in
-/// S/m.
+/// Material with the four parameters of ITU-R P.2040-3 (08/2023), section 3 and Table 3: εᵣ = a·f^b and σ = c·f^d, f in
+/// GHz and σ in S/m.
 ///
 /// ```
 /// # use pwrfgs_raytrace::material::Material;
@@ -29,15 +29,15 @@ const EVERYWHERE: (f64, f64) = (0.0, f64::INFINITY);
 pub struct Material {
     /// Relative permittivity at 1 GHz.
     pub a: f64,
-    /// Power of the frequency it grows with; 0 by default.
+    /// Exponent of the frequency for the permittivity; 0 by default.
     #[serde(default)]
     pub b: f64,
     /// Conductivity at 1 GHz, S/m.
     pub c: f64,
-    /// Power of the frequency it grows with; 0 by default.
+    /// Exponent of the frequency for the conductivity; 0 by default.
     #[serde(default)]
     pub d: f64,
-    /// Lowest and highest frequency the numbers are vouched for, GHz; everything by default.
+    /// Lowest and highest frequency of validity, GHz; unlimited by default.
     #[serde(default = "everywhere", skip_serializing_if = "is_everywhere")] // JSON knows no infinity
     pub range_ghz: (f64, f64),
 }
@@ -52,20 +52,20 @@ fn is_everywhere(range: &(f64, f64)) -> bool {
 
 impl Material {
     /// Complex relative permittivity η = εᵣ - jσ/(2πf ε₀) for the time factor e^{+jωt}. `frequency_hz` is above 0;
-    /// outside the range that is vouched for it is extrapolated.
+    /// outside the range of validity it is extrapolated.
     pub fn permittivity(&self, frequency_hz: f64) -> Complex {
         let ghz = frequency_hz / 1e9;
         let conductivity = self.c * ghz.powf(self.d);
         Complex::new(self.a * ghz.powf(self.b), -conductivity / (TAU * frequency_hz * ELECTRIC_CONSTANT))
     }
 
-    /// Whether the frequency lies in the range of the table.
+    /// Whether the frequency lies in the range of validity.
     pub fn vouches_for(&self, frequency_hz: f64) -> bool {
         let (low, high) = self.range_ghz;
         (low..=high).contains(&(frequency_hz / 1e9))
     }
 
-    /// What is wrong with numbers given by hand, and what to do.
+    /// Validates the parameters; returns the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         let Self { a, b, c, d, range_ghz: (low, high) } = *self;
         if !(a > 0.0 && a <= PERFECT) {
@@ -88,7 +88,7 @@ impl Material {
     }
 }
 
-/// Table 3 of ITU-R P.2040-3: name, (a, b, c, d), range in GHz. Two of its materials have a second row.
+/// Row of Table 3 of ITU-R P.2040-3: name, (a, b, c, d), range in GHz. Two of its materials have a second row.
 type Row = (&'static str, (f64, f64, f64, f64), (f64, f64));
 const TABLE: [Row; 18] = [
     ("vacuum", (1.0, 0.0, 0.0, 0.0), (0.001, 100.0)),
@@ -117,7 +117,7 @@ pub fn named(name: &str) -> Option<Material> {
     Some(Material { a, b, c, d, range_ghz })
 }
 
-/// What [`named`] knows, in the table's order.
+/// Names accepted by [`named`], in the order of the table.
 pub fn names() -> Vec<&'static str> {
     TABLE.iter().map(|row| row.0).collect()
 }

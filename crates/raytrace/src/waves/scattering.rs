@@ -1,4 +1,4 @@
-//! What a rough surface throws in all directions: effective roughness.
+//! Diffuse scattering of rough surfaces: effective roughness.
 
 #[cfg(test)]
 mod tests;
@@ -6,10 +6,11 @@ mod tests;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
-/// Largest exponent that is accepted: a lobe of 6° to half its power.
+/// Largest accepted exponent: a lobe of 6° to half power.
 const NARROWEST: u32 = 256;
 
-/// Where the scattered power goes: Degli-Esposti, Fuschini, Vitucci and Falciasecca, IEEE TAP 55 (2007), pp. 143-153.
+/// Directions of the scattered power: Degli-Esposti, Fuschini, Vitucci and Falciasecca, IEEE TAP 55 (2007), pp.
+/// 143-153.
 ///
 /// ```
 /// # use pwrfgs_raytrace::scattering::Lobe;
@@ -18,12 +19,12 @@ const NARROWEST: u32 = 256;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Lobe {
-    /// As the cosine from the normal, whencever the wave comes.
+    /// Proportional to the cosine from the normal, for all directions of incidence.
     #[default]
     Lambertian,
-    /// As ((1 + cos ψ)/2)^exponent, with ψ the angle from the specular direction.
+    /// Proportional to ((1 + cos ψ)/2)^exponent, with ψ the angle from the specular direction.
     Directive {
-        /// The larger, the narrower; 0 scatters alike in all directions.
+        /// Exponent; larger values give a narrower lobe, 0 scatters equally in all directions.
         exponent: u32,
     },
 }
@@ -31,8 +32,8 @@ pub enum Lobe {
 impl Lobe {
     /// Share of the scattered power per steradian, 1/sr; its integral over the hemisphere is 1.
     ///
-    /// The cosines of incidence and of the way out are from the normal, in [0, 1]; `cos_psi` is that between the
-    /// specular direction and the way out.
+    /// The cosines of the incoming and outgoing direction are from the normal, in [0, 1]; `cos_psi` is the cosine
+    /// between the specular and the outgoing direction.
     pub fn density(&self, cos_incidence: f64, cos_scattered: f64, cos_psi: f64) -> f64 {
         match *self {
             Self::Lambertian => cos_scattered / PI,
@@ -43,7 +44,7 @@ impl Lobe {
         }
     }
 
-    /// What is wrong with it, and what to do.
+    /// Validates the parameters; returns the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         match *self {
             Self::Directive { exponent } if exponent > NARROWEST => {
@@ -54,7 +55,7 @@ impl Lobe {
     }
 }
 
-/// The integral of ((1 + cos ψ)/2)^α over the hemisphere, sr.
+/// Integral of ((1 + cos ψ)/2)^α over the hemisphere, sr.
 ///
 /// F = 2^-α Σⱼ C(α,j) Iⱼ over j = 0..α, with Iⱼ = 2π/(j + 1) for even j, and that times
 /// cos θ Σ C(2w,w) (sin²θ/4)^w over w = 0..(j - 1)/2 for odd j. All terms are positive.
@@ -78,14 +79,14 @@ fn lobe_integral(exponent: u32, cos_incidence: f64) -> f64 {
     sum
 }
 
-/// Amplitude of the path by one patch of a rough surface between isotropic antennas: |gain|² is what arrives.
+/// Amplitude of the path by one patch of a rough surface between isotropic antennas: |gain|² is the path gain.
 ///
-/// λ/4π · √(S²|Γ|² `density` dA cos θ)/(r₁r₂): the patch takes cos θ dA/(4πr₁²) of the power, throws back S²|Γ|² of
-/// that and `density` of it per steradian, which the receiver meets with its aperture λ²/4π. So what is left to the
-/// specular wave is √(1 - S²) of Γ.
+/// λ/4π · √(S²|Γ|² `density` dA cos θ)/(r₁r₂): the patch receives cos θ dA/(4πr₁²) of the power, scatters S²|Γ|² of it
+/// with `density` per steradian, and the receiver has the aperture λ²/4π. The remaining specular amplitude is √(1 - S²)
+/// of Γ.
 ///
 /// * `scattering`: S, in [0, 1]; `reflection`: |Γ| of the smooth surface.
-/// * `density`: of [`Lobe::density`], 1/sr; `area`: dA, m²; `cos_incidence`: cos θ from the normal.
+/// * `density`: result of [`Lobe::density`], 1/sr; `area`: dA, m²; `cos_incidence`: cos θ from the normal.
 /// * `distances`: r₁ from the transmitter to the patch and r₂ on to the receiver, metres, large against the patch.
 pub fn amplitude(
     scattering: f64,

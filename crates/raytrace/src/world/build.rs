@@ -1,4 +1,4 @@
-//! From triangle meshes to faces and edges.
+//! Builds faces and edges from triangle meshes.
 
 use super::contact::{self, is_near};
 use super::hierarchy::Hierarchy;
@@ -8,12 +8,12 @@ use glam::DVec3;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-/// Triangles whose unit normals differ by less than this lie in one plane.
+/// Difference of unit normals below which triangles are coplanar.
 const COPLANAR: f64 = 1e-7;
-/// Faces that meet at a smaller angle than this do not make an edge: facets of something round.
+/// Angle below which faces do not form an edge: facets of round objects.
 const FLATTEST_EDGE: f64 = 5.0 * PI / 180.0;
 
-/// Collects bodies, and makes a world of them.
+/// Collects parts and builds a world.
 #[derive(Debug, Default)]
 pub struct Builder {
     pub(super) surfaces: Vec<Surface>,
@@ -21,39 +21,39 @@ pub struct Builder {
     pub(super) edges: Vec<Edge>,
     pub(super) triangles: Vec<Triangle>,
     bodies: Vec<Body>,
-    /// The part of each face.
+    /// Part index of each face.
     pub(super) parts: Vec<usize>,
-    /// The part of each edge.
+    /// Part index of each edge.
     pub(super) owners: Vec<usize>,
-    /// Parts so far.
+    /// Number of parts so far.
     count: usize,
 }
 
-/// Something to add: the room first.
+/// Part to add: the room first.
 pub struct Part<'a> {
     /// Its name.
     pub name: &'a str,
-    /// Triangles with shared vertices; normals towards where the waves are.
+    /// Triangles with shared vertices; normals point to the side of the waves.
     pub mesh: &'a Mesh,
-    /// Whether the mesh is closed, so that no antenna can be inside (or, of the room, outside).
+    /// Whether the mesh is closed, so that antennas cannot be inside (for the room: outside).
     pub closed: bool,
-    /// Name of a face and the index of its surface, from the normal of the face and its number in the body.
+    /// Function from the normal of a face and its number in the part to its name and surface index.
     pub describe: &'a dyn Fn(DVec3, usize) -> (String, u32),
 }
 
 impl Builder {
-    /// A surface that faces may have; returns its index.
+    /// Adds surface properties and returns their index.
     pub fn surface(&mut self, surface: Surface) -> u32 {
         self.surfaces.push(surface);
         self.surfaces.len() as u32 - 1
     }
 
-    /// Triangles so far.
+    /// Number of triangles so far.
     pub fn triangles(&self) -> usize {
         self.triangles.len()
     }
 
-    /// Adds the room, or after it an object.
+    /// Adds the room, or an object after it.
     pub fn add(&mut self, part: &Part<'_>) {
         let layer = match (self.count, part.closed) {
             (0, _) => Layer::Room,
@@ -90,10 +90,10 @@ impl Builder {
         }
     }
 
-    /// The world.
+    /// Builds the world.
     ///
     /// # Errors
-    /// Too many faces lie on each other.
+    /// Too many overlapping faces.
     pub fn build(mut self) -> Result<World, String> {
         let hierarchy = Hierarchy::new(&self.triangles);
         let contacts = contact::Contacts::new(&self.faces, &self.triangles, &hierarchy, &self.parts);
@@ -127,7 +127,7 @@ impl Builder {
         }
     }
 
-    /// Whether a face lies on one of the room back to back, as the underside of a cupboard does: no wave gets there.
+    /// Whether a face lies back to back on a face of the room, like the underside of a cupboard: no wave reaches it.
     fn is_hidden(&self, face: &Face) -> bool {
         let middle = face.hull.iter().sum::<DVec3>() / face.hull.len() as f64;
         let on = |wall: &Face| {
@@ -143,7 +143,7 @@ fn triangle(mesh: &Mesh, [a, b, c]: [u32; 3]) -> Triangle {
     Triangle { corner: a, sides: [b - a, c - a], face: u32::MAX }
 }
 
-/// Each side of a triangle with the triangles that have it; sides as pairs of vertices, the lower first.
+/// Sides of all triangles with their triangles; sides are pairs of vertices, the lower first.
 fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
     let mut edges: BTreeMap<[u32; 2], Vec<usize>> = BTreeMap::new();
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -158,7 +158,7 @@ fn unit_normal(t: &Triangle) -> DVec3 {
     t.sides[0].cross(t.sides[1]).normalize()
 }
 
-/// Triangles that hang together in one plane, in the order of their first.
+/// Groups of connected coplanar triangles, in the order of their first.
 fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>>) -> Vec<Vec<usize>> {
     let mut neighbours = vec![Vec::new(); triangles.len()];
     for owners in edges.values() {
@@ -172,7 +172,7 @@ fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>
         if std::mem::replace(&mut seen[start], true) {
             continue;
         }
-        // Compared with the first of the group, not with the neighbour: a gently curved surface stays in pieces.
+        // Compared with the first triangle of the group, not the neighbour: a gently curved surface stays in pieces.
         let normal = unit_normal(&triangles[start]);
         let mut group = vec![start];
         let mut next = 0;
@@ -191,7 +191,7 @@ fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>
     groups
 }
 
-/// The edge between the faces of `owners`, or the rim of a sheet; nothing inside a face, in a hollow, or between more
+/// Edge between the faces of `owners`, or the rim of a sheet; none inside a face, in a concave corner, or between more
 /// than two.
 fn edge(
     mesh: &Mesh,
@@ -228,7 +228,7 @@ fn edge(
     Some(Edge { ends: [p, q], faces, along, normal: side * unit_normal(&plain[owners[0]]), outer_angle })
 }
 
-/// Corners of the convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).
+/// Convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).
 fn convex_hull(mut points: Vec<DVec3>, normal: DVec3) -> Vec<DVec3> {
     let u = normal.any_orthonormal_vector();
     let v = normal.cross(u);

@@ -1,4 +1,4 @@
-//! What touches what: faces in one plane, and edges that lie on something else.
+//! Contacts: coplanar faces, and edges that lie on other parts.
 
 use super::hierarchy::Hierarchy;
 use super::{Edge, Face, Triangle};
@@ -6,14 +6,14 @@ use glam::DVec3;
 use std::cell::Cell;
 use std::collections::BTreeMap;
 
-/// What lies closer than this to a face of something else touches it, metres.
+/// Distance below which parts touch, metres.
 pub(crate) const TOUCHING: f64 = 1e-4;
-/// How far beyond an edge is looked whether something goes on there, metres.
+/// Distance beyond an edge at which a continuing surface is probed, metres.
 const BEYOND: f64 = 1e-3;
-/// Most pairs of faces that lie on each other: more would exhaust the memory.
+/// Largest number of overlapping face pairs, to limit memory.
 const MOST_PAIRS: usize = 5_000_000;
 
-/// Most boxes that are looked at for contacts, and most corners of faces that are compared: more would take minutes.
+/// Largest number of contact tests and compared corners, to limit time to minutes.
 const MOST_TRIALS: usize = 500_000_000;
 const TOO_MANY_TRIALS: &str = "its meshes touch in too many places; simplify them, or move them apart";
 
@@ -22,23 +22,23 @@ pub(super) struct Contacts<'a> {
     faces: &'a [Face],
     triangles: &'a [Triangle],
     hierarchy: &'a Hierarchy,
-    /// The part of each box of the hierarchy that holds triangles of one part only.
+    /// Part of each box in the hierarchy if all its triangles belong to one part.
     owners: Vec<Option<usize>>,
     trials: Cell<usize>,
 }
 
 impl<'a> Contacts<'a> {
-    /// `parts` has the part of each face.
+    /// Creates the contact tests; `parts` has the part of each face.
     pub(super) fn new(faces: &'a [Face], triangles: &'a [Triangle], hierarchy: &'a Hierarchy, parts: &[usize]) -> Self {
         let owners = hierarchy.owners(|triangle| parts[triangles[triangle].face as usize]);
         Self { faces, triangles, hierarchy, owners, trials: Cell::new(0) }
     }
 
-    /// Whether an edge of `part` lies on another part for most of its length, as that of a board on a wall does: it is no
-    /// edge. What lies on the edge's own faces ends there with them, unless it goes on beyond.
+    /// Whether an edge of `part` lies on another part for most of its length, like the edge of a board on a wall: it
+    /// then does not diffract. Parts on the edge's own faces count only if they continue beyond the edge.
     ///
     /// # Errors
-    /// With all edges so far it took too much.
+    /// Too many tests for all edges so far.
     pub(super) fn ends(&self, edge: &Edge, part: usize) -> Result<bool, String> {
         let lies_on = |face: u32, host: u32| {
             let [face, host] = [face, host].map(|f| &self.faces[f as usize]);
@@ -56,8 +56,8 @@ impl<'a> Contacts<'a> {
         if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(ends) }
     }
 
-    /// Whether a face of another part than `part` touches the point. Boxes with that part alone are passed over: about the
-    /// tip of a fan there are as many as it has triangles.
+    /// Whether a face of a part other than `part` touches the point. Boxes of only that part are skipped: near the tip
+    /// of a fan there are as many as triangles.
     fn is_near_any(&self, point: DVec3, part: usize, counts: &dyn Fn(u32) -> bool) -> bool {
         let is_other = |number: usize| {
             self.trials.set(self.trials.get() + 1);
@@ -70,7 +70,7 @@ impl<'a> Contacts<'a> {
     }
 }
 
-/// Whether a point touches a face, of which these are triangles.
+/// Whether a point touches a face with these triangles.
 pub(super) fn is_near(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
     let height = face.height(point);
     height.abs() < TOUCHING && triangles.iter().any(|t| t.contains(point - height * face.normal))
@@ -81,12 +81,12 @@ pub(super) fn is_coplanar(one: &Face, other: &Face) -> bool {
     one.hull.iter().all(|p| other.height(*p).abs() < TOUCHING)
 }
 
-/// Finds the faces that share a plane and may overlap.
+/// Finds coplanar faces that may overlap.
 ///
 /// # Errors
-/// There are too many.
+/// Too many pairs.
 pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
-    // Faces in one plane have the same rounded key but for those at its borders, whose neighbours are looked at too.
+    // Coplanar faces have the same rounded key, except near cell borders, whose neighbours are also tested.
     let key = |face: &Face, nudge: f64| {
         let n = face.normal;
         let sign = if n.x + 1.1 * n.y + 1.3 * n.z < 0.0 { -1.0 } else { 1.0 };
@@ -118,7 +118,7 @@ fn bounds(face: &Face) -> [DVec3; 2] {
     [low.unwrap_or_default() - TOUCHING, high.unwrap_or_default() + TOUCHING]
 }
 
-/// Pairs among the faces of about one plane, the earlier face first: a sweep along its longest axis.
+/// Pairs among nearly coplanar faces, the earlier face first: a sweep along the longest axis.
 fn pairs_of(
     mut plane: Vec<u32>,
     faces: &[Face],
@@ -157,7 +157,7 @@ mod tests {
     use crate::scattering::Lobe;
     use crate::world::{Builder, Part, Surface};
 
-    /// A zigzag fan of `count` triangles about one vertex.
+    /// Zigzag fan of `count` triangles about one vertex.
     fn fan(count: usize) -> Mesh {
         let rim = |k: usize| {
             let (sin, cos) = (std::f64::consts::TAU * k as f64 / (count + 1) as f64).sin_cos();

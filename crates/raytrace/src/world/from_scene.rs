@@ -1,4 +1,4 @@
-//! From a scene file to a world: the room and what stands in it, as meshes.
+//! Converts a scene file to a world: meshes of the room and its objects.
 
 use super::build::{Builder, Part};
 use super::{Surface, World};
@@ -9,10 +9,10 @@ use glam::{DMat3, DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
-/// The geometry of `scene`.
+/// Builds the geometry of `scene`.
 ///
 /// # Errors
-/// A mesh that cannot be read, or that is solid and not closed; an opening that opens nothing; too many triangles.
+/// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
 pub(crate) fn from_scene(scene: &Scene) -> Result<World> {
     let mut builder = Builder::default();
     add_room(&mut builder, scene);
@@ -31,10 +31,10 @@ pub(crate) fn from_scene(scene: &Scene) -> Result<World> {
 }
 
 impl Scene {
-    /// Corners of the triangles of all surfaces but the ceiling, metres: what one sees who looks in from above.
+    /// Triangles of all surfaces except the ceiling, for a view from above; corner positions in metres.
     ///
     /// # Errors
-    /// A mesh that cannot be read, or surfaces that make no room.
+    /// A mesh that cannot be read, or surfaces that do not form a room.
     pub fn open_surfaces(&self) -> Result<Vec<[[f64; 3]; 3]>> {
         let world = from_scene(self)?;
         let shown =
@@ -154,7 +154,7 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
     Ok(())
 }
 
-/// The mesh of a file, checked.
+/// Reads and validates the mesh of a file.
 fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
     let mut mesh = mesh::read(file)?;
     if solid && mesh.is_closed() && !is_consistent(&mesh) {
@@ -182,7 +182,7 @@ fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// Whether neighbouring triangles run through their common edge in opposite directions.
+/// Whether neighbouring triangles traverse their common edge in opposite directions.
 fn is_consistent(mesh: &Mesh) -> bool {
     let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
     edges.sort_unstable();
@@ -191,14 +191,14 @@ fn is_consistent(mesh: &Mesh) -> bool {
     edges == reversed
 }
 
-/// Volume inside a closed surface, m³; negative where the normals point inwards.
+/// Volume of a closed surface, m³; negative if the normals point inwards.
 fn volume(mesh: &Mesh) -> f64 {
     let origin = mesh.vertices.first().copied().unwrap_or_default();
     let corner = |i: u32| mesh.vertices[i as usize] - origin;
     mesh.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
-/// A box, turned about its upright axis; normals outwards, sides first.
+/// Box rotated about its vertical axis; normals outwards, sides first.
 fn cuboid(low: DVec3, high: DVec3, yaw_deg: f64) -> Mesh {
     let middle = 0.5 * (low + high);
     let turn = DMat3::from_rotation_z(yaw_deg.to_radians());

@@ -1,10 +1,10 @@
-//! Triangles, and which of them a segment may cross: a hierarchy of boxes.
+//! Bounding volume hierarchy of triangles for segment queries.
 
 use glam::DVec3;
 
-/// Boxes are made wider by this, metres: axis-aligned faces would have none.
+/// Padding of boxes, metres: axis-aligned faces have zero thickness.
 const PADDING: f64 = 1e-6;
-/// From this depth on groups are halved: no arrangement of triangles makes a tree that is much deeper.
+/// Depth from which groups are halved, which bounds the depth of the tree.
 const DEEP: u32 = 64;
 
 /// A triangle with its face.
@@ -12,24 +12,24 @@ const DEEP: u32 = 64;
 pub struct Triangle {
     /// First corner, metres.
     pub corner: DVec3,
-    /// From the first corner to the other two.
+    /// Vectors from the first corner to the other two.
     pub sides: [DVec3; 2],
     /// Index into [`World::faces`](super::World::faces).
     pub face: u32,
 }
 
 impl Triangle {
-    /// Its corners, metres.
+    /// Corner positions, metres.
     pub fn corners(&self) -> [DVec3; 3] {
         [self.corner, self.corner + self.sides[0], self.corner + self.sides[1]]
     }
 
-    /// Its area, m².
+    /// Area, m².
     pub fn area(&self) -> f64 {
         0.5 * self.sides[0].cross(self.sides[1]).length()
     }
 
-    /// Whether a point of its plane lies in it, the border included.
+    /// Whether a point in its plane lies inside, border included.
     pub(super) fn contains(&self, point: DVec3) -> bool {
         const BORDER: f64 = 1e-12;
         let n = self.sides[0].cross(self.sides[1]);
@@ -41,20 +41,20 @@ impl Triangle {
     }
 }
 
-/// The tree in depth-first order.
+/// Tree in depth-first order.
 #[derive(Debug)]
 pub(super) struct Hierarchy {
     nodes: Vec<Node>,
 }
 
-/// A box with what lies in it: one triangle, or the nodes from the next one on.
+/// Box with one triangle, or with the nodes that follow it.
 #[derive(Clone, Copy, Debug)]
 struct Node {
     low: DVec3,
     high: DVec3,
-    /// `u32::MAX` where there are nodes inside.
+    /// Triangle index; `u32::MAX` for an inner node.
     triangle: u32,
-    /// The node after all that is inside.
+    /// Index of the node after the subtree.
     exit: u32,
 }
 
@@ -65,20 +65,20 @@ impl Node {
         Self { low, high, triangle: index as u32, exit: 0 }
     }
 
-    /// The box around both.
+    /// Bounding box of both.
     fn join(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high), triangle: u32::MAX, exit: 0 }
     }
 
-    /// Half of its surface, m².
+    /// Half of its surface area, m².
     fn area(&self) -> f64 {
         let size = self.high - self.low;
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
-    /// The slab test. Along an axis that the segment does not move on, `inverse` is infinite: a start on the padded border
-    /// gives NaN there, and whatever the comparisons make of that is right, since no triangle reaches so far. Comparisons
-    /// are an instruction each, `f64::min` and `f64::max` three.
+    /// Slab test. Along an axis without motion, `inverse` is infinite: a start on the padded border gives NaN, for
+    /// which either result is correct, since no triangle reaches the padding. Comparisons take one instruction each,
+    /// `f64::min` and `f64::max` three.
     fn is_met(&self, from: DVec3, inverse: DVec3) -> bool {
         let (mut enter, mut leave) = (0.0, 1.0);
         for k in 0..3 {
@@ -100,14 +100,14 @@ impl Hierarchy {
         Self { nodes }
     }
 
-    /// The indices of all triangles that the segment from `from` to `from + span` crosses, among others; in no order.
+    /// Candidates that include all triangles crossed by the segment from `from` to `from + span`; unordered indices.
     pub(super) fn candidates(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
         let inverse = 1.0 / span;
         self.leaves(move |_, node| node.is_met(from, inverse))
     }
 
-    /// The indices of all triangles that come closer than `reach` to the point, among others; in no order. Boxes that
-    /// `is_wanted` refuses by their number in the tree are left out with all inside.
+    /// Candidates that include all triangles closer than `reach` to the point; unordered indices. Subtrees whose box
+    /// index `is_wanted` rejects are skipped.
     pub(super) fn around(
         &self,
         point: DVec3,
@@ -118,7 +118,7 @@ impl Hierarchy {
         self.leaves(move |number, node| is_near(node) && is_wanted(number))
     }
 
-    /// For each box the owner that all triangles in it have; nothing where they have several.
+    /// Owner of each box if all its triangles have the same owner.
     pub(super) fn owners(&self, owner_of: impl Fn(usize) -> usize) -> Vec<Option<usize>> {
         let mut owners = vec![None; self.nodes.len()];
         for (i, node) in self.nodes.iter().enumerate().rev() {
@@ -132,7 +132,7 @@ impl Hierarchy {
         owners
     }
 
-    /// The triangles in boxes that are met.
+    /// Triangles in the boxes that are hit.
     #[inline(always)]
     fn leaves(&self, is_met: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
         let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
@@ -152,7 +152,7 @@ impl Hierarchy {
     }
 }
 
-/// Appends the tree over `leaves`.
+/// Appends the subtree over `leaves`.
 fn grow(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
     let Some(all) = leaves.iter().copied().reduce(Node::join) else { return };
     let index = nodes.len();
@@ -166,8 +166,8 @@ fn grow(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
     nodes[index].exit = nodes.len() as u32;
 }
 
-/// Sorts `leaves` along an axis and says where to cut them, so that the sum over both parts of surface times number is
-/// least: what a random ray has to look at (Goldsmith and Salmon, 1987).
+/// Sorts `leaves` along an axis and returns the split that minimises the sum of surface area times number (surface area
+/// heuristic, Goldsmith and Salmon, 1987).
 fn cheapest_cut(leaves: &mut [Node]) -> usize {
     let count = leaves.len();
     let sort = |leaves: &mut [Node], axis: usize| {
@@ -195,7 +195,7 @@ fn cheapest_cut(leaves: &mut [Node]) -> usize {
     best.2
 }
 
-/// Where a segment crosses a triangle (Möller and Trumbore, 1997), borders included; a segment in its plane does not.
+/// Intersection of a segment and a triangle (Möller and Trumbore, 1997), borders included; none for coplanar segments.
 pub(super) fn crossing(triangle: &Triangle, from: DVec3, span: DVec3) -> Option<f64> {
     const BORDER: f64 = 1e-12;
     let [a, b] = triangle.sides;

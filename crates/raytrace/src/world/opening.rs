@@ -1,4 +1,4 @@
-//! Openings: what is cut out of faces, and the rims that it leaves.
+//! Openings: holes in faces, and their rims.
 
 use super::build::Builder;
 use super::contact::{TOUCHING, is_near};
@@ -6,18 +6,17 @@ use super::{Edge, Face, Layer, Triangle};
 use crate::images::{LEAST_AREA, area, clip};
 use glam::DVec3;
 
-/// Places along each side of an opening that must lie on something.
+/// Number of points along each side of an opening that must lie on a face.
 const PLACES: usize = 16;
 
-/// A plane that bounds the opening: normal and offset, positive inside.
+/// Plane that bounds the opening: normal and offset, positive inside.
 type Plane = (DVec3, f64);
 
 impl Builder {
-    /// Takes a convex polygon, `hole`, out of every face in its plane; the rims that it leaves diffract, and edges inside
-    /// it are gone.
+    /// Cuts a convex polygon, `hole`, out of every face in its plane. Its rims diffract; edges inside it are removed.
     ///
     /// # Errors
-    /// Not all of it lies on something, or it would open something solid.
+    /// A part of the hole lies on no face, or a face is solid.
     pub fn cut(&mut self, hole: &[DVec3; 4]) -> Result<(), String> {
         let is_coplanar = |face: &Face| hole.iter().all(|p| face.height(*p).abs() < TOUCHING);
         let mut hosts: Vec<usize> = (0..self.faces.len()).filter(|f| is_coplanar(&self.faces[*f])).collect();
@@ -42,7 +41,7 @@ impl Builder {
                 "opens `{name}`, which is solid; give its finish a `thickness_m`, so that it is hollow"
             ));
         }
-        // Of faces that lie on each other the one that counts has the rim.
+        // Among overlapping faces, the frontmost one has the rim.
         hosts.sort_by_key(|f| (std::cmp::Reverse(self.faces[*f].layer), *f));
         for (i, &host) in hosts.iter().enumerate() {
             let flat = hole.map(|p| p - self.faces[host].height(p) * self.faces[host].normal);
@@ -71,8 +70,8 @@ impl Builder {
         &self.triangles[self.faces[face].triangles.clone()]
     }
 
-    /// Takes what lies in the opening out of the edges of a face. Where only one of an edge's two faces goes, the other
-    /// has a rim there.
+    /// Cuts the opening out of the edges of a face. If only one of the two faces of an edge is removed, the other gets
+    /// a rim.
     fn cut_edges(&mut self, host: u32, sides: &[Plane; 4]) {
         let (edges, owners) = (std::mem::take(&mut self.edges), std::mem::take(&mut self.owners));
         for (edge, owner) in edges.into_iter().zip(owners) {
@@ -98,7 +97,8 @@ impl Builder {
         }
     }
 
-    /// The rims of an opening in a face: the parts of its sides beyond which the face goes on, and none of `others`.
+    /// Rims of an opening in a face: the parts of its sides beyond which the face continues and no face of `others`
+    /// does.
     fn rims(&self, host: usize, hole: &[DVec3; 4], others: &[usize]) -> Vec<Edge> {
         let face = &self.faces[host];
         let mut rims = Vec::new();
@@ -136,7 +136,7 @@ impl Builder {
     }
 }
 
-/// The planes through the sides of a convex polygon, across its own plane.
+/// Planes through the sides of a convex polygon, perpendicular to its plane.
 fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Plane; N] {
     let middle = corners.iter().sum::<DVec3>() / N as f64;
     std::array::from_fn(|i| {
@@ -146,7 +146,7 @@ fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Plane; N] {
     })
 }
 
-/// From where to where a segment is further inside than `least` metres, from 0 to 1.
+/// Interval, from 0 to 1, in which a segment is more than `least` metres inside.
 fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<(f64, f64)> {
     let (mut start, mut end) = (0.0_f64, 1.0_f64);
     for (normal, offset) in sides {
@@ -161,7 +161,7 @@ fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<(f64, f64)>
     (start < end).then_some((start, end))
 }
 
-/// What of a triangle lies outside the opening, in triangles.
+/// Part of a triangle outside the opening, as triangles.
 fn outside(triangle: &Triangle, sides: &[Plane; 4]) -> Vec<Triangle> {
     let mut rest = triangle.corners().to_vec();
     let mut pieces = Vec::new();

@@ -5,12 +5,12 @@ use pwrfgs_core::testing::shared;
 const METAL: Polarized = Polarized::PERFECT_CONDUCTOR;
 const K: f64 = 2.0 * PI / 0.3258;
 
-/// Faces that nothing passes.
+/// Opaque faces.
 fn opaque(r0: &Polarized, rn: &Polarized) -> Sides {
     Sides { r0: *r0, rn: *rn, through: Polarized::NOTHING }
 }
 
-/// F(x) as it is usually written; x ≥ 0.
+/// F(x) in its usual form; x ≥ 0.
 fn transition(x: f64) -> Complex {
     x.sqrt() * over_root(x.sqrt())
 }
@@ -21,7 +21,7 @@ fn both(pair: Polarized) -> [Complex; 2] {
 
 #[test]
 fn the_transition_function_has_its_known_values() {
-    // 40 digits by another program, from √(πx) e^{j(π/4+x)} erfc(e^{jπ/4} √x).
+    // 40 digits of another program, from √(πx) e^{j(π/4+x)} erfc(e^{jπ/4} √x).
     let expected = [
         (1e-6, 0.001_253_312_885_334_069_6, 0.001_251_315_390_629_011_4),
         (0.01, 0.124_205_185_773_763_67, 0.106_578_973_791_882_78),
@@ -38,8 +38,8 @@ fn the_transition_function_has_its_known_values() {
     assert_eq!(transition(0.0), Complex::ZERO);
 }
 
-/// e^{jπ/4}·2√x ∫ exp(-u² - 2√x e^{jπ/4} u) du from 0 to where it has died: the path of integration turned by 45°;
-/// Simpson's rule.
+/// Integral e^{jπ/4}·2√x ∫ exp(-u² - 2√x e^{jπ/4} u) du from 0 until it vanishes, with the path of integration rotated
+/// by 45°; Simpson's rule.
 fn transition_by_quadrature(x: f64) -> Complex {
     let steps = 20_000;
     let step = 8.0_f64.min(28.0 / x.sqrt()) / f64::from(steps);
@@ -92,7 +92,7 @@ fn far_from_the_boundaries_it_is_kellers() {
     }
 }
 
-/// A point about an edge along z: distance from the edge, angle from face 0, height.
+/// Point about an edge along z: distance from the edge, angle from face 0, height.
 fn about_edge(rho: f64, phi: f64, z: f64) -> DVec3 {
     DVec3::new(rho * phi.cos(), rho * phi.sin(), z)
 }
@@ -102,8 +102,8 @@ fn spherical(r: f64, factor: Complex) -> Complex {
     factor * Complex::cis(-K * r) / r
 }
 
-/// Direct, reflected and diffracted field at `phi`, the source at `phi_in`, both 2 and 3 m from the edge of faces that
-/// reflect by `r0` and `rn`; the source `rise` metres higher.
+/// Direct, reflected and diffracted field at `phi`, with the source at `phi_in`, both 2 and 3 m from the edge of faces
+/// with reflection `r0` and `rn`; the source is `rise` metres higher.
 fn total(n: f64, phi_in: f64, phi: f64, rise: f64, r0: &Polarized, rn: &Polarized) -> [Complex; 2] {
     let (tx, rx) = (about_edge(2.0, phi_in, rise), about_edge(3.0, phi, 0.0));
     let t = edge_point(DVec3::ZERO, DVec3::Z, tx, rx);
@@ -173,7 +173,7 @@ fn a_grazing_wave_counts_once() {
             assert!(grazing.te.norm() < 1e-13 && limit.te.norm() < 1e-4 * limit.tm.norm());
         }
     }
-    // Along the face and over the edge: half of the wave goes on, as behind a knife edge, and no step is left.
+    // Along the face and over the edge: half of the wave continues, as behind a knife edge, without a step.
     let jump = |phi| {
         let d = wedge(2.0, K, (2.0, 3.0), (0.0, phi), 1.0, &opaque(&METAL, &METAL));
         d.tm * Complex::cis(-5.0 * K) / 30f64.sqrt()
@@ -212,15 +212,15 @@ fn the_edge_point_makes_the_path_shortest_and_its_angles_equal() {
     assert!((cosines[0] - cosines[1]).abs() < 1e-14);
     assert!((edge_point(a, b, rx, tx) - t).abs() < 1e-14);
     assert!((edge_point(b, a, tx, rx) - (1.0 - t)).abs() < 1e-14);
-    // Outside of the edge, and where there is nothing to choose.
+    // Points off the edge, and degenerate cases.
     assert_eq!(edge_point(DVec3::ZERO, DVec3::Z, DVec3::new(1.0, 0.0, 5.0), DVec3::new(0.0, 1.0, 5.0)), 5.0);
     assert_eq!(edge_point(DVec3::ZERO, DVec3::Z, DVec3::Z * 2.0, DVec3::Z * 4.0), 3.0);
     assert_eq!(edge_point(a, a, tx, rx), 0.0);
 }
 
-/// What an antenna hears of another across the reference's edge, by the vectors of [`wedge`]: both have their field
-/// along φ̂ (`horizontal`) or θ̂ of the direction away from them. Face 0 is y = 0, x < 0, and φ grows from there through
-/// y > 0, so that the edge points down.
+/// Coupling between two antennas across the reference edge, by the vectors of [`wedge`]: both have their field along φ̂
+/// (`horizontal`) or θ̂ of the direction away from them. Face 0 is y = 0, x < 0, and φ grows from there through y > 0,
+/// so that the edge points down.
 fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) -> Complex {
     let outward = |phi: f64| DVec3::new(-phi.cos(), phi.sin(), 0.0);
     let (edge, before, after) = (-DVec3::Z, -outward(phi_in), outward(phi));
@@ -231,7 +231,7 @@ fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) 
     -d.te * sent.dot(beta_hat_in) * beta_hat.dot(heard) - d.tm * sent.dot(phi_hat_in) * phi_hat.dot(heard)
 }
 
-/// Metal wedge and half-plane at 920 MHz against an independent implementation in float64, and an established ray
+/// Metal wedge and half-plane at 920 MHz, compared with an independent implementation in float64 and an established ray
 /// tracer in float32.
 #[test]
 fn metal_edges_are_those_of_the_reference() {

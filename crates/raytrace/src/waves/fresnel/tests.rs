@@ -88,8 +88,8 @@ fn at_normal_incidence_both_polarisations_are_one() {
     assert!((t.te - t.tm).norm() < 1e-15);
 }
 
-/// Airy's sum over the beams that bounce inside a slab, from the coefficients of its two faces, which are not those of
-/// the closed form: t₁₂t₂₁ in place of 1 - r².
+/// Airy's sum over the multiple reflections inside a slab, from the coefficients of its two faces, which differ from
+/// those of the closed form: t₁₂t₂₁ in place of 1 - r².
 #[test]
 fn a_slab_is_the_sum_of_the_beams_inside_it() {
     let eta = named("concrete").unwrap().permittivity(3.5e9);
@@ -173,7 +173,7 @@ fn polar(direction: DVec3) -> DVec3 {
     DVec3::new(direction.z * direction.x / flat, direction.z * direction.y / flat, -flat)
 }
 
-/// The reference's gain of one bounce, from the geometry: image of the transmitter, one interaction.
+/// Gain of one reflection according to the reference, from the geometry: image of the transmitter, one interaction.
 fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Complex, f64) {
     let (normal, offset, name, depth) = match face {
         "floor" => (DVec3::Z, 0.0, "wood", 0.03),

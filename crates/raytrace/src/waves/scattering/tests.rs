@@ -1,7 +1,7 @@
 use super::*;
 use glam::DVec3;
 
-/// Integral over the hemisphere about z of a function of the outgoing direction: midpoints in azimuth, which are exact
+/// Integral of a function of the outgoing direction over the hemisphere about z: midpoints in azimuth, which are exact
 /// for a polynomial, and Simpson's rule in the cosine.
 fn over_hemisphere(of: impl Fn(DVec3) -> f64) -> f64 {
     let (rings, around) = (400, 64);
@@ -62,7 +62,7 @@ fn a_directive_lobe_points_where_a_mirror_would() {
     assert!(lobe.density(0.6, 0.6, 1.0) > wider.density(0.6, 0.6, 1.0));
 }
 
-/// What all receivers of a far sphere hear of a patch, each with the aperture λ²/4π, is S²|Γ|² of what falls on it.
+/// Received power of a patch at all points of a far sphere, each with the aperture λ²/4π: S²|Γ|² of the incident power.
 #[test]
 fn scattered_power_is_its_share_of_what_falls_on_the_patch() {
     let (s, gamma, area, cos, near, far, wavelength) = (0.4, 0.6, 0.01, 0.7_f64, 2.0, 30.0, 0.125);
