@@ -82,7 +82,7 @@ fn what_cannot_be_is_told_with_what_can() {
         ("training.step=5", &["`training` has no field `step`", "did you mean `steps`?"]),
         ("trainin.steps=5", &["a pipeline has no field `trainin`", "did you mean `training`?"]),
         ("pruners.LearnableMask.lamda=1", &["LearnableMask", "did you mean `lambda`?"]),
-        ("pruners.LearnedMask.lambda=1", &["did you mean `LearnableMask`?", "give the list whole"]),
+        ("pruners.LearnedMask.lambda=1", &["did you mean `LearnableMask`?", "give the complete list"]),
         ("pruners.2.lambda=1", &["2 entries"]),
         ("baselines.NearestNeighbours.k=2", &["3 entries", "`baselines.2`"]),
         ("initializer.max_points=5", &["`initializer` is Grid", "'initializer=PointCloud(max_points: ..)'"]),

@@ -183,29 +183,29 @@ fn parts_of_different_kinds_are_refused_at_their_place() {
     let said = |text: &str| Pipeline::parse(text, Path::new("a.ron")).unwrap_err().to_string();
     let mixed =
         "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: Site(),\n    readout: Magnitude,\n)";
-    assert!(said(mixed).starts_with("a.ron:5:14: readout: it gives spectra, and the data are received powers"));
+    assert!(said(mixed).starts_with("a.ron:5:14: readout: it predicts spectra, but the data are received powers"));
     let metric = mixed.replace("readout: Magnitude", "metrics: [PowerError(), Ssim()]");
     assert!(
-        said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is no metric of received powers"),
+        said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` does not support received powers as metric"),
         "{}",
         said(&metric)
     );
     let floor = mixed.replace("readout: Magnitude", "baselines: [MeanSpectrum(), Zero()]");
     assert!(
-        said(&floor).starts_with("a.ron:5:16: baselines: `Zero` is no baseline of received powers"),
+        said(&floor).starts_with("a.ron:5:16: baselines: `Zero` does not support received powers as baseline"),
         "{}",
         said(&floor)
     );
     let search = mixed.replace("Site()", "MatchingPursuit()").replace("    readout: Magnitude,\n", "");
     assert!(
-        said(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` does not search received powers"),
+        said(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` does not support received powers"),
         "{}",
         said(&search)
     );
     let method = mixed.replace("readout: Magnitude", "method: VirtualTransmitters()");
-    assert!(said(&method).starts_with("a.ron:5:13: method: it gives channels"), "{}", said(&method));
+    assert!(said(&method).starts_with("a.ron:5:13: method: it predicts channels"), "{}", said(&method));
     let pictures = mixed.replace("Nerf2Rssi()", "Teacher()").replace("Magnitude", "Received()");
-    assert!(said(&pictures).contains("it gives received powers, and the data are spectra"), "{}", said(&pictures));
+    assert!(said(&pictures).contains("it predicts received powers, but the data are spectra"), "{}", said(&pictures));
     let fits = mixed.replace("    readout: Magnitude,\n", "");
     let metrics = Pipeline::parse(&fits, Path::new("a.ron")).unwrap().metrics;
     assert!(pwrfgs::core::plugin::to_ron(&metrics[0]).starts_with("PowerError"));

@@ -241,7 +241,7 @@ fn what_rays_cannot_do_is_refused_with_its_place() {
     refused("method: Nerf2(samples: 1)", "`samples` is 1");
     refused("method: Nerf2(features: 2)", "`features` is 2");
     refused("method: Nerf2(far_m: 0)", "`far_m` is 0");
-    refused("method: Nerf2(), pruners: [OpacityThreshold()]", "nothing to prune");
+    refused("method: Nerf2(), pruners: [OpacityThreshold()]", "has no Gaussians to prune");
     refused("initializer: Random(), training: (rays: Same(9), loss: (ssim_weight: 0))", "Nerf2");
     refused("method: Nerf2(), training: (rays: Same(9))", "SSIM needs whole spectra");
     refused(&format!("method: Nerf2(), training: (rays: Each(0), {plain})"), "at least 1");

@@ -104,7 +104,7 @@ fn where_nobody_can_tell_there_is_a_reason() {
     let why = at_zero(&found.far, "ssim").clone().unwrap_err();
     assert_eq!(
         why,
-        "0 pairs of samples far apart in time (more than 30 ids) are within 2 cm of each other; it takes 20"
+        "0 pairs of samples far apart in time (more than 30 ids) are within 2 cm of each other; at least 20 are needed"
     );
     assert!(at_zero(&found.near, "ssim").is_err());
     let one = Spectra::grey((8, 8), vec![9; 64]).unwrap();

@@ -14,8 +14,8 @@ fn a_damaged_file_of_a_finished_run_is_named_and_made_again_once_it_is_gone() {
         let path = here.join("r").join(name);
         let whole = std::fs::read(&path).unwrap();
         write(&path, &whole[..length]);
-        let (file, problem) = (format!("r/{name}"), format!("it has {length} bytes and not"));
-        let words = [file.as_str(), problem.as_str(), "copy it anew"];
+        let (file, problem) = (format!("r/{name}"), format!("it has {length} bytes, expected"));
+        let words = [file.as_str(), problem.as_str(), "copy it again"];
         refuse(here, &["run", "r"], 2, &words);
         if name == "report.html" {
             // The page comes from the other files, and is made again from them.
@@ -28,7 +28,7 @@ fn a_damaged_file_of_a_finished_run_is_named_and_made_again_once_it_is_gone() {
         let mut changed = whole.clone();
         changed[whole.len() / 2] ^= 1;
         write(&path, &changed);
-        refuse(here, &["run", "r"], 2, &[&format!("r/{name}"), "its bytes are others"]);
+        refuse(here, &["run", "r"], 2, &[&format!("r/{name}"), "its content differs"]);
         write(&path, &whole);
         succeed(here, &["run", "r", "-q"]);
     }

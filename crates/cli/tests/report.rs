@@ -154,7 +154,7 @@ fn wrong_input_is_refused(here: &Path) {
     facts["files"] = serde_json::json!({});
     write(&here.join("runs/half_grid-1/run.json"), facts.to_string());
     write(&here.join("runs/half_grid-1/scores.csv"), "predictor,metric,sample,value\nmodel,ssim,x,1\n");
-    refuse(here, &["report", "runs/half_grid-1"], 2, &["scores.csv:2:", "`x` is no number"]);
+    refuse(here, &["report", "runs/half_grid-1"], 2, &["scores.csv:2:", "`x` is not a number"]);
 }
 
 /// Whatever has happened to a file of a finished run, `report` says to which, and makes none without its numbers.

@@ -1,7 +1,7 @@
-//! `Bench`: a part of the data set to score on, some samples at a time.
+//! `Bench`: scores predictors on a set of samples, chunk by chunk.
 //!
-//! Predictions and spectra of a chunk are held together, those of the whole part never (unless a metric asks for that),
-//! so that memory does not grow with the number of samples.
+//! Only the predictions and spectra of one chunk are in memory (unless a metric needs all), so memory does not grow
+//! with the number of samples.
 
 use crate::session::{Session, check_stopped, staged};
 use pwrfgs_core::{
@@ -14,37 +14,38 @@ use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// Most links predicted in one call, and most of single numbers.
+/// Largest number of links per prediction call, and of single numbers.
 const CHUNK: usize = 64;
 const MANY: usize = 4096;
-/// Most pixels predicted in one call, of larger pictures: 8 bytes each with the measured ones.
+/// Largest number of pixels per prediction call for larger images; 8 bytes each with the measured ones.
 const PIXELS: usize = 1 << 21;
 
-/// Predicts some links; says now and then how many more are done.
+/// Function that predicts some links and reports how many more are done.
 type Predictor<'a> = dyn Fn(&[Query<'_>], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
 
-/// Shown predictions, what was observed, and of which links.
+/// Receiver of predictions, observations and their links.
 type Show<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
 
-/// Who is scored.
+/// Model or baseline to score.
 #[derive(Clone, Copy)]
 struct Subject<'a> {
     predict: &'a Predictor<'a>,
-    /// Of a model.
+    /// Facts for model metrics; `None` for a baseline.
     facts: Option<ModelFacts<'a>>,
-    /// Predicts one link and says how long it took; `None` where nobody asks.
+    /// Function that predicts one link and returns the time per stage; `None` without timing.
     timed: Option<&'a dyn Fn(Query<'_>) -> StageTimes>,
 }
 
-/// A score of numbers that are none would be one more.
+/// Returns an error for predictions that are not finite, which would give invalid scores.
 fn refuse_infinite(name: &str, predictions: &[Image]) -> Result<()> {
     if predictions.iter().all(|image| image.pixels.iter().all(|p| p.is_finite())) {
         return Ok(());
     }
-    Err(Error::Config(format!("{name} predicts numbers that are not finite; a model: train it anew with lower rates")))
+    let advice = "if it is a model, train it again with lower learning rates";
+    Err(Error::Config(format!("{name} predicts numbers that are not finite; {advice}")))
 }
 
-/// A part of the data set to score on.
+/// Samples of the data set to score on.
 #[derive(Debug)]
 pub struct Bench<'a> {
     data: &'a Dataset,
@@ -54,16 +55,16 @@ pub struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// The samples `part`, on the pixels of `plane`.
+    /// Creates a bench of the samples `part` on the pixels of `plane`.
     pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
         Self { data, plane, part: part.to_vec(), links: part.iter().map(|&i| data.links[i]).collect() }
     }
 
-    /// Every measurement of `model`, called `name` in messages. Without `facts` nothing is said of the model itself, and it
-    /// is not timed.
+    /// Measures `model`, called `name` in messages, by every metric. Without `facts`, model metrics and timing are
+    /// omitted.
     ///
     /// # Errors
-    /// Where a metric refuses, or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.
+    /// A metric returns an error or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.
     pub fn model(
         &self,
         name: &str,
@@ -85,10 +86,10 @@ impl<'a> Bench<'a> {
         self.measure(name, subject, metrics, session)
     }
 
-    /// Every measurement of a baseline called `name`.
+    /// Measures the baseline called `name` by every metric.
     ///
     /// # Errors
-    /// As [`Self::model`].
+    /// Same as [`Self::model`].
     pub fn baseline(
         &self,
         name: &str,
@@ -112,7 +113,7 @@ impl<'a> Bench<'a> {
         self.measure(name, Subject { predict: &predict, facts: None, timed: Some(&timed) }, metrics, session)
     }
 
-    /// Every measurement of one called `name`, in the order of `metrics`.
+    /// All measurements of the predictor `name`, in the order of `metrics`.
     fn measure(
         &self,
         name: &str,
@@ -142,7 +143,7 @@ impl<'a> Bench<'a> {
         if !self.part.is_empty() && metrics.iter().all(|m| m.scope() == Scope::Sample) {
             return Ok(found.into_iter().flatten().collect());
         }
-        // One link after the other is timed.
+        // Timed links are predicted one by one.
         let next = Cell::new(0);
         let timed = |one: &dyn Fn(Query<'_>) -> StageTimes| {
             next.set(next.get() + 1);
@@ -170,7 +171,7 @@ impl<'a> Bench<'a> {
         Ok(found.into_iter().flatten().collect())
     }
 
-    /// Shows predictions and measured spectra to `show`, a chunk at a time; `progress` counts samples.
+    /// Passes predictions and observations to `show`, chunk by chunk; `progress` counts samples.
     fn chunks(
         &self,
         subject: Subject<'_>,
@@ -205,7 +206,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Adds the measurements of the next `count` samples to those before.
+/// Appends the measurements of the next `count` samples.
 fn append(all: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
     let broken = |m: &Measurement| {
         Err(Error::Config(format!(

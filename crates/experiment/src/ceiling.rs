@@ -1,8 +1,7 @@
-//! The ceiling of a test part: what two measured spectra at one place have in common, as a row beside the floors.
+//! Noise ceiling of a test set: agreement of two spectra measured at one position, as a row in the table of baselines.
 //!
-//! Which pairs belong to it follows from the partition. Where most test samples were measured within a moment of one that
-//! was trained on, what is shared within a moment can be predicted, so pairs near in time are the ceiling; else pairs far
-//! apart in time are.
+//! The pairs depend on the split. If most test samples were measured shortly before or after a training sample, the
+//! ceiling uses pairs near in time, which share short-term conditions; otherwise it uses pairs far apart in time.
 
 use crate::repeatability::{AtZero, FAR_IDS, Lapse, Likeness, in_order, likeness};
 use crate::scores::CEILING;
@@ -10,19 +9,19 @@ use crate::text::{grouped, number};
 use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result, Task};
 use std::sync::atomic::AtomicBool;
 
-/// What the best predictor of a test part may be expected to reach.
+/// Noise ceiling of a test set: best score to expect from a predictor.
 #[derive(Clone, Debug, Default)]
 pub struct Ceiling {
-    /// Key of a metric, and what it comes to; nothing where nobody can tell.
+    /// Metric keys with their ceiling; empty if it cannot be estimated.
     pub of: Vec<(String, AtZero)>,
-    /// What it is made of, or why there is none: sentences for the foot of a table.
+    /// Notes below the table: the pairs used, or why there is no ceiling.
     pub notes: Vec<String>,
 }
 
-/// Estimates the ceiling of the test part of `partition` by every metric of single samples.
+/// Estimates the noise ceiling of the test set of `partition` by every per-sample metric.
 ///
 /// # Errors
-/// As [`crate::repeatability()`].
+/// Same as [`crate::repeatability()`].
 pub fn ceiling(
     data: &Dataset,
     partition: &Partition,
@@ -46,12 +45,12 @@ pub fn ceiling(
     Ok(Ceiling { of, notes })
 }
 
-/// The pairs of samples that are the ceiling of the test part of `partition`.
+/// Kind of sample pairs that the noise ceiling of `partition` uses.
 pub fn lapse_of(data: &Dataset, partition: &Partition) -> Lapse {
     lapse(data, &lags(data, partition)).0
 }
 
-/// Ids between each test sample and the nearest one that is trained on or chosen by.
+/// Difference of ids between each test sample and the nearest training or validation sample.
 fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
     let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.sample(i).id).collect();
     let lag = |&i: &usize| {
@@ -63,10 +62,10 @@ fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
     partition.test.iter().map(lag).collect()
 }
 
-/// Which pairs, and why these.
+/// Kind of pairs, and the reason.
 fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
     if !in_order(data) {
-        return (Lapse::Far, "since here samples next to each other in id are not so in space".into());
+        return (Lapse::Far, "since samples with consecutive ids are not close in space".into());
     }
     let near = lags.iter().filter(|lag| **lag <= FAR_IDS).count();
     let percent = |count: usize| (100 * count + lags.len() / 2) / lags.len().max(1);
@@ -95,10 +94,7 @@ fn notes(task: Task, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, A
              zero; {why}",
             (found.reach_m * 1e3).ceil()
         ),
-        format!(
-            "{CEILING} is an estimate and in no ranking{more}; 95 % intervals of its means: {}",
-            intervals.join(", ")
-        ),
+        format!("{CEILING} is an estimate and not ranked{more}; 95 % intervals of its means: {}", intervals.join(", ")),
     ]
 }
 

@@ -1,6 +1,7 @@
-//! Evaluation: the model and every baseline on the test part, by every metric of the pipeline.
+//! Evaluation of the model and all baselines on the test set, by all metrics of the pipeline.
 //!
-//! Baselines are fitted on training and validation together, after what few choices they make: the stronger floor.
+//! Baselines choose their hyperparameters on the validation set and are then fitted on training and validation samples
+//! together, which makes them stronger.
 
 use crate::bench::Bench;
 use crate::ceiling::ceiling;
@@ -13,15 +14,15 @@ use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Test spectra that are predicted together.
+/// Number of test spectra predicted together.
 const CHUNK: usize = 64;
 
-/// Scores `model`, or an ensemble and each of its members, and the pipeline's baselines on the test set of `data`. Of an
-/// ensemble also measures whether its members differ where it is wrong.
+/// Scores `model`, or an ensemble with its members, and the baselines of the pipeline on the test set of `data`. For an
+/// ensemble, also measures whether the spread of its members predicts the error.
 ///
 /// # Errors
-/// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses;
-/// [`Error::Stopped`] once the session is.
+/// The image size of the model differs from the data, or a metric or baseline returns an error; [`Error::Stopped`] once
+/// the session is stopped.
 pub fn evaluate(
     model: &Ensemble,
     pipeline: &Pipeline,
@@ -82,11 +83,11 @@ pub fn evaluate(
     Ok((scores, confidence))
 }
 
-/// Mean of the first validation metric that each baseline, fitted on the training set alone, reaches on the samples of
-/// `validation.csv`; finite ones.
+/// Mean of the first validation metric for each baseline, fitted on the training set alone, on the samples of
+/// `validation.csv`; finite values only.
 ///
 /// # Errors
-/// A baseline or a metric refuses; [`Error::Stopped`] once the session is.
+/// A baseline or a metric returns an error; [`Error::Stopped`] once the session is stopped.
 pub(crate) fn validation_baselines(
     plane: &ImagePlane,
     pipeline: &Pipeline,
@@ -110,31 +111,31 @@ pub(crate) fn validation_baselines(
     Ok(all)
 }
 
-/// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.
+/// Checks that task, size, receivers and frequencies of the data match the model.
 ///
 /// # Errors
 /// The first difference.
 pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
-    let refuse = |what: String| Err(Error::Config(what + "; evaluate it on data like those it was trained on"));
+    let refuse = |what: String| Err(Error::Config(what + "; use data of the same kind as the training data"));
     let (plane, task) = (model.plane(), data.task());
     if model.task() != task {
-        return refuse(format!("the model predicts {} and the data are {}", model.task().plural, task.plural));
+        return refuse(format!("the model predicts {}, but the data are {}", model.task().plural, task.plural));
     }
     let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
     if drawn != have {
         let size = |size| task.size_text(size).unwrap_or_default();
-        let what = format!("the model predicts {} of {} and the data have {}", task.plural, size(drawn), size(have));
+        let what = format!("the model predicts {} of {}, but the data have {}", task.plural, size(drawn), size(have));
         return refuse(what);
     }
     let (known, listening) = (model.receivers().len(), data.scene.receivers.len());
     if known != listening {
-        return refuse(format!("the model knows {known} receivers and the data have {listening}"));
+        return refuse(format!("the model has {known} receivers, but the data have {listening}"));
     }
     for (known, heard) in model.receivers().iter().zip(&data.scene.receivers) {
-        // Of a single receiver the name says nothing: nobody gave it one.
+        // The name of a single receiver is a placeholder and is not compared.
         if known.name != heard.name && !task.has_pixels && listening > 1 {
             return refuse(format!(
-                "receiver `{}` of the model is `{}` in the data",
+                "receiver `{}` of the model is called `{}` in the data",
                 clean(&known.name),
                 clean(&heard.name)
             ));
@@ -145,18 +146,16 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     if !(known.len() == heard.len() && known.iter().zip(heard).all(|(a, b)| near(a, b))) {
         let first = |all: &[f64]| all.first().copied().unwrap_or_default();
         let (known, heard) = (first(known), first(heard));
-        return refuse(format!(
-            "the model knows subcarriers from {known} Hz on, and those of the data begin at {heard} Hz"
-        ));
+        return refuse(format!("subcarriers of the model begin at {known} Hz, but those of the data at {heard} Hz"));
     }
     Ok(())
 }
 
 impl Confidence {
-    /// Of the samples `part`.
+    /// Measures the confidence on the samples `part`.
     ///
     /// # Errors
-    /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is.
+    /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is stopped.
     pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
         let stop = session.stop;
         staged(session.observer, "measuring the spread of members", |progress| {

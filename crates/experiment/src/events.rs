@@ -1,10 +1,10 @@
-//! `Events`: numbers over steps as a TensorBoard event file. It holds what `curve.csv` and `validation.csv` hold, and
-//! is written anew from them when a run goes on: the records have the same lengths again, so that a TensorBoard that
-//! was watching reads on.
+//! `Events`: values over steps as a TensorBoard event file. It contains the columns of `curve.csv` and
+//! `validation.csv`. On resume it is rewritten from them with records of the same lengths, so that a running
+//! TensorBoard continues to read.
 //!
-//! The file is a row of `TFRecord`s: length (u64), its checksum, the record, its checksum; little-endian. A record is a
-//! protobuf `Event`: wall time (1), step (2), and the file version (3) or a `Summary` (5) of `Value`s (1) with a tag
-//! (1) and a number (2).
+//! The file is a sequence of `TFRecord`s: length (u64), its checksum, the record, its checksum; little-endian. A record
+//! is a protobuf `Event`: wall time (1), step (2), and the file version (3) or a `Summary` (5) of `Value`s (1) with a
+//! tag (1) and a number (2).
 
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
@@ -13,7 +13,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// What the first record says.
+/// Content of the first record.
 const FILE_VERSION: &[u8] = b"brain.Event:2";
 
 /// An open event file.
@@ -24,7 +24,7 @@ pub(crate) struct Events {
 }
 
 impl Events {
-    /// Begins the file anew.
+    /// Creates a new file.
     pub(crate) fn create(path: &Path) -> Result<Self> {
         write_atomically(path, &[])?;
         let file = OpenOptions::new().append(true).open(path).map_err(|e| Error::write(path, e))?;
@@ -33,7 +33,7 @@ impl Events {
         Ok(events)
     }
 
-    /// Appends one event of some seconds `ago` with a number a tag.
+    /// Appends one event that happened `ago` seconds ago, with one number per tag.
     pub(crate) fn push<T: AsRef<str>>(&mut self, step: u64, scalars: &[(T, f64)], ago: f64) -> Result<()> {
         let value = |(tag, value): &(T, f64)| {
             let number = [&[2 << 3 | FLOAT][..], &(*value as f32).to_le_bytes()].concat();
@@ -44,7 +44,7 @@ impl Events {
         self.write(&[number(1, wall_time() - ago), step, bytes(5, &summary)].concat())
     }
 
-    /// Brings the records to the disk; called before each checkpoint.
+    /// Flushes the records to disk; called before each checkpoint.
     pub(crate) fn sync(&self) -> Result<()> {
         self.file.sync_data().map_err(|e| Error::write(&self.path, e))
     }
@@ -65,20 +65,20 @@ fn record(data: &[u8]) -> Vec<u8> {
     [&length[..], &checksum(&length), data, &checksum(data)].concat()
 }
 
-/// CRC-32C, turned and shifted as `TFRecord` has it: so that a checksum over checksums means something.
+/// Masked CRC-32C of `TFRecord`: rotated and shifted, so that checksums over checksums work.
 fn checksum(bytes: &[u8]) -> [u8; 4] {
     let bit = |crc: u32, _| crc >> 1 ^ if crc & 1 == 1 { 0x82f6_3b78 } else { 0 };
     let crc = !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit));
     crc.rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
-// Protobuf: the low three bits of a field's key say how its value is written.
+// Protobuf: the low three bits of a field key are its wire type.
 const VARINT: u8 = 0;
 const DOUBLE: u8 = 1;
 const LENGTH: u8 = 2;
 const FLOAT: u8 = 5;
 
-/// Seven bits a byte, the lowest first.
+/// Variable-length integer: seven bits per byte, lowest first.
 fn varint(mut value: u64) -> Vec<u8> {
     let mut out = Vec::new();
     while value >= 0x80 {
@@ -89,12 +89,12 @@ fn varint(mut value: u64) -> Vec<u8> {
     out
 }
 
-/// A field of double precision.
+/// Field of double precision.
 fn number(key: u8, value: f64) -> Vec<u8> {
     [&[key << 3 | DOUBLE][..], &value.to_le_bytes()].concat()
 }
 
-/// A field of text or of a message.
+/// Field of text or of a message.
 fn bytes(key: u8, value: &[u8]) -> Vec<u8> {
     [&[key << 3 | LENGTH][..], &varint(value.len() as u64), value].concat()
 }

@@ -1,4 +1,4 @@
-//! `run.json`: with what, on what machine, when and how long a run was made.
+//! `run.json`: settings, machine, time and results of a run.
 
 use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed};
 use crate::scores::ScoreTable;
@@ -9,64 +9,64 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The facts of a run. `finished` is empty until model, scores and report are written.
+/// Facts of a run. `finished` is empty until model, scores and report are written.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Facts {
     /// Version of pwrfgs.
     pub version: String,
-    /// Git commit of the checkout that the program lies in, where it lies in one.
+    /// Git commit of the checkout that contains the program, if any.
     pub commit: Option<String>,
-    /// Bytes of one number: 4, or 8 in the double-precision build.
+    /// Bytes per number: 4, or 8 in the double-precision build.
     pub real_bytes: usize,
-    /// What it ran on.
+    /// Machine of the run.
     pub machine: Machine,
-    /// The pipeline's seed.
+    /// Random seed of the pipeline.
     pub seed: u64,
-    /// What the data call themselves.
+    /// Title of the data set.
     pub data: String,
-    /// Whether they are simulated.
+    /// Whether the data are simulated.
     pub simulated: bool,
-    /// Samples for training, validation, test.
+    /// Numbers of training, validation and test samples.
     pub samples: [usize; 3],
-    /// Steps done.
+    /// Number of completed steps.
     pub steps: u64,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
-    /// Folders of the runs whose models were joined, below the sweep folder: steps, seconds of training and Gaussians are then
-    /// those of all.
+    /// Run folders of the joined models, relative to the sweep folder; steps, training seconds and Gaussians are then
+    /// sums over these.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<String>,
-    /// Seconds of training and evaluation, all starts together.
+    /// Seconds of training and evaluation, summed over all starts.
     pub wall_seconds: f64,
-    /// Of these, seconds inside training steps.
+    /// Seconds inside training steps.
     pub training_seconds: f64,
     /// Largest resident memory, bytes.
     pub peak_memory_bytes: u64,
-    /// How often the run was started.
+    /// Number of starts.
     pub starts: u32,
-    /// First start, RFC 3339.
+    /// Time of the first start, RFC 3339.
     pub started: String,
-    /// End, RFC 3339.
+    /// Time of the end, RFC 3339.
     pub finished: Option<String>,
-    /// Whether there is a report.
+    /// Whether the run has a report.
     pub report: bool,
-    /// Mean of the first validation metric that each baseline, fitted on the training set alone, reaches on the samples
-    /// of `validation.csv`; finite ones.
+    /// Mean of the first validation metric for each baseline, fitted on the training set alone, on the samples of
+    /// `validation.csv`; finite values only.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validation_baselines: Vec<(String, f64)>,
-    /// Summaries of `scores.csv`.
+    /// Summary of `scores.csv`.
     pub scores: Option<ScoreTable>,
-    /// The finished files of the folder by name: whoever reads them can tell whether they are whole.
+    /// Sizes and checksums of the finished files by name, for verification.
     #[serde(default)]
     pub files: BTreeMap<String, Mark>,
 }
 
-/// What a file is known by.
+/// Size and checksum of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Mark {
-    /// Its length.
+    /// Length, bytes.
     pub bytes: u64,
-    /// What `sha256sum` says of it.
+    /// Checksum in the format of `sha256sum`.
     pub sha256: String,
 }
 
@@ -76,24 +76,24 @@ impl Mark {
     }
 }
 
-/// The longest `run.json` that is read: its own has some kilobytes.
+/// Largest `run.json` that is read, bytes; usual files have some kilobytes.
 const MAX_BYTES: u64 = 1 << 19;
 
-/// A computer.
+/// Description of a computer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Machine {
-    /// Processor.
+    /// Processor name.
     pub cpu: String,
-    /// Processors that this program may use.
+    /// Number of processors available to this program.
     pub cores: usize,
-    /// Threads it used.
+    /// Number of threads used.
     pub threads: usize,
     /// Operating system and architecture.
     pub system: String,
 }
 
 impl Machine {
-    /// This one.
+    /// Describes this machine.
     pub fn here() -> Self {
         let info = files::read_string("/proc/cpuinfo").unwrap_or_default();
         let model = info.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(':').nth(1));
@@ -107,7 +107,7 @@ impl Machine {
 }
 
 impl Facts {
-    /// The facts of a run that goes on in `folder`.
+    /// Facts of a run that resumes in `folder`.
     pub(crate) fn open(folder: &Path, seed: u64) -> Result<Self> {
         let old = Self::read(folder)?.unwrap_or_else(|| Self { started: now(), ..Self::default() });
         Ok(Self {
@@ -124,7 +124,7 @@ impl Facts {
         })
     }
 
-    /// The facts in `folder`, if there are any.
+    /// Reads the facts in `folder`, if any.
     ///
     /// # Errors
     /// A file that is damaged, or cannot be read.
@@ -138,10 +138,10 @@ impl Facts {
         })
     }
 
-    /// Scores and facts of a run to which nothing is left to do.
+    /// Scores and facts of a finished run.
     ///
     /// # Errors
-    /// As [`Self::read`].
+    /// Same as [`Self::read`].
     pub fn finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
         let Some(facts) = Self::read(folder)? else { return Ok(None) };
         let stands = |name: &str| folder.join(name).is_file();
@@ -153,7 +153,7 @@ impl Facts {
         Ok(scores.map(|scores| (scores, facts)))
     }
 
-    /// Marks the files of a run that has just finished.
+    /// Records size and checksum of the files of a run that just finished.
     pub(crate) fn seal(&mut self, folder: &Path) -> Result<()> {
         self.files.clear();
         for name in sealed().filter(|name| folder.join(name).is_file()) {
@@ -164,36 +164,36 @@ impl Facts {
         Ok(())
     }
 
-    /// Holds the files of a finished run against their marks.
+    /// Verifies the files of a finished run.
     ///
     /// # Errors
-    /// The first that is damaged or missing.
+    /// The first damaged or missing file.
     pub fn verify(&self, folder: &Path) -> Result<()> {
         self.files.keys().try_for_each(|name| self.verify_file(folder, name))
     }
 
-    /// Holds one file against its mark, where it has one.
+    /// Verifies one file, if it has a checksum.
     ///
     /// # Errors
-    /// Where it is damaged or missing.
+    /// The file is damaged or missing.
     pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
         let Some(mark) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);
         let found = match if_found(&path, files::read(&path))? {
             Some(bytes) if Mark::of(&bytes) == *mark => return Ok(()),
-            Some(bytes) if bytes.len() as u64 == mark.bytes => "its bytes are others".to_owned(),
-            Some(bytes) => format!("it has {} bytes and not {}", bytes.len(), mark.bytes),
+            Some(bytes) if bytes.len() as u64 == mark.bytes => "its content differs".to_owned(),
+            Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), mark.bytes),
             None => "it is missing".into(),
         };
         let advice = if REMADE.contains(&name) {
-            "copy it anew, or remove it, and `pwrfgs run` makes it again"
+            "copy it again, or remove it and let `pwrfgs run` recreate it"
         } else {
-            "copy it anew, or remove the folder and run again"
+            "copy it again, or remove the folder and run again"
         };
-        Err(Error::input(&path, format!("is not what {FACTS} says was written: {found}; {advice}")))
+        Err(Error::input(&path, format!("does not match {FACTS}: {found}; {advice}")))
     }
 
-    /// Looks at the largest resident memory so far.
+    /// Updates the largest resident memory.
     pub(crate) fn note_memory(&mut self) {
         self.peak_memory_bytes = self.peak_memory_bytes.max(peak_memory());
     }
@@ -205,7 +205,7 @@ impl Facts {
     }
 }
 
-/// The commit of the checkout of this project that the program lies in, read from git's files.
+/// Commit of the project checkout that contains the program, read from git's files.
 fn commit() -> Option<String> {
     let program = std::env::current_exe().ok()?;
     let root = program.ancestors().find(|folder| folder.join("crates/experiment").is_dir())?;
@@ -219,13 +219,13 @@ fn commit() -> Option<String> {
     packed.lines().find_map(|l| l.strip_suffix(name).map(|id| id.trim().to_owned()))
 }
 
-/// Now, such as `2026-11-21T09:49:19Z`.
+/// Current time, such as `2026-11-21T09:49:19Z`.
 pub(crate) fn now() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     rfc3339(seconds)
 }
 
-/// Seconds since 1970 as a date of the Gregorian calendar.
+/// Formats seconds since 1970 as a Gregorian date.
 fn rfc3339(seconds: u64) -> String {
     let (mut days, rest) = (seconds / 86_400, seconds % 86_400);
     let leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
@@ -247,26 +247,26 @@ fn rfc3339(seconds: u64) -> String {
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
 }
 
-/// Largest resident memory of this process, bytes; 0 where the system does not tell.
+/// Largest resident memory of this process, bytes; 0 if unavailable.
 pub(crate) fn peak_memory() -> u64 {
     let status = files::read_string("/proc/self/status").unwrap_or_default();
     kib(&status, "VmHWM:").unwrap_or(0)
 }
 
-/// Bytes that this process can still take: what the machine has free, the control group allows (a job of Slurm, a
-/// container) and `ulimit -v` leaves, whichever is least; `None` where the system does not tell.
+/// Memory available to this process, bytes: the minimum of free memory, the limit of the control group (a job of Slurm,
+/// a container) and `ulimit -v`; `None` if unavailable.
 pub(crate) fn free_memory() -> Option<u64> {
     let machine = kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
     [machine, control_group(), address_space()].into_iter().flatten().min()
 }
 
-/// The number behind `name` in a file of lines such as `VmHWM:  1234 kB`.
+/// Number after `name` in a file of lines such as `VmHWM:  1234 kB`.
 fn kib(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// What is left of the limit of the control group (version 2), where there is one.
+/// Remaining memory of the control group (version 2), if limited.
 fn control_group() -> Option<u64> {
     let own = files::read_string("/proc/self/cgroup").ok()?;
     let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
@@ -275,7 +275,7 @@ fn control_group() -> Option<u64> {
     Some(number("memory.max")?.saturating_sub(number("memory.current")?))
 }
 
-/// What is left of `ulimit -v`, where it is set.
+/// Remaining address space of `ulimit -v`, if limited.
 fn address_space() -> Option<u64> {
     let limits = files::read_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;

@@ -1,16 +1,16 @@
-//! Names of the files in a run folder: which are sealed, which are made again, and the snapshots.
+//! Names of the files in a run folder: sealed files, files that can be recreated, and snapshots.
 
-/// The file that names the run and makes a folder a run folder.
+/// Pipeline file; its presence marks a run folder.
 pub const PIPELINE: &str = "pipeline.ron";
-/// Everything needed to go on.
+/// Checkpoint for resuming.
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// The trained model.
 pub const MODEL_FILE: &str = "model.safetensors";
-/// The Gaussians before the first step.
+/// Gaussians before the first step.
 pub const START_SNAPSHOT: &str = "start.safetensors";
-/// The Gaussians before pruning, when they were most.
+/// Gaussians before pruning, at their largest number.
 pub const UNPRUNED_SNAPSHOT: &str = "unpruned.safetensors";
-/// The Gaussians after prune steps: spread evenly over all of them, so many at most.
+/// Gaussians after prune steps, spread evenly over all of them.
 pub const PRUNED_SNAPSHOTS: [&str; 12] = [
     "pruned-01.safetensors",
     "pruned-02.safetensors",
@@ -25,39 +25,39 @@ pub const PRUNED_SNAPSHOTS: [&str; 12] = [
     "pruned-11.safetensors",
     "pruned-12.safetensors",
 ];
-/// Step, phase, loss, penalty, Gaussians, seconds.
+/// Training curve: step, phase, loss, penalty, Gaussians, seconds.
 pub const CURVE: &str = "curve.csv";
-/// Step, SSIM and η on the validation part.
+/// Validation scores: step, SSIM and η on the validation set.
 pub const VALIDATION: &str = "validation.csv";
-/// Loss, N, validation and scores for TensorBoard, where the pipeline asks for it.
+/// TensorBoard file of loss, N, validation and scores, if the pipeline sets `tensorboard`.
 pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
-/// Every score.
+/// All scores.
 pub const SCORES: &str = "scores.csv";
-/// Every transmitter.
+/// All transmitters.
 pub const SAMPLES: &str = "samples.csv";
-/// Spread and error of every test sample, of an ensemble.
+/// Spread and error of every test sample of an ensemble.
 pub const CONFIDENCE: &str = "confidence.csv";
-/// Circumstances: machine, seed, times.
+/// Facts of the run: machine, seed, times.
 pub const FACTS: &str = "run.json";
-/// The report.
+/// Report of the run.
 pub const REPORT: &str = "report.html";
 
-/// Sealed files that the run makes again where they are missing.
+/// Sealed files that a run recreates if they are missing.
 pub(crate) const REMADE: [&str; 5] = [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT];
 
-/// Files that `run.json` seals; TensorBoard's events grow, and nothing but TensorBoard reads them.
+/// Files sealed in `run.json`. The TensorBoard file is excluded, since it grows and no command reads it.
 pub(crate) fn sealed() -> impl Iterator<Item = &'static str> {
     let written_once = [CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
     REMADE.into_iter().chain(written_once).chain(PRUNED_SNAPSHOTS)
 }
 
-/// Every snapshot that a training may leave, in the order of their steps, and what it shows.
+/// All possible snapshots of a training, in the order of their steps, with captions.
 pub fn snapshots() -> impl Iterator<Item = (&'static str, &'static str)> {
     let first = [(START_SNAPSHOT, "At the start"), (UNPRUNED_SNAPSHOT, "Before pruning")];
     first.into_iter().chain(PRUNED_SNAPSHOTS.map(|name| (name, "Pruned")))
 }
 
-/// The snapshot after prune step `round` of `rounds`, counted from 1; nothing for those that are left out.
+/// Snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved.
 pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static str> {
     let most = rounds.min(PRUNED_SNAPSHOTS.len() as u64);
     let place = |round: u64| (round * most).checked_div(rounds).unwrap_or(0);

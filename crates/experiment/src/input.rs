@@ -1,26 +1,26 @@
-//! From files and `--set` arguments to pipelines whose paths hold everywhere.
+//! Reads pipelines from files and `--set` arguments, with absolute paths.
 
 use pwrfgs_core::{Result, files::read_text};
 use pwrfgs_pipeline::{Change, Draft, Fault, Pipeline};
 use std::path::{Path, PathBuf};
 
-/// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to the
-/// file.
+/// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to
+/// the file.
 ///
 /// # Errors
-/// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or what is wrong with an argument.
+/// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or an invalid argument.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
     parse(&read_text(path)?, path, set)
 }
 
-/// [`read_pipeline`] of text that was read from `path`.
+/// Same as [`read_pipeline`], for text that was read from `path`.
 pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
     let mut draft = parse_base(text, path)?;
     set_all(&mut draft, set)?;
     draft.finish().map_err(Fault::in_arguments)?.resolved()
 }
 
-/// The pipeline in `path` as it stands there, its paths absolute.
+/// Reads the pipeline in `path` unchanged, with absolute paths.
 pub(crate) fn read_base(path: &Path) -> Result<Draft> {
     parse_base(&read_text(path)?, path)
 }
@@ -31,41 +31,41 @@ fn parse_base(text: &str, path: &Path) -> Result<Draft> {
     Ok(draft)
 }
 
-/// Makes changes of a file in `here`, from where their paths are meant.
+/// Applies changes of a file in the folder `here`, to which their paths are relative.
 ///
 /// # Errors
-/// What is wrong with a change by itself.
+/// An invalid change.
 pub(crate) fn change(draft: &mut Draft, changes: &[Change], here: &Path) -> Result<(), Fault> {
     changes.iter().try_for_each(|change| draft.set(change))?;
     draft.rebase(&|path| absolute(here, path))
 }
 
-/// Makes the changes of `--set` arguments; their paths are relative to the current directory.
+/// Applies `--set` arguments; their paths are relative to the current directory.
 ///
 /// # Errors
-/// What is wrong with an argument by itself.
+/// An invalid argument.
 pub(crate) fn set_all(draft: &mut Draft, set: &[String]) -> Result<()> {
     let changes: Vec<Change> = set.iter().map(|argument| Change::argument(argument)).collect::<Result<_>>()?;
     change(draft, &changes, Path::new("")).map_err(Fault::in_arguments)
 }
 
-/// The pipeline as it is run: paths from `base` on, and the scale multiplied in.
+/// Pipeline ready to run: paths relative to `base`, and the scale applied.
 ///
 /// # Errors
-/// As [`Pipeline::rebased`] and [`Pipeline::resolved`].
+/// Errors of [`Pipeline::rebased`] and [`Pipeline::resolved`].
 pub(crate) fn prepared(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     rebased(pipeline, base)?.resolved()
 }
 
-/// The pipeline with every relative path taken from `base`.
+/// Pipeline with every relative path resolved from `base`.
 ///
 /// # Errors
-/// As [`Pipeline::rebased`].
+/// Same as [`Pipeline::rebased`].
 pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     pipeline.rebased(&|path| absolute(base, path))
 }
 
-/// `path`, relative to `base`, as one that holds everywhere.
+/// Absolute form of `path`, relative to `base`.
 pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
     let joined = base.join(path);
     joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)

@@ -1,4 +1,4 @@
-//! What to check before training: [`preview`] for `pwrfgs check` (what a run will do and take, with a [`DataSummary`]), and
+//! Checks before training: [`preview`] for `pwrfgs check` (size and cost of a run, with a [`DataSummary`]), and
 //! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
 mod pose;
@@ -30,49 +30,49 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-/// Most spectra that `inspect` reads.
+/// Largest number of spectra that `inspect` reads.
 const INSPECTED: usize = 20_000;
-/// Width of lines of prose, and of the names before them.
+/// Width of text lines, and of the names in front.
 const WIDTH: usize = 100;
 const INDENT: usize = 15;
-/// Most test samples that baselines are scored on.
+/// Largest number of test samples for the scores of baselines.
 const TESTED: usize = 300;
-/// Most spectra that a preview reads for its summary.
+/// Largest number of spectra that a preview reads for its summary.
 const SUMMARIZED: usize = 1_000;
 
-/// What a run will do and take.
+/// Size and cost of a run.
 #[derive(Clone, Debug)]
 pub struct Preview {
     /// The pipeline, with every default and its scale.
     pub pipeline: Pipeline,
-    /// What the data call themselves.
+    /// Title of the data set.
     pub title: String,
-    /// How much of what they hold.
+    /// Number and size of the observations.
     pub observed: String,
-    /// Samples for training, validation, test.
+    /// Numbers of training, validation and test samples.
     pub samples: [usize; 3],
-    /// Points of the cloud.
+    /// Number of points of the cloud.
     pub points: usize,
-    /// Numbers of the network.
+    /// Number of network weights.
     pub weights: usize,
-    /// Warnings of settings without effect.
+    /// Warnings about settings without effect.
     pub warnings: Vec<String>,
-    /// What a step takes, with the Gaussians it starts from.
+    /// Cost of a step with the initial Gaussians.
     pub estimate: Estimate,
     /// Positions, values and pose of the data.
     pub summary: DataSummary,
     /// Median distance from a test transmitter to the nearest training transmitter, metres.
     pub test_distance: f64,
-    /// Memory that the process has taken with all data loaded, bytes; 0 where the system does not tell.
+    /// Memory of this process with all data loaded, bytes; 0 if unavailable.
     pub loaded_bytes: u64,
-    /// Memory that is left beyond that, bytes; `None` where the system does not tell.
+    /// Remaining free memory, bytes; `None` if unavailable.
     pub free_bytes: Option<u64>,
 }
 
-/// Reads, loads and initialises everything that a run of `pipeline` would, and tries a step.
+/// Loads and initialises everything that a run of `pipeline` needs, and performs one step.
 ///
 /// # Errors
-/// Whatever [`crate::run`] would refuse before its first step.
+/// All errors of [`crate::run`] before its first step.
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let pipeline = prepared(pipeline, base)?;
     let (data, partition) = load(&pipeline, base, observer)?;
@@ -103,7 +103,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
 /// Positions, values and pose of a data set.
 #[derive(Clone, Debug)]
 pub struct DataSummary {
-    /// A name and its text, one per line.
+    /// Names and texts, one per line.
     pub facts: Vec<(&'static str, String)>,
     /// The check of the recorded pose; `None` without spectra, or with too few.
     pub pose: Option<PoseCheck>,
@@ -157,7 +157,7 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
     Ok(text + "\n" + &splits_table(pipeline, data, observer)?)
 }
 
-/// Extent, steps from an id to the next, and positions that occur twice.
+/// Extent, step length between consecutive ids, and positions that occur twice.
 fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let places: Vec<[f64; 3]> = data.transmitters.iter().map(|t| t.position).collect();
     let end = |k: usize, pick: fn(f64, f64) -> f64| places.iter().map(|p| p[k]).reduce(pick).unwrap_or(f64::NAN);
@@ -206,7 +206,7 @@ fn levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Words in lines, the first with `name` before it and the others as far in.
+/// Wraps words into lines; `name` starts the first, and the others are indented.
 fn entry(name: &str, words: &str) -> String {
     wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
 }
@@ -219,7 +219,7 @@ pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     quantile(&distances, 0.5)
 }
 
-/// A length in the unit that suits it.
+/// Formats a length in a suitable unit.
 pub fn length(metres: f64) -> String {
     match metres {
         m if !m.is_finite() => "n/a".into(),

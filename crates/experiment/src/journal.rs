@@ -1,4 +1,4 @@
-//! `Journal`: what a training writes as it goes: `curve.csv`, `validation.csv` and, where asked for, TensorBoard events.
+//! `Journal`: files written during training: `curve.csv`, `validation.csv` and optional TensorBoard events.
 
 use crate::events::Events;
 use crate::folder::{CURVE, EVENTS, VALIDATION};
@@ -13,11 +13,11 @@ use std::fs::{File, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Up to this many steps every one has its row in `curve.csv`, beyond every tenth.
+/// Number of steps up to which `curve.csv` has a row for each; longer trainings have every tenth.
 const DENSE_STEPS: u64 = 2_000;
 /// Header of `curve.csv`.
 const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
-/// Begins the tags of `validation.csv` in TensorBoard.
+/// Prefix of the tags of `validation.csv` in TensorBoard.
 const LOOK: &str = "validation/";
 
 /// The open files.
@@ -31,7 +31,7 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// Opens the files, cut back to step `done`.
+    /// Opens the files, truncated to step `done`.
     pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, task: Task, done: u64) -> Result<Self> {
         let (curve, rows) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
         let columns = format!("step,{}", task.headline.columns.join(","));
@@ -45,7 +45,7 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Writes the events of earlier rows again, those of a step in the order in which it wrote them.
+    /// Rewrites the events of earlier rows, in their original order.
     fn replay(&mut self, rows: &[String], seen: &[String]) -> Result<()> {
         let of_curve = rows.iter().map(|row| (step_of(row), "", &self.curve.header, row));
         let of_looks = seen.iter().map(|row| (step_of(row), LOOK, &self.looks.header, row));
@@ -61,12 +61,12 @@ impl Journal {
         Ok(())
     }
 
-    /// Seconds inside training steps, all starts together.
+    /// Seconds inside training steps, summed over all starts.
     pub(crate) fn seconds(&self) -> f64 {
         self.seconds
     }
 
-    /// Notes a step that took `seconds`.
+    /// Records a step that took `seconds`.
     pub(crate) fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         self.seconds += seconds;
         let (StepReport { step, phase, loss, penalty, gaussians, .. }, seconds) = (report, self.seconds);
@@ -78,7 +78,7 @@ impl Journal {
         self.events.as_mut().map_or(Ok(()), |events| events.push(*step, &scalars("", &self.curve.header, &row), 0.0))
     }
 
-    /// Notes a look at the validation part.
+    /// Records a validation.
     pub(crate) fn validation(&mut self, seen: &Validation) -> Result<()> {
         let Validation { step, values: [mean, median, third], .. } = seen;
         let row = format!("{step},{mean},{median},{third}");
@@ -86,7 +86,7 @@ impl Journal {
         self.events.as_mut().map_or(Ok(()), |events| events.push(*step, &scalars(LOOK, &self.looks.header, &row), 0.0))
     }
 
-    /// Notes what the model reached on the test part, for TensorBoard: the mean of each metric, at the last step.
+    /// Records the mean of each metric on the test set at the last step, for TensorBoard.
     pub(crate) fn scores(&mut self, scores: &ScoreTable) -> Result<()> {
         let mean = |row: &crate::scores::MetricRow| {
             let value = row.cells.first()?.numbers().first().copied()?;
@@ -97,7 +97,7 @@ impl Journal {
         self.sync()
     }
 
-    /// Brings all of it to the disk; called before each checkpoint, which must never know more.
+    /// Flushes all files to disk; called before each checkpoint, which must never be ahead of them.
     pub(crate) fn sync(&self) -> Result<()> {
         self.curve.sync()?;
         self.looks.sync()?;
@@ -105,28 +105,28 @@ impl Journal {
     }
 }
 
-/// The number that a row begins with.
+/// First number of a row: the step.
 fn step_of(row: &str) -> u64 {
     row.split(',').next().and_then(|step| step.parse().ok()).unwrap_or(0)
 }
 
-/// The number that a row of `curve.csv` ends with.
+/// Last number of a row of `curve.csv`: seconds.
 fn seconds_of(row: &str) -> f64 {
     row.rsplit(',').next().and_then(|seconds| seconds.parse().ok()).unwrap_or(0.0)
 }
 
-/// The numbers of a row, by `prefix` and the names of their columns.
+/// Values of a row, by `prefix` and column names.
 fn scalars(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
     let named = header.split(',').zip(row.split(',')).filter(|(name, _)| !["step", "phase", "seconds"].contains(name));
     named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
 }
 
-/// Whether `step` has a row in `curve.csv`: a function of the step alone, so that a resumed run writes the same rows.
+/// Whether `step` has a row in `curve.csv`: depends on the step alone, so that a resumed run writes the same rows.
 fn has_row(step: u64, steps: u64) -> bool {
     steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
 }
 
-/// An open series; the first field of each row is the step.
+/// Open CSV file; the first field of each row is the step.
 #[derive(Debug)]
 struct Series {
     path: PathBuf,
@@ -135,18 +135,18 @@ struct Series {
 }
 
 impl Series {
-    /// Opens `path`, keeping the rows up to step `done`; returns them. What follows them is dropped: rows of
-    /// later steps, and what a killed run or a lost machine left half-written.
+    /// Opens `path` and returns the rows up to step `done`. Later rows are dropped: rows of later steps, and incomplete
+    /// rows of a killed run.
     ///
     /// # Errors
-    /// Where a row before the last kept one, or the header, is damaged: it would be lost without a word.
+    /// The header, or a row before the last kept one, is damaged: its data would be lost silently.
     fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Vec<String>)> {
         let old = files::if_found(path, files::read(path))?.unwrap_or_default();
         let old = String::from_utf8_lossy(&old);
         let mut text = format!("{header}\n");
         let (mut rows, mut broken) = (Vec::new(), None);
         let damaged = |line: usize, what: &str| {
-            Error::at(path, line, 1, format!("{what}; put the file right, or remove it to go on without its rows"))
+            Error::at(path, line, 1, format!("{what}; repair the file, or remove it to resume without its rows"))
         };
         let mut lines = old.split_inclusive('\n').zip(1..);
         if done > 0 && lines.next().is_some_and(|(first, _)| first != text) {
@@ -156,7 +156,7 @@ impl Series {
             match line.split(',').next().and_then(|step| step.parse::<u64>().ok()) {
                 Some(step) if step <= done && line.ends_with('\n') => {
                     if let Some(place) = broken {
-                        return Err(damaged(place, "this row begins with no step, and rows follow"));
+                        return Err(damaged(place, "this row does not begin with a step, but rows follow"));
                     }
                     text.push_str(line);
                     rows.push(line.trim_end().to_owned());
@@ -175,7 +175,7 @@ impl Series {
         self.file.write_all(format!("{row}\n").as_bytes()).map_err(|e| Error::write(&self.path, e))
     }
 
-    /// Brings the rows to the disk; called before each checkpoint, which must never know more than the series.
+    /// Flushes the rows to disk; called before each checkpoint, which must never be ahead of them.
     fn sync(&self) -> Result<()> {
         self.file.sync_data().map_err(|e| Error::write(&self.path, e))
     }
@@ -222,8 +222,8 @@ mod tests {
         assert_eq!(open(b"step,loss\n10,0.5\n\0\xff\0\n", 20), Ok(vec!["10,0.5".into()]));
         assert_eq!(open(b"stop,loss\n10,0.5\n", 0), Ok(vec![]), "nothing is kept");
         let said = open(b"step,loss\n1\xff0,0.5\n20,0.4\n", 20).unwrap_err();
-        assert!(said.contains("curve.csv:2:1: this row begins with no step"), "{said}");
+        assert!(said.contains("curve.csv:2:1: this row does not begin with a step"), "{said}");
         let said = open(b"stop,loss\n10,0.5\n", 20).unwrap_err();
-        assert!(said.contains("curve.csv:1:1: the first line is not `step,loss`; put the file right"), "{said}");
+        assert!(said.contains("curve.csv:1:1: the first line is not `step,loss`; repair the file"), "{said}");
     }
 }

@@ -1,7 +1,7 @@
-//! A run from pipeline to scores: the training loop, the run folder, evaluation, sweeps and exports.
+//! Runs from pipeline to scores: training loop, run folder, evaluation, sweeps and exports.
 //!
-//! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones). It draws
-//! nothing: the [`Page`] that it is given makes the page of a run from its folder.
+//! This crate uses traits, not plugins; a program links the plugins it needs (`pwrfgs` links the built-in ones). A
+//! [`Page`] function creates the report of a run from its folder.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

@@ -1,5 +1,5 @@
-//! The data of a pipeline: loaded and split, how much of what they hold, and warnings of wrong units or a wrong order,
-//! which every reader accepts.
+//! Loads and splits the data of a pipeline, describes their size, and warns about wrong units or order that readers
+//! cannot detect.
 
 use crate::session::{Observer, staged};
 use crate::statistics::quantile;
@@ -9,24 +9,24 @@ use pwrfgs_core::{Dataset, Error, Partition, Real, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
-/// Longest site and widest spacing of transmitters in metres; positions beyond both are likely in another unit.
+/// Largest plausible site and spacing of transmitters in metres; positions beyond both are probably in another unit.
 const SITE_M: f64 = 100.0;
 const SPACING_M: f64 = 3.0;
-/// A median received power above this is likely in another unit, dBm.
+/// Median received power above which values are probably in another unit, dBm.
 const STRONG_DBM: f64 = 30.0;
-/// Powers that are all this near to zero are likely in milliwatts.
+/// Absolute value below which all powers are probably in milliwatts.
 const FAINT_MW: f64 = 0.1;
 
-/// Loads the data of a pipeline and divides them.
+/// Loads the data of a pipeline and splits them.
 ///
 /// # Errors
-/// Whatever is wrong with the data, or a split that leaves nothing to train on or to test.
+/// Invalid data, or a split without training or test samples.
 pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<(Dataset, Partition)> {
     let data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
     let partition = pipeline.partition(&data)?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
         if part.is_empty() {
-            return Err(Error::Config(format!("split: no sample is left for the {name} part; change `split`")));
+            return Err(Error::Config(format!("split: no sample is left for the {name} set; change `split`")));
         }
     }
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
@@ -42,7 +42,7 @@ pub fn observed(data: &Dataset) -> String {
     format!("{} {}{of}{at}", grouped(data.len() as i64), task.plural)
 }
 
-/// What is implausible in data that can be read, and what to do about it; one sentence each.
+/// Warnings about implausible but readable data, with advice; one sentence each.
 pub fn data_warnings(data: &Dataset, partition: Option<&Partition>) -> Vec<String> {
     let positions: Vec<[f64; 3]> = data.transmitters.iter().map(|transmitter| transmitter.position).collect();
     let first = data.observations.raw(0);
@@ -59,7 +59,7 @@ pub fn data_warnings(data: &Dataset, partition: Option<&Partition>) -> Vec<Strin
     all
 }
 
-/// Positions that are not metres, or all the same.
+/// Warning for positions that are not in metres, or all equal.
 pub fn position_warning(positions: &[[f64; 3]]) -> Option<String> {
     let (first, count) = (*positions.first()?, positions.len());
     if count > 1 && positions.iter().all(|position| *position == first) {
@@ -86,7 +86,7 @@ pub fn position_warning(positions: &[[f64; 3]]) -> Option<String> {
     })
 }
 
-/// Powers that are not in dBm.
+/// Warning for powers that are not in dBm.
 fn power_warning(powers: &[Real]) -> Option<String> {
     let powers: Vec<f64> = powers.iter().map(|dbm| *dbm as f64).collect();
     let what = if powers.iter().all(|dbm| dbm.abs() <= FAINT_MW) {
@@ -103,7 +103,7 @@ fn power_warning(powers: &[Real]) -> Option<String> {
     Some(format!("received powers: {what}; if these are milliwatts, give 10 * log10(mW)"))
 }
 
-/// Training and test set that were likely exchanged.
+/// Warning for training and test sets that were probably swapped.
 fn split_warning(data: &Dataset, partition: &Partition) -> Option<String> {
     let (known, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
     let advice = if data.official.as_ref().is_some_and(|(_, official)| *official == partition.test) {
@@ -115,7 +115,7 @@ fn split_warning(data: &Dataset, partition: &Partition) -> Option<String> {
     (test > known).then(|| format!("split: {test} test {things}, but only {known} to learn from; {advice}"))
 }
 
-/// Observations that are all the same.
+/// Warning for observations that are all equal.
 pub fn equality_warning(things: &str, count: usize, are_equal: bool) -> Option<String> {
     (count > 1 && are_equal).then(|| {
         format!(

@@ -1,4 +1,4 @@
-//! The page of a run, made from its folder: at the end of a run, and again by `pwrfgs report`.
+//! Report of a run, created from its folder at the end of a run or by `pwrfgs report`.
 
 use crate::facts::{Facts, Mark, now};
 use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
@@ -16,21 +16,21 @@ use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
 impl Record {
-    /// The data of the run, read or simulated again.
+    /// Loads or simulates the data of the run again.
     ///
     /// # Errors
-    /// Whatever is wrong with them, or that they have changed since the run.
+    /// Invalid data, or data that have changed since the run.
     pub fn load_data(&self, observer: &mut dyn Observer) -> Result<Dataset> {
         let (data, _) = load(&self.pipeline, Path::new(""), observer)?;
         self.partition(&data).map(|_| data)
     }
 }
 
-/// Writes what an evaluation found into `folder`: `samples.csv`, `scores.csv`, of an ensemble `confidence.csv`, and what `page`
-/// makes of them, `report.html`.
+/// Writes the results of an evaluation into `folder`: `samples.csv`, `scores.csv`, for an ensemble `confidence.csv`,
+/// and `report.html` created by `page`.
 ///
 /// # Errors
-/// A damaged file of the training; [`Error::Write`].
+/// A damaged training file; [`Error::Write`].
 pub fn write_results(
     folder: &Path,
     (pipeline, facts): (&Pipeline, &Facts),
@@ -47,11 +47,11 @@ pub fn write_results(
     put(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
 }
 
-/// Ends the run of `pipeline` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
-/// for one, seals the files and writes `run.json`.
+/// Concludes the run of `pipeline` in `folder`: writes the scores, the report if the session has a `page`, the
+/// checksums and `run.json`.
 ///
 /// # Errors
-/// [`Error::Write`]; a damaged file of the training.
+/// [`Error::Write`]; a damaged training file.
 pub(crate) fn conclude(
     folder: &RunFolder,
     pipeline: &Pipeline,
@@ -74,10 +74,10 @@ pub(crate) fn conclude(
     Ok(scores.table)
 }
 
-/// Makes `report.html` of the finished run in `folder` again, from its folder and its data.
+/// Recreates `report.html` of the finished run in `folder` from its folder and data.
 ///
 /// # Errors
-/// The run has not finished, another process is at work in it, a file is damaged, or the data have changed since.
+/// The run has not finished, another process uses it, a file is damaged, or the data have changed.
 pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> Result<()> {
     let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
     let mut rebuild = || {
@@ -91,7 +91,7 @@ pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> R
         if record.facts.files.get(REPORT) == Some(&mark) && files::read(&path).is_ok_and(|own| Mark::of(&own) == mark) {
             return Ok(());
         }
-        // A mark is never of another page than the one that lies there.
+        // The checksum always belongs to the current page.
         let mut facts = Facts { report: true, ..record.facts };
         facts.files.remove(REPORT);
         facts.write(held.path())?;

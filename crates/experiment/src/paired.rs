@@ -1,7 +1,7 @@
-//! `Paired`: the model less each baseline on the same test samples, with bootstrap intervals.
+//! `Paired`: paired differences between the model and each baseline on the same test samples, with bootstrap intervals.
 //!
-//! A table of means says which number is larger. Whether that is more than chance is told from pairs: easy and hard places
-//! cancel, and far smaller differences can be told from nothing.
+//! Means show which score is higher; paired differences show whether the difference is significant. Easy and hard
+//! positions cancel, so smaller differences become detectable.
 
 use crate::statistics::CONFIDENCE;
 use crate::text::fixed;
@@ -10,38 +10,38 @@ use serde::{Deserialize, Serialize};
 
 /// Decimals of a difference: one more than scores have.
 const DECIMALS: usize = 4;
-/// Fewer cubes than this give rough intervals.
+/// Number of cubes below which intervals are rough.
 const ENOUGH: usize = 10;
 
-/// Differences of a model from its baselines.
+/// Paired differences between a model and its baselines.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Paired {
-    /// Edge of the cubes of space that the bootstrap draws, metres; `None` if it draws single samples, whose positions are
-    /// unknown.
+    /// Edge of the cubes that the bootstrap resamples, metres; `None` if positions are unknown and single samples are
+    /// resampled.
     pub edge_m: Option<f64>,
-    /// Number of cubes that hold test transmitters, or of single samples.
+    /// Number of cubes with test transmitters, or of single samples.
     pub cubes: usize,
-    /// One for each baseline and metric, baselines in the order of the scores.
+    /// One row per baseline and metric, baselines in the order of the scores.
     pub rows: Vec<PairedRow>,
 }
 
-/// The model less one baseline by one metric.
+/// Difference between the model and one baseline by one metric.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PairedRow {
-    /// As `scores.csv` calls it.
+    /// Baseline name as in `scores.csv`.
     pub baseline: String,
     /// Key of the metric.
     pub metric: String,
-    /// Whether larger is better.
+    /// Whether higher is better.
     pub higher_is_better: bool,
     /// Mean over test samples.
     pub mean: f64,
-    /// Ends of the 95 % interval; `None` where all test transmitters lie in one cube.
+    /// Ends of the 95 % interval; `None` if all test transmitters lie within one cube.
     pub interval: Option<[f64; 2]>,
 }
 
 impl Paired {
-    /// A table: a line of heads, then a line for each baseline, with the number and the verdict of each metric.
+    /// Table rows: a header, then one row per baseline with difference and verdict of each metric.
     pub fn lines(&self, bounds: &[String]) -> Vec<Vec<String>> {
         let mut metrics: Vec<(&str, bool)> = Vec::new();
         let mut baselines: Vec<&str> = Vec::new();
@@ -68,7 +68,7 @@ impl Paired {
         [head].into_iter().chain(baselines.iter().map(line)).collect()
     }
 
-    /// How to read it, in one sentence.
+    /// One sentence that explains the table.
     pub fn note(&self, task: Task) -> String {
         let (count, things) = (self.cubes, task.counted[1]);
         let (drawn, blocks) = match self.edge_m {
@@ -86,14 +86,14 @@ impl Paired {
 }
 
 impl PairedRow {
-    /// Mean and interval.
+    /// Mean and interval as text.
     pub fn number(&self) -> String {
         let interval =
             self.interval.map_or_else(String::new, |[low, high]| format!(" [{}, {}]", signed(low), signed(high)));
         signed(self.mean) + &interval
     }
 
-    /// `better`, `worse`, or `level` where the interval covers 0; nothing without an interval.
+    /// `better`, `worse`, or `level` if the interval contains 0; empty without an interval.
     pub fn verdict(&self) -> &'static str {
         match self.interval {
             None => "",
@@ -104,12 +104,12 @@ impl PairedRow {
     }
 }
 
-/// Whether tables of differences show a metric: the first one of the kind and every rate ratio.
+/// Whether tables of differences include a metric: the first one of the task and every rate ratio.
 pub fn is_compared(key: &str, task: Task) -> bool {
     key == task.headline.key || key.starts_with("eta_")
 }
 
-/// A difference with its sign; what is rounded to 0 has none.
+/// Formats a difference with its sign; values rounded to 0 have none.
 pub fn signed(value: f64) -> String {
     let text = fixed(value, DECIMALS);
     let is_zero = text.bytes().all(|b| matches!(b, b'0' | b'.'));
@@ -122,7 +122,7 @@ mod tests {
     use crate::scores::{MODEL, Scores};
     use pwrfgs_core::{Goal, Measurement, Values};
 
-    /// 64 test samples on a grid of a metre; the model is `ahead` of the baseline, give or take `noise`.
+    /// 64 test samples on a grid of 1 m; the model is `ahead` of the baseline, with noise of `noise`.
     fn paired(ahead: f64, noise: f64, goal: Goal) -> PairedRow {
         let values = |of: &dyn Fn(u32) -> f64| {
             let (key, values) = ("ssim".to_owned(), Values::PerSample((0..64).map(of).collect()));

@@ -1,5 +1,4 @@
-//! `Record`: a run read back from its folder, as it was measured: its scores, the series that its training wrote, and the
-//! confidence of an ensemble.
+//! `Record`: a finished run read from its folder: scores, training series, and the confidence of an ensemble.
 
 use crate::facts::Facts;
 use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
@@ -13,20 +12,20 @@ use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use std::path::{Path, PathBuf};
 
-/// What lies in the folder of an evaluated model, as it was measured.
+/// Content of the folder of an evaluated model.
 #[derive(Clone, Debug)]
 pub struct Record {
-    /// Its folder.
+    /// Run folder.
     pub folder: PathBuf,
-    /// What was run, every default written out; paths are absolute. Of a joined model, what it is scored by.
+    /// Pipeline with every default written out and absolute paths; for a joined model, the pipeline of its evaluation.
     pub pipeline: Pipeline,
-    /// Circumstances.
+    /// Facts of the run.
     pub facts: Facts,
-    /// Every score.
+    /// All scores.
     pub scores: Scores,
     /// Distances and positions of the test samples.
     pub test: TestSamples,
-    /// Rows of `curve.csv`; empty without a training, as of an ensemble.
+    /// Rows of `curve.csv`; empty without training, as for an ensemble.
     pub curve: Vec<Vec<Option<f64>>>,
     /// Rows of `validation.csv`.
     pub validation: Vec<Vec<Option<f64>>>,
@@ -35,10 +34,10 @@ pub struct Record {
 }
 
 impl Record {
-    /// Reads the folder of a finished run; `None` if the run has not finished, or not begun.
+    /// Reads the folder of a finished run; `None` if the run has not finished or started.
     ///
     /// # Errors
-    /// A file that the numbers come from is damaged or missing; `report.html` may be.
+    /// A damaged or missing file other than `report.html`.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let Some(facts) = Facts::read(folder)?.filter(|facts| facts.finished.is_some()) else { return Ok(None) };
         let sources = facts.files.keys().filter(|name| *name != REPORT);
@@ -46,7 +45,7 @@ impl Record {
         Self::of(folder, &read_pipeline(&folder.join(PIPELINE), &[])?, facts).map(Some)
     }
 
-    /// Reads what the evaluation by `pipeline` under the circumstances `facts` has left in `folder`.
+    /// Reads the results of an evaluation of `pipeline` with `facts` from `folder`.
     ///
     /// # Errors
     /// A file is damaged or missing.
@@ -66,19 +65,19 @@ impl Record {
         })
     }
 
-    /// Equal for runs that differ in names and in the seed of training alone, and for copies of one joined model.
+    /// Key that is equal for runs that differ only in names and training seed, and for copies of one joined model.
     pub fn variant_key(&self) -> String {
         let nameless = Pipeline { name: String::new(), seed: 0, ..self.pipeline.clone() };
         let joined = self.facts.files.get(MODEL_FILE).filter(|_| !self.facts.members.is_empty());
         nameless.to_ron() + joined.map_or("", |mark| &mark.sha256)
     }
 
-    /// Step and another column of `curve.csv` along the training, such as 2, the loss, or 4, the number of Gaussians.
+    /// Steps and another column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
     pub fn curve_of(&self, column: usize) -> Vec<(f64, f64)> {
         self::column(&self.curve, column)
     }
 
-    /// How the run split `data`.
+    /// Split of `data` in this run.
     ///
     /// # Errors
     /// The data have changed since the run.
@@ -90,25 +89,25 @@ impl Record {
         Ok(partition)
     }
 
-    /// What the run has trained, for observations like those of `data`.
+    /// Trained model of the run, for observations like those of `data`.
     ///
     /// # Errors
-    /// The model file is damaged, or of observations of another size.
+    /// The model file is damaged, or its observations have another size.
     pub fn model(&self, data: &Dataset) -> Result<Ensemble> {
         let path = self.folder.join(MODEL_FILE);
         let model = file::read_ensemble(&path)?;
         let plane = model.plane();
         if (plane.width, plane.height) != (data.width, data.height) {
-            return Err(Error::input(&path, "the model's observations are of another size than the data hold"));
+            return Err(Error::input(&path, "the observations of the model and the data differ in size"));
         }
         Ok(model)
     }
 }
 
-/// Reads a series that is complete: rows of ascending steps, each whole, up to step `last`.
+/// Reads a complete series: rows of ascending steps up to step `last`.
 ///
 /// # Errors
-/// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the place where it is not as it was written.
+/// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the damaged position.
 pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     let text = read_text(path)?;
     let wrong = |line: usize, what: &str| Err(damaged(path, line, what));
@@ -125,7 +124,7 @@ pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
             row.len() == names.len() && row.iter().zip(&names).all(|(v, name)| v.is_some() || *name == "phase");
         match line.split(',').next().and_then(|step| step.parse::<u64>().ok()) {
             Some(step) if is_whole && step > done => done = step,
-            _ => return wrong(k + 1, "this row is not one that the run wrote"),
+            _ => return wrong(k + 1, "this row is damaged"),
         }
         rows.push(row);
     }
@@ -135,18 +134,18 @@ pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     Ok(rows)
 }
 
-/// Step and another column of the rows where both are numbers.
+/// Steps and another column, for rows in which both are numbers.
 pub fn column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
     rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
 }
 
-/// Reads the rows of a series as numbers, `None` for fields that are none; nothing where there is no such file.
+/// Reads the rows of a series as numbers, `None` for other fields; empty without a file.
 pub fn read_series(path: &Path) -> Vec<Vec<Option<f64>>> {
     let Ok(text) = files::read_string(path) else { return Vec::new() };
     text.lines().skip(1).map(|line| line.split(',').map(|field| field.parse().ok()).collect()).collect()
 }
 
-/// Spread of the members and error of their mean, one of each a test sample.
+/// Spread of the members and error of their mean for each test sample.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Confidence {
     /// Ids of the test samples.
@@ -158,13 +157,13 @@ pub struct Confidence {
 }
 
 impl Confidence {
-    /// Spearman's rank correlation of spread and error: 1 where the order by spread is the order by error, 0 where spread
-    /// says nothing; NaN where all are equal.
+    /// Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are unrelated; NaN if
+    /// all are equal.
     pub fn rank_correlation(&self) -> f64 {
         correlation(&ranks(&self.spreads), &ranks(&self.errors))
     }
 
-    /// Equally many samples a group, by spread: mean spread and the sorted errors of each.
+    /// Groups of equal size, by spread: mean spread and sorted errors of each.
     pub fn groups(&self, count: usize) -> Vec<(f64, Vec<f64>)> {
         let mut order: Vec<usize> = (0..self.spreads.len()).collect();
         order.sort_by(|&a, &b| self.spreads[a].total_cmp(&self.spreads[b]).then(a.cmp(&b)));
@@ -191,7 +190,7 @@ impl Confidence {
         Ok(all)
     }
 
-    /// The text of `confidence.csv`: a test id, spread and error.
+    /// Content of `confidence.csv`: test id, spread and error.
     pub fn to_csv(&self) -> String {
         let mut lines = Lines::new(["sample", "spread", "error"]);
         for ((id, spread), error) in self.ids.iter().zip(&self.spreads).zip(&self.errors) {
@@ -201,7 +200,7 @@ impl Confidence {
     }
 }
 
-/// The rank of each value; equal ones share the mean of theirs.
+/// Rank of each value; equal values share their mean rank.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
@@ -215,7 +214,7 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     ranks
 }
 
-/// Pearson's.
+/// Pearson correlation.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));

@@ -1,12 +1,12 @@
-//! `Repeatability`: how alike two measured spectra are whose transmitters stood at the same place.
+//! `Repeatability`: agreement of two spectra measured at the same transmitter position.
 //!
-//! No function of the position can do much better than one of them does for the other. Two measurements at the very same
-//! place are rare, so pairs are taken at small distances and followed to distance zero. Samples count as numbered in order
-//! of time: what was measured within a moment shares more than the position (the transmitter's orientation, people, the
-//! receiver), so pairs near in time and pairs far apart are kept apart.
+//! No function of the position can do much better than one measurement predicts another. Two measurements at exactly
+//! the same position are rare, so pairs at small distances are extrapolated to distance zero. Samples are assumed to be
+//! in order of time. Measurements close in time share more than the position (transmitter orientation, people, the
+//! receiver), so pairs near in time and far apart in time are treated separately.
 //!
-//! What is found is what two measurements have in common. The mean of all measurements at a place is a little closer to
-//! each of them than they are to one another, so a perfect predictor of the mean would reach a little more.
+//! The result is the agreement of two measurements. The mean of all measurements at a position is slightly closer to
+//! each than they are to each other, so a perfect predictor of the mean would score slightly higher.
 
 mod extrapolate;
 mod pairs;
@@ -25,20 +25,20 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
-/// Closest pairs that are followed to distance zero, at most.
+/// Largest number of closest pairs used for the extrapolation.
 const CLOSEST: usize = 400;
-/// Fewer say nothing.
+/// Smallest number of pairs for an estimate.
 const LEAST: usize = 20;
-/// They are not further apart than this, metres: spectra change over a part of a wavelength, which is 33 cm at 0.9 GHz and
-/// 5 cm at 6 GHz, so what pairs further apart have in common does not lead to distance zero.
+/// Largest distance of these pairs, metres: spectra change within a fraction of a wavelength, which is 33 cm at 0.9 GHz
+/// and 5 cm at 6 GHz, so more distant pairs do not help the extrapolation.
 pub const REACH_M: f64 = 0.02;
-/// Pairs measured in a range of distances beyond those.
+/// Number of measured pairs per range of larger distances.
 const A_BIN: usize = 100;
-/// Pairs in memory at once, and their pixels.
+/// Number of pairs in memory at once, and of their pixels.
 const CHUNK: usize = 64;
 const PIXELS: usize = 1 << 21;
 
-/// Likeness of pairs near in time and of pairs far apart in time.
+/// Agreement of pairs near in time and of pairs far apart in time.
 #[derive(Clone, Debug)]
 pub struct Repeatability {
     /// Pairs at most [`NEAR_IDS`] ids apart.
@@ -47,54 +47,54 @@ pub struct Repeatability {
     pub far: Likeness,
 }
 
-/// How alike the spectra of some pairs of samples are, by each metric of single samples.
+/// Agreement of the spectra of sample pairs, by each per-sample metric.
 #[derive(Clone, Debug)]
 pub struct Likeness {
-    /// Number of closest pairs that are followed to distance zero.
+    /// Number of closest pairs used for the extrapolation.
     pub closest: usize,
-    /// Distance between the transmitters of the farthest of these, metres; 0 where there are none.
+    /// Largest distance between the transmitters of these pairs, metres; 0 without pairs.
     pub reach_m: f64,
-    /// One entry a metric.
+    /// One entry per metric.
     pub metrics: Vec<Similarity>,
 }
 
-/// One metric of pairs: what the earlier spectrum scores as a prediction of the later one.
+/// One metric of pairs: score of the earlier spectrum as a prediction of the later one.
 #[derive(Clone, Debug)]
 pub struct Similarity {
     /// Name, such as `ssim`.
     pub key: String,
     /// Unit, or empty.
     pub unit: String,
-    /// Which way is better.
+    /// Direction of better values.
     pub goal: Goal,
-    /// By distance, from small to large; ranges without pairs are left out.
+    /// Ranges of distance, ascending; ranges without pairs are omitted.
     pub bins: Vec<Bin>,
-    /// Mean over pairs that have nothing in common: samples drawn at random. NaN where there are none.
+    /// Mean over unrelated pairs: samples drawn at random. NaN if there are none.
     pub unrelated: f64,
-    /// What the closest pairs come to at distance zero, or why nobody can tell.
+    /// Extrapolation to distance zero, or why it is not possible.
     pub at_zero: Result<AtZero, String>,
 }
 
 /// Pairs in a range of distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bin {
-    /// Distance between the transmitters, metres: at least.
+    /// Lower limit of the distance between the transmitters, metres, inclusive.
     pub from_m: f64,
-    /// Less than.
+    /// Upper limit, metres, exclusive.
     pub to_m: f64,
-    /// Pairs that were measured.
+    /// Number of measured pairs.
     pub pairs: usize,
-    /// Mean over them.
+    /// Mean over the pairs.
     pub mean: f64,
-    /// Their middle.
+    /// Median over the pairs.
     pub median: f64,
 }
 
-/// Measures pairs near in time and far apart, by every metric that looks at one sample at a time. A bounded number of
-/// pairs is looked at, however many samples there are; the choice depends on the data alone.
+/// Measures pairs near in time and far apart in time by every per-sample metric. The number of pairs is bounded, and
+/// their choice depends only on the data.
 ///
 /// # Errors
-/// Where a metric refuses or a spectrum cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
+/// A metric returns an error or a spectrum cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
 pub fn repeatability(data: &Dataset, metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Repeatability> {
     let of = |lapse| likeness(data, lapse, true, metrics, stop);
     Ok(Repeatability { near: of(Lapse::Near)?, far: of(Lapse::Far)? })
@@ -109,7 +109,7 @@ pub(crate) fn likeness(
     stop: &AtomicBool,
 ) -> Result<Likeness> {
     let pairs = pairs::find(data, lapse);
-    // What is measured: the closest, some of every range of distances, and pairs with nothing in common.
+    // Measured pairs: the closest, some of every range of distances, and unrelated ones.
     let mut wanted = closest(&pairs);
     let closest = wanted.len();
     let mut ranges = Vec::new();
@@ -131,7 +131,8 @@ pub(crate) fn likeness(
         let scale = Scale { goal, best, unrelated };
         let at_zero = if closest < LEAST {
             let (words, cm) = (lapse.words(), REACH_M * 100.0);
-            Err(format!("{closest} pairs of samples {words} are within {cm:.0} cm of each other; it takes {LEAST}"))
+            let what = format!("are within {cm:.0} cm of each other; at least {LEAST} are needed");
+            Err(format!("{closest} pairs of samples {words} {what}"))
         } else {
             at_zero(&wanted[..closest], &single(data.task(), &values[..closest]), &scale)
         };
@@ -147,8 +148,8 @@ fn single(task: Task, values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| task.ceiling.share * v).collect()
 }
 
-/// The pairs that are followed to distance zero, out of `pairs` of ascending distances. Where the closest are about equally
-/// far apart, steps of a walk say, no slope is seen over them: then some of all that are close enough.
+/// Pairs used for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly equal
+/// distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
 fn closest(pairs: &[Pair]) -> Vec<Pair> {
     let within = &pairs[..pairs.partition_point(|pair| pair.distance <= REACH_M)];
     let first = &within[..within.len().min(CLOSEST)];
@@ -163,12 +164,12 @@ struct Measured {
     key: String,
     unit: String,
     goal: Goal,
-    /// What a spectrum scores as a prediction of itself.
+    /// Score of a spectrum as a prediction of itself.
     best: f64,
     values: Vec<f64>,
 }
 
-/// Takes the earlier spectrum of each pair as a prediction of the later one, by the metrics of single samples.
+/// Scores the earlier spectrum of each pair as a prediction of the later one, by the per-sample metrics.
 fn measure(data: &Dataset, pairs: &[Pair], metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Vec<Measured>> {
     let metrics: Vec<&Plugin<dyn Metric>> = metrics.iter().filter(|m| m.scope() == Scope::Sample).collect();
     let plane = data.plane();
@@ -193,7 +194,7 @@ fn measure(data: &Dataset, pairs: &[Pair], metrics: &[Plugin<dyn Metric>], stop:
             }
         }
     }
-    // A metric that did not give one number a pair has said nothing of pairs.
+    // Metrics without one number per pair are skipped.
     all.retain(|measured| measured.values.len() == pairs.len());
     Ok(all)
 }

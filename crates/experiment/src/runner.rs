@@ -1,4 +1,4 @@
-//! `run`: from a pipeline to a trained, evaluated, reported model; goes on where an earlier start left off.
+//! `run`: trains, evaluates and reports a pipeline; resumes earlier starts.
 
 use crate::evaluate::{evaluate, validation_baselines};
 use crate::facts::Facts;
@@ -18,32 +18,31 @@ use pwrfgs_train::{Estimate, Trainer};
 use std::path::Path;
 use std::time::Instant;
 
-/// How a run ended.
+/// Outcome of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// Everything is written.
+    /// All results are written.
     Finished {
-        /// Summaries of all scores.
+        /// Summary of all scores.
         scores: ScoreTable,
-        /// Whether nothing was left to do.
+        /// Whether the run was already finished.
         already: bool,
     },
-    /// It was asked to stop in training; the checkpoint is of this step, and the same command goes on.
+    /// Stopped during training, with a checkpoint at this step; the same command resumes.
     Interrupted {
-        /// Steps done.
+        /// Number of completed steps.
         step: u64,
     },
-    /// It was asked to stop while the trained model was scored; the same command scores it.
+    /// Stopped during scoring; the same command scores the model.
     Unscored,
 }
 
-/// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step
-/// once the session is stopped, or, trained, before the next chunk of predictions, before scoring them, or at the next
-/// baseline.
+/// Runs `pipeline`, with paths relative to `base`, in the folder `out`. Once the session is stopped, it ends at the
+/// next step, or during scoring at the next chunk of predictions or the next baseline.
 ///
 /// # Errors
-/// Wrong input, before anything is written; a folder that cannot be written; numbers that leave the finite range. Files
-/// written so far stay intact.
+/// Invalid input, before files are written; a folder that cannot be written; values that are not finite. Files written
+/// so far stay intact.
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<Outcome> {
     let begun = Instant::now();
     loop {
@@ -53,7 +52,7 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
     }
 }
 
-/// The end of the run; nothing if another process has begun it meanwhile: then what it left counts.
+/// Result of the run; `None` if another process has claimed it meanwhile, and the state must be read again.
 fn attempt(
     pipeline: &Pipeline,
     (base, out): (&Path, &Path),
@@ -64,10 +63,10 @@ fn attempt(
     let already = |scores| Some(Outcome::Finished { scores, already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.verified(out, reported)? {
-        // What has ended may have been begun since, by another process with another pipeline.
+        // A finished run may have been restarted since, by another process with another pipeline.
         return RunFolder::inspect(out, pipeline).map(|_| already(scores));
     }
-    // What earlier starts left is read by the process that holds it: another one would write on.
+    // Earlier results are read under the lock, since another process could still write.
     let held = (state != RunState::New).then(|| RunFolder::claim(out, pipeline)).transpose()?;
     if let Some(folder) = &held {
         if let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))? {
@@ -83,7 +82,7 @@ fn attempt(
     }
     let (data, partition) = load(pipeline, base, session.observer)?;
     pipeline.check_data(&data)?;
-    // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
+    // Created before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
         held => match trainer(pipeline, (&data, &partition), held.as_ref(), session) {
@@ -105,7 +104,7 @@ fn attempt(
     folder.settle(ended).map(Some)
 }
 
-/// Trains what is left, unless the model is there (then there is no trainer), and scores it.
+/// Completes training, unless the model exists (`None` as trainer), and scores the model.
 fn complete<'a>(
     mut training: Training<'a, '_>,
     trainer: Option<(Trainer<'a>, Estimate)>,

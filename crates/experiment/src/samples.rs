@@ -8,17 +8,17 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Columns where there is one receiver.
+/// Header for data with one receiver.
 const HEADER: &str = "id,x,y,z,split,nearest_train_m\n";
 
-/// A key of the data and the split of a pipeline: equal for pipelines with the same samples in each set.
+/// Key of the data and split of a pipeline: equal for pipelines with the same samples in each set.
 pub fn data_key(pipeline: &Pipeline) -> String {
     format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
-/// The text of `samples.csv`: id, x, y, z in metres (empty where not known), split, and the distance to the nearest
-/// other training transmitter in metres (empty where there is none). Of several receivers a row is a link: its number,
-/// as in `scores.csv`, comes first, and the receiver's name after the id.
+/// Content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the nearest other
+/// training transmitter in metres (empty if there is none). With several receivers a row is a link: its number, as in
+/// `scores.csv`, is the first column, and the receiver name follows the id.
 pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
@@ -44,8 +44,8 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     out
 }
 
-/// Metres from the transmitter of each link to the nearest other transmitter with a training link; infinity where there is
-/// none. Zero where the link itself is not trained on and another of its transmitter is.
+/// Distance from the transmitter of each link to the nearest other transmitter with a training link, metres; infinity
+/// if there is none. Zero if the link is not a training link but another link of its transmitter is.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     let all: Vec<[Real; 3]> = data.transmitters.iter().map(|t| data.scene.origin.local(t.position)).collect();
     let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].transmitter).collect();
@@ -65,7 +65,7 @@ pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     data.links.iter().zip(own).map(of).map(Real::sqrt).collect()
 }
 
-/// The test samples, by label as in `scores.csv`.
+/// Test samples, by label as in `scores.csv`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TestSamples {
     /// Distance to the nearest training transmitter, metres; infinity if there is none.
@@ -74,10 +74,10 @@ pub struct TestSamples {
     pub positions: BTreeMap<u32, Option<[f64; 3]>>,
 }
 
-/// A row of `samples.csv`.
+/// Row of `samples.csv`.
 #[derive(Deserialize)]
 struct SampleRow {
-    /// Label in `scores.csv` if there are several receivers, else `id` is.
+    /// Label in `scores.csv` if there are several receivers; otherwise `id` is the label.
     link: Option<u32>,
     id: u32,
     x: Option<f64>,

@@ -1,10 +1,10 @@
-//! A table of scores as text for a terminal.
+//! Score table as text for a terminal.
 
 use crate::scores::{CEILING, Cell, MetricRow, ScoreTable};
 use crate::text::{aligned, grouped, number};
 
 impl ScoreTable {
-    /// How many samples were tested, and how many the model and the baselines are trained on; empty if not counted.
+    /// Numbers of test samples and of training samples of the model and the baselines; empty if unknown.
     pub fn heading(&self) -> String {
         let [model, baselines, test] = self.samples;
         if test == 0 {
@@ -22,8 +22,8 @@ impl ScoreTable {
         [vec![format!("{tested} test {}", self.task.counted[1])], own].concat().join("; ")
     }
 
-    /// Aligned text for a terminal: the heading, a line for each metric and statistic, a column for each predictor; the
-    /// best of a line carries a `*`, a bound a `†`. Differences in pairs and notes follow.
+    /// Aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The best
+    /// value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
     pub fn to_text(&self) -> String {
         let name = |name: &String| format!("{name}{}", if self.bounds.contains(name) { " †" } else { "" });
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
@@ -45,8 +45,8 @@ impl ScoreTable {
             }
         }
         let things = self.task.counted[1];
-        let tail = format!("bad tail: a tenth of the {things} are this bad or worse");
-        let bound = format!("† knows the scene that made the simulated {things}: in no ranking");
+        let tail = format!("bad tail: 10 % of the {things} have this value or a worse one");
+        let bound = format!("† oracle baseline: uses the scene of the simulated {things}; not ranked");
         let own = [
             self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
             (!self.bounds.is_empty()).then_some(bound),

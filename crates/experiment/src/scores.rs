@@ -1,4 +1,4 @@
-//! `Scores`: what every predictor reached, per sample and in summary, as measured and as read back.
+//! `Scores`: per-sample values and summaries of every predictor.
 //!
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
@@ -12,14 +12,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
 
-/// The name of the noise ceiling in every table; it is in no ranking.
+/// Name of the noise ceiling in every table; it is not ranked.
 pub const CEILING: &str = "ceiling (repeatability)";
-/// The name of the trained model in every table.
+/// Name of the trained model in every table.
 pub const MODEL: &str = "model";
 
-/// What every predictor reached on the test set: each value and its summary.
+/// Scores of every predictor on the test set: all values and their summary.
 ///
-/// `scores.csv` holds the values, `run.json` the summary; [`Self::read`] returns what was measured.
+/// `scores.csv` holds the values, `run.json` the summary; [`Self::read`] combines them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
     /// Summary of all measurements.
@@ -33,27 +33,27 @@ pub struct Scores {
 /// Scores without per-sample values, as `run.json` holds them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScoreTable {
-    /// Predictors, the model first; after them [`CEILING`], where there is one.
+    /// Predictors, the model first; [`CEILING`] last, if it exists.
     pub predictors: Vec<String>,
-    /// One entry a metric.
+    /// One entry per metric.
     pub metrics: Vec<MetricRow>,
-    /// Predictors that know the scene which made the data.
+    /// Names of the oracle baselines, which use the simulated scene itself.
     pub bounds: Vec<String>,
-    /// Predictors that are members of the model.
+    /// Names of the predictors that are members of the model.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<String>,
-    /// Samples that the model is trained on (0 if not known), samples that baselines are trained on, test samples.
+    /// Numbers of training samples of the model (0 if unknown), training samples of the baselines, and test samples.
     #[serde(default)]
     pub samples: [usize; 3],
     /// Whether the model may be trained on other data or another split than the baselines.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trained_elsewhere: bool,
-    /// The model less each baseline, in pairs of test samples.
+    /// Paired differences between the model and each baseline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paired: Option<Paired>,
-    /// Sentences printed under the table.
+    /// Notes below the table.
     pub notes: Vec<String>,
-    /// What was predicted.
+    /// Task of the predictors.
     #[serde(default, skip_serializing_if = "is_default")]
     pub task: Task,
 }
@@ -71,7 +71,7 @@ pub struct MetricRow {
     pub unit: String,
     /// Whether larger is better.
     pub higher_is_better: bool,
-    /// One cell a predictor.
+    /// One cell per predictor.
     pub cells: Vec<Cell>,
 }
 
@@ -79,16 +79,16 @@ pub struct MetricRow {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cell {
-    /// Over the test samples.
+    /// Summary over the test samples.
     Samples(Summary),
-    /// One number for the whole model.
+    /// One value for the whole model.
     Whole(#[serde(deserialize_with = "null_is_infinite")] f64),
-    /// Does not apply, and why.
+    /// Not applicable, with the reason.
     NotApplicable(String),
 }
 
 impl Cell {
-    /// The summary of a measurement.
+    /// Summary of a measurement.
     pub(crate) fn of(measurement: &Measurement) -> Self {
         match &measurement.values {
             Values::PerSample(values) => Self::Samples(Summary::of(values, measurement.goal == Goal::Higher)),
@@ -97,7 +97,7 @@ impl Cell {
         }
     }
 
-    /// Mean, median, bad tail of numbers a sample; the one number of a whole model; nothing.
+    /// Mean, median and bad tail of per-sample values; the value of a whole model; or nothing.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Samples(Summary { mean, median, p10 }) => vec![*mean, *median, *p10],
@@ -108,14 +108,14 @@ impl Cell {
 }
 
 impl MetricRow {
-    /// Whether some predictor has a number a sample.
+    /// Whether some predictor has per-sample values.
     pub fn is_per_sample(&self) -> bool {
         self.cells.iter().any(|c| matches!(c, Cell::Samples(_)))
     }
 }
 
 impl Scores {
-    /// Summarises the measurements of all predictors on the test samples `ids`; `table` holds what else is known of them.
+    /// Summarises the measurements of all predictors on the test samples `ids`; `table` holds the other fields.
     pub fn new(ids: Vec<u32>, predictors: Vec<(String, Vec<Measurement>)>, table: ScoreTable) -> Self {
         let mut metrics: Vec<MetricRow> = Vec::new();
         for (p, (_, measurements)) in predictors.iter().enumerate() {
@@ -150,8 +150,8 @@ impl Scores {
         Some(self.ids.iter().copied().zip(self.samples(predictor, key)?.iter().copied()).collect())
     }
 
-    /// The model less each baseline by the metrics that [`is_compared`] selects; `positions` are those of the test
-    /// transmitters, metres, by id. `None` if there is no baseline or no such metric.
+    /// Paired differences between the model and each baseline, by the metrics that [`is_compared`] selects; `positions`
+    /// are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
     pub(crate) fn paired(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
         let blocks = Blocks::new(positions);
         let (_, own) = self.predictors.first()?;
@@ -171,7 +171,7 @@ impl Scores {
         (!rows.is_empty()).then_some(Paired { edge_m: blocks.edge_m, cubes: blocks.count, rows })
     }
 
-    /// One metric of one predictor as one number: that of the whole model, or the mean over test samples.
+    /// Value of one metric of one predictor: that of the whole model, or the mean over test samples.
     pub fn value(&self, predictor: &str, key: &str) -> Option<f64> {
         self.table.numbers(predictor, key)?.first().copied()
     }
@@ -191,25 +191,25 @@ impl ScoreTable {
         }
     }
 
-    /// [`Cell::numbers`] of one metric of one predictor, the noise ceiling among them.
+    /// [`Cell::numbers`] of one metric of one predictor or the noise ceiling.
     pub fn numbers(&self, predictor: &str, key: &str) -> Option<Vec<f64>> {
         let place = self.predictors.iter().position(|name| name == predictor)?;
         Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(place)?.numbers())
     }
 
-    /// Baselines in the order of the pipeline; members of an ensemble and the ceiling are none.
+    /// Baselines in the order of the pipeline, without ensemble members and ceiling.
     pub fn baselines(&self) -> impl Iterator<Item = &str> {
         let is_baseline = |name: &&String| *name != MODEL && *name != CEILING && !self.members.contains(name);
         self.predictors.iter().filter(is_baseline).map(String::as_str)
     }
 
-    /// What the model reached by one metric: the mean over test samples, or the one number.
+    /// Score of the model by one metric: the mean over test samples, or the value of the whole model.
     pub fn of_model(&self, key: &str) -> Option<f64> {
         self.numbers(MODEL, key)?.first().copied()
     }
 
-    /// The rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 bad tail); `None` for
-    /// bounds, the ceiling, and where there is no number. Equal values share a rank.
+    /// Rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 bad tail); `None` for
+    /// oracle baselines, the ceiling, and missing values. Equal values share a rank.
     pub fn ranks(&self, metric: &MetricRow, k: usize) -> Vec<Option<usize>> {
         let value = |(name, cell): (&String, &Cell)| {
             cell.numbers().get(k).copied().filter(|v| !v.is_nan() && self.is_ranked(name))
@@ -220,14 +220,14 @@ impl ScoreTable {
         values.iter().map(|v| v.map(rank)).collect()
     }
 
-    /// Whether a predictor competes: bounds and the ceiling do not.
+    /// Whether a predictor is ranked: not oracle baselines and the ceiling.
     fn is_ranked(&self, name: &str) -> bool {
         name != CEILING && !self.bounds.iter().any(|bound| bound == name)
     }
 }
 
 impl Scores {
-    /// The text of `scores.csv`.
+    /// Content of `scores.csv`.
     pub fn to_csv(&self) -> String {
         let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
         for (predictor, measurements) in &self.predictors {
@@ -246,10 +246,10 @@ impl Scores {
         lines.text()
     }
 
-    /// Reads `scores.csv` in `path`, of which `table` is the summary.
+    /// Reads `scores.csv` in `path` with its summary `table`.
     ///
     /// # Errors
-    /// [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` is of other scores.
+    /// [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` belongs to other scores.
     pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
         let mut found = Self { table, ..Self::default() };
         let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
@@ -281,7 +281,7 @@ impl Scores {
                 }
                 let values: Vec<f64> = rows.iter().filter_map(|row| row.value).collect();
                 if ids != self.ids || values.len() != ids.len() {
-                    return Err(format!("{key} of {predictor} is of other samples than the first metric"));
+                    return Err(format!("{key} of {predictor} has other samples than the first metric"));
                 }
                 Values::PerSample(values)
             }
@@ -291,7 +291,7 @@ impl Scores {
         };
         let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
         let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
-        // JSON has neither infinity nor NaN: the summary is that of the values.
+        // JSON has neither infinity nor NaN: the summary is computed from the values.
         if let Some(cell) = row.cells.get_mut(place) {
             *cell = Cell::of(&measurement);
         }
@@ -303,14 +303,14 @@ impl Scores {
     }
 }
 
-/// A row of `scores.csv`.
+/// Row of `scores.csv`.
 #[derive(Deserialize)]
 struct ScoreRow {
     predictor: String,
     metric: String,
     #[serde(deserialize_with = "unless_empty")]
     sample: Option<u32>,
-    /// `None` where the metric does not apply.
+    /// `None` if the metric does not apply.
     #[serde(deserialize_with = "unless_not_applicable")]
     value: Option<f64>,
 }
@@ -324,7 +324,7 @@ fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f
 }
 
 fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
-    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
+    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is not a number")))).transpose()
 }
 
 #[cfg(test)]
@@ -361,7 +361,7 @@ mod tests {
         let table = ScoreTable { bounds: vec![MODEL.into()], ..scores().table };
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
         let text = table.to_text();
-        assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † knows the scene"), "{text}");
+        assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † oracle baseline"), "{text}");
     }
 
     #[test]
@@ -393,7 +393,7 @@ mod tests {
         let links = ScoreTable { task: Task::Power, ..table.clone() }.to_text();
         assert!(links.contains("a tenth of the links are") && !links.contains("validation spectra"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
-        assert_eq!(notes[0], "note: bad tail: a tenth of the spectra are this bad or worse", "{text}");
+        assert_eq!(notes[0], "note: bad tail: 10 % of the spectra have this value or a worse one", "{text}");
         assert_eq!(notes[1..], ["note: k, far has seen the test spectra"], "{text}");
         let heading =
             "2 test spectra; the model is trained on 9; the baselines are trained on 12 (training and validation)";
@@ -423,15 +423,12 @@ mod tests {
         assert_eq!(read(&measured.to_csv()).unwrap(), measured);
         let wrong = [
             ("model,ssim,3\n", ":2:1: the row has another number of fields than the first line;"),
-            ("model,ssim,x,1\n", ":2:1: `x` is no number;"),
-            ("model,ssim,3,\n", ":2:1: `` is no number;"),
+            ("model,ssim,x,1\n", ":2:1: `x` is not a number;"),
+            ("model,ssim,3,\n", ":2:1: `` is not a number;"),
             ("model,ssim,3,1", ":2:1: the file ends before the end of a row;"),
             ("model,ssim,3,1\nmodel,psnr,3,1\n", ":3:1: run.json has no psnr of model;"),
             ("model,ssim,3,1\n1-NN,ssim,3,1\n", ":3:1: run.json has no ssim of 1-NN;"),
-            (
-                "model,ssim,3,1\n\"k, far\",ssim,4,1\n",
-                ":3:1: ssim of k, far is of other samples than the first metric;",
-            ),
+            ("model,ssim,3,1\n\"k, far\",ssim,4,1\n", ":3:1: ssim of k, far has other samples than the first metric;"),
             ("model,ssim,,n/a\n", ":2:1: run.json has a value of ssim of model;"),
         ];
         for (row, why) in wrong {

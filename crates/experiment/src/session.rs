@@ -1,5 +1,5 @@
-//! `Session`: what accompanies a run from outside: who follows it, what stops it, who makes its page. The library
-//! prints nothing; `cli` draws a progress bar.
+//! `Session`: observer, cancellation and report function of a run. The library prints nothing; `cli` draws a progress
+//! bar.
 
 use crate::record::Record;
 use crate::scores::ScoreTable;
@@ -10,70 +10,70 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// What a run is about to do.
+/// Description of a run that is about to start.
 #[derive(Clone, Copy, Debug)]
 pub struct Start<'a> {
     /// The run folder.
     pub folder: &'a Path,
-    /// What the data call themselves.
+    /// Title of the data set.
     pub title: &'a str,
-    /// What they hold.
+    /// Task of the data set.
     pub task: Task,
-    /// Samples for training, validation, test.
+    /// Numbers of training, validation and test samples.
     pub samples: [usize; 3],
-    /// Steps that an earlier start has done.
+    /// Number of steps completed by earlier starts.
     pub done: u64,
-    /// Steps in all.
+    /// Total number of steps.
     pub steps: u64,
-    /// What a step takes, with the Gaussians at hand.
+    /// Cost of a step with the current Gaussians.
     pub estimate: Estimate,
 }
 
-/// A look at the validation part: one row of `validation.csv`.
+/// Validation result: one row of `validation.csv`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Validation {
     /// Training step.
     pub step: u64,
-    /// What was looked at.
+    /// Task of the validation samples.
     pub task: Task,
-    /// The columns of [`Headline`](pwrfgs_core::Headline): mean and median, and one number more.
+    /// The columns of [`Headline`](pwrfgs_core::Headline): mean and median of the first metric, and one further value.
     pub values: [f64; 3],
 }
 
-/// Hears of everything that happens in a run; every method does nothing by default.
+/// Observer of a run; every method does nothing by default.
 pub trait Observer: Send {
-    /// Something other than training is under way: loading or simulating spectra, scoring a predictor. It begins with
-    /// (0, 0); then `done` of `total` rises from call to call.
+    /// Called during work other than training: loading or simulating spectra, scoring a predictor. The first call is
+    /// (0, 0); then `done` of `total` increases.
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
         let _ = (name, done, total);
     }
 
-    /// Training starts or goes on.
+    /// Called when training starts or resumes.
     fn on_start(&mut self, start: &Start<'_>) {
         let _ = start;
     }
 
-    /// A training step is done.
+    /// Called after a training step.
     fn on_step(&mut self, report: &StepReport) {
         let _ = report;
     }
 
-    /// The validation part was looked at.
+    /// Called after a validation.
     fn on_validation(&mut self, validation: &Validation) {
         let _ = validation;
     }
 
-    /// All scores on the test part are known.
+    /// Called with all scores on the test set.
     fn on_evaluation(&mut self, scores: &ScoreTable) {
         let _ = scores;
     }
 
-    /// Something else worth a line.
+    /// Called with other messages, one line each.
     fn on_message(&mut self, message: &str) {
         let _ = message;
     }
 
-    /// Input that can be used, but is probably not what was meant; several runs may report the same.
+    /// Called for valid but implausible input; several runs may report the same.
     fn on_warning(&mut self, warning: &str) {
         self.on_message(&format!("warning: {warning}"));
     }
@@ -85,7 +85,7 @@ pub struct Silent;
 
 impl Observer for Silent {}
 
-/// Does `work`, whose progress the observer hears of as that of the stage `name`.
+/// Performs `work` and reports its progress to the observer as the stage `name`.
 pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
     observer.on_stage(name, 0, 0);
     let state = Mutex::new((observer, 0));
@@ -98,20 +98,20 @@ pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Prog
     })
 }
 
-/// A record with the data and the model behind it: what a page is made of.
+/// Finished run with its data and model: the input of a report.
 #[derive(Clone, Copy, Debug)]
 pub struct LoadedRun<'a> {
-    /// What lies in the folder.
+    /// Content of the run folder.
     pub record: &'a Record,
-    /// The data it was scored on.
+    /// Data set of the scores.
     pub data: &'a Dataset,
-    /// Their split.
+    /// Split of the data.
     pub partition: &'a Partition,
-    /// The model, or several that predict together.
+    /// Model, or an ensemble.
     pub model: &'a Ensemble,
 }
 
-/// Makes the page of a run, HTML in one file.
+/// Function that creates the report of a run as a single HTML file.
 pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
 
 /// Observer, cancellation and report of a run, a sweep or an evaluation.

@@ -1,26 +1,26 @@
 //! Summaries of test samples, mean and deviation over seeds, and bootstrap intervals of paired differences.
 //!
-//! A difference has two sources of chance: the seed of the training, and which transmitters were tested. All seeds may
-//! be tested at the same places, so seeds and places are *crossed*: a replicate draws seeds, and once for all of them
-//! blocks of neighbouring places (Owen, "The pigeonhole bootstrap", 2007). Neighbours err alike; drawing single spectra
-//! would count them as if each told something new, and give intervals that are far too narrow.
+//! A difference has two sources of randomness: the training seed and the choice of test transmitters. All seeds may use
+//! the same test positions, so seeds and positions are *crossed*: a replicate resamples seeds and, common to all of
+//! them, blocks of neighbouring positions (Owen, "The pigeonhole bootstrap", 2007). Neighbours have similar errors;
+//! resampling single spectra would treat them as independent and give far too narrow intervals.
 //!
-//! From n seeds (or blocks) a replicate draws n−1, with replacement: then the spread of its mean is s²/n, as it should
-//! be, where n draws would give s²(n−1)/n² (Rao and Wu, 1988). That matters with three seeds.
-//! What remains optimistic with few seeds is the shape: the percentiles of three values know nothing of the long tails
-//! of Student's distribution. `coverage_over_repetitions` measures it.
+//! From n seeds (or blocks) a replicate draws n−1, with replacement: the variance of its mean is then s²/n, where n
+//! draws would give s²(n−1)/n² (Rao and Wu, 1988). That matters with three seeds. With few seeds the intervals remain
+//! optimistic in shape: percentiles of three values lack the long tails of Student's distribution.
+//! `coverage_over_repetitions` measures this.
 
 use pwrfgs_core::rng::{self, Rng};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter::repeat_with;
 
-/// Bootstrap replicates behind an interval.
+/// Number of bootstrap replicates.
 pub const REPLICATES: usize = 10_000;
-/// Share of the replicates inside an interval.
+/// Coverage of the intervals.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// Mean, median and bad tail of numbers a sample. Infinite values (a perfect PSNR) are stored as `null`.
+/// Mean, median and bad tail of per-sample values. Infinite values (a perfect PSNR) are stored as `null`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Arithmetic mean.
@@ -29,13 +29,13 @@ pub struct Summary {
     /// Middle value.
     #[serde(deserialize_with = "null_is_infinite")]
     pub median: f64,
-    /// A tenth of the samples are this bad or worse: the 10th percentile where larger is better, else the 90th.
+    /// Bad tail: the 10th percentile if higher is better, else the 90th.
     #[serde(deserialize_with = "null_is_infinite")]
     pub p10: f64,
 }
 
 impl Summary {
-    /// Of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
+    /// Summary of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
     pub fn of(values: &[f64], higher_is_better: bool) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -51,7 +51,7 @@ pub(crate) fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
 }
 
-/// The `q` quantile of ascending values.
+/// Quantile `q` of ascending values.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = q * last as f64;
@@ -64,17 +64,17 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
 pub struct Spread {
     /// Arithmetic mean.
     pub mean: f64,
-    /// With n−1 in the denominator; `None` of one value, or where a value is infinite.
+    /// Sample standard deviation (n−1 in the denominator); `None` for one value, or if a value is infinite.
     pub deviation: Option<f64>,
-    /// How many values.
+    /// Number of values.
     pub n: usize,
 }
 
 impl Spread {
-    /// Of one value or more.
+    /// Mean and deviation of at least one value; `None` without values.
     pub fn of(values: &[f64]) -> Option<Self> {
         let (n, first) = (values.len(), *values.first()?);
-        // Equal values have no deviation, whatever the sum is rounded to.
+        // Equal values have deviation 0, independent of rounding.
         let mean = if values.iter().all(|v| *v == first) { first } else { values.iter().sum::<f64>() / n as f64 };
         let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
         let deviation = (n > 1 && mean.is_finite()).then(|| (squares / (n - 1) as f64).sqrt());
@@ -82,36 +82,36 @@ impl Spread {
     }
 }
 
-/// The differences of one seed in one block of space.
+/// Differences of one seed in one block of space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cell {
-    /// Their sum.
+    /// Sum of the differences.
     pub sum: f64,
-    /// How many.
+    /// Number of differences.
     pub count: usize,
 }
 
 impl Cell {
-    /// Takes one more difference in.
+    /// Adds a difference.
     pub fn add(&mut self, difference: f64) {
         self.sum += difference;
         self.count += 1;
     }
 }
 
-/// What is known of a mean difference.
+/// Mean difference with its confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
     /// Mean over seeds of the mean over test spectra.
     pub mean: f64,
-    /// The percentile interval of [`CONFIDENCE`]; `None` where there is one block alone.
+    /// Percentile interval of [`CONFIDENCE`]; `None` with a single block.
     pub interval: Option<(f64, f64)>,
-    /// Seeds in both; of one alone the interval says nothing about others.
+    /// Number of common seeds; with one, the interval excludes the variation between seeds.
     pub seeds: usize,
 }
 
 impl Difference {
-    /// Of `cells[seed][block]`, all seeds with the same blocks; `None` without a single difference.
+    /// Difference of `cells[seed][block]`, all seeds with the same blocks; `None` without any difference.
     pub fn of(cells: &[Vec<Cell>]) -> Option<Self> {
         Self::with_replicates(cells, REPLICATES)
     }
@@ -123,7 +123,7 @@ impl Difference {
             (0..cells.first()?.len()).filter(|b| cells.iter().any(|seed| seed[*b].count > 0)).collect();
         let mean = mean(&cells, &seeds, &blocks)?;
         let interval = (blocks.len() > 1).then(|| {
-            // The same stream for every difference: rows of a table share their luck and can be compared.
+            // Same random stream for every difference, so that rows of a table are comparable.
             let mut random = rng::stream(0, "bootstrap", 0);
             let replicate = || {
                 let (seeds, blocks) = (drawn(&mut random, &seeds), drawn(&mut random, &blocks));
@@ -137,19 +137,19 @@ impl Difference {
         Some(Self { mean, interval, seeds: cells.len() })
     }
 
-    /// Whether the interval leaves 0 out.
+    /// Whether the interval excludes 0.
     pub fn is_clear(&self) -> bool {
         self.interval.is_some_and(|(low, high)| low > 0.0 || high < 0.0)
     }
 }
 
-/// One fewer than there are, with replacement; a single one is itself.
+/// Draws one fewer than there are, with replacement; a single one is returned.
 fn drawn(random: &mut Rng, all: &[usize]) -> Vec<usize> {
     let count = all.len().saturating_sub(1).max(1);
     repeat_with(|| all[rng::below(random, all.len())]).take(count).collect()
 }
 
-/// Mean over `seeds` of the mean over `blocks`; seeds with nothing in these blocks do not count.
+/// Mean over `seeds` of the mean over `blocks`; seeds without differences in these blocks are skipped.
 fn mean(cells: &[&[Cell]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
     let of_seed = |seed: &usize| {
         let (sum, count) = blocks
@@ -161,24 +161,23 @@ fn mean(cells: &[&[Cell]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// Cubes with test transmitters that there should be.
+/// Smallest number of cubes with test transmitters.
 const WANTED: usize = 30;
-/// The edge is not made smaller than this part of the room.
+/// Limit of the edge, as a divisor of the room size.
 const FINEST: u32 = 256;
 
-/// Test samples in cubes of space, or single ones if their positions are unknown: the bootstrap draws those of a block
-/// together.
+/// Blocks of test samples for the bootstrap: cubes of space, or single samples if positions are unknown.
 ///
-/// Spectra of neighbouring transmitters are alike, and so are the errors of a model there. How far that reaches is not
-/// known; a longer reach than the edge of a cube leaves intervals too narrow. Larger cubes are fewer, and from few
-/// nothing can be drawn: the edge is the largest that leaves 30 of them. Reports print it.
+/// Spectra of neighbouring transmitters are similar, and so are the errors of a model. If this correlation extends
+/// beyond a cube, intervals are too narrow; but resampling needs enough cubes. The edge is the largest that leaves 30
+/// cubes. Reports print it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Blocks {
     /// Edge of a cube in metres; `None` if each test sample is a block.
     pub edge_m: Option<f64>,
     /// Number of blocks that hold test transmitters.
     pub count: usize,
-    /// The block of each test sample, by id.
+    /// Block of each test sample, by id.
     of: BTreeMap<u32, usize>,
 }
 
@@ -208,7 +207,7 @@ impl Blocks {
         Self { edge_m: Some(edge_m), count: number.len(), of }
     }
 
-    /// Differences of test samples, by id, gathered by block; those that are not finite are left out.
+    /// Differences of test samples, by id, collected by block; values that are not finite are omitted.
     pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<Cell> {
         let mut cells = vec![Cell::default(); self.count];
         for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
@@ -219,7 +218,7 @@ impl Blocks {
         cells
     }
 
-    /// The block of a test sample.
+    /// Block of a test sample.
     pub fn of(&self, id: u32) -> Option<usize> {
         self.of.get(&id).copied()
     }
@@ -229,7 +228,7 @@ impl Blocks {
 mod tests {
     use super::*;
 
-    /// Standard deviations of what makes a difference.
+    /// Standard deviations of the components of a difference.
     #[derive(Clone, Copy, Debug, Default)]
     struct Model {
         seed: f64,
@@ -251,7 +250,7 @@ mod tests {
             of_seed.iter().map(|seed| of_block.iter().map(|block| cell(seed, block)).collect()).collect()
         }
 
-        /// How often the interval holds the true mean, 0.
+        /// Share of intervals that contain the true mean, 0.
         fn coverage(self, shape: [usize; 3]) -> f64 {
             let mut random = rng::stream(7, "coverage", 0);
             let holds = |cells: &[Vec<Cell>]| {
@@ -306,12 +305,12 @@ mod tests {
     #[test]
     fn coverage_over_repetitions() {
         let all = [
-            // One seed; samples in a block have nothing, or much in common.
+            // One seed; samples in a block are independent or strongly correlated.
             (Model { sample: 1.0, ..Model::default() }, [1, 40, 1], 0.92..0.97),
             (Model { block: 1.0, sample: 0.5, ..Model::default() }, [1, 40, 8], 0.92..0.97),
             // Crossed: the same blocks for all seeds.
             (Model { seed: 0.2, block: 1.0, sample: 0.5 }, [10, 40, 4], 0.92..0.98),
-            // Three seeds that differ more than anything else: the interval promises too much, and the report says so.
+            // Three seeds with a dominant seed variance: the interval is too narrow, and the report notes it.
             (Model { seed: 1.0, block: 0.5, sample: 0.5 }, [3, 40, 4], 0.60..0.90),
         ];
         for (model, shape, expected) in all {
@@ -325,7 +324,7 @@ mod tests {
     fn spectra_drawn_one_by_one_would_promise_too_much() {
         let model = Model { block: 1.0, sample: 0.5, ..Model::default() };
         let cells = model.draw(&mut rng::stream(3, "test", 0), [1, 40, 8]);
-        // The same eight differences a block, as if each were a block of its own.
+        // The same eight differences per block, as if each were a separate block.
         let each = |c: &Cell| vec![Cell { sum: c.sum / 8.0, count: 1 }; 8];
         let single: Vec<Vec<Cell>> = cells.iter().map(|seed| seed.iter().flat_map(each).collect()).collect();
         let [with, without] = [&cells, &single].map(|c| width(&Difference::of(c).unwrap()));
@@ -346,7 +345,7 @@ mod tests {
         let found = Difference::of(&[vec![Cell::default(), one(0.5)], vec![Cell::default(), one(0.7)]]).unwrap();
         assert_eq!((found.mean, found.interval, found.seeds), (0.6, None, 2));
         assert!(!found.is_clear());
-        // Blocks that only one of the seeds has: the other does not count where it has nothing.
+        // Blocks with data of only one seed: the other seed is skipped there.
         let found = Difference::of(&[vec![one(1.0), Cell::default()], vec![Cell::default(), one(3.0)]]).unwrap();
         assert_eq!((found.mean, found.interval, found.is_clear()), (2.0, Some((1.0, 3.0)), true));
     }

@@ -1,9 +1,8 @@
-//! `Study`: finished runs read back and put in order, for tables and figures that compare them.
+//! `Study`: finished runs, grouped for comparison in tables and figures.
 //!
-//! Runs on the same data and test set form a *setting*: only within one are scores comparable, and only there floors hold.
-//! In a setting, runs that differ in nothing but their seed form a *variant*.
-//! A run of a sweep belongs to the variant that its labels name; a run folder named by itself, to that of all such runs
-//! whose pipelines differ in seed and name alone.
+//! Runs on the same data and test set form a *setting*: scores and baselines are comparable only within a setting. Runs
+//! of a setting that differ only in their seed form a *variant*. A run of a sweep belongs to the variant of its labels;
+//! other run folders form variants of pipelines that differ only in seed and name.
 
 mod setting;
 
@@ -21,12 +20,11 @@ use std::path::{Path, PathBuf};
 pub struct Study {
     /// Names of the sweeps or runs, joined.
     pub title: String,
-    /// In the order in which they were met; none is empty.
+    /// Settings in order of appearance; none is empty.
     pub settings: Vec<Setting>,
-    /// Runs that were named but have not finished, and so are in none of the settings.
+    /// Given runs that have not finished, and belong to no setting.
     pub unfinished: Vec<PathBuf>,
-    /// Runs that are in none of the settings because they are there already: named twice, or the same seed of the same
-    /// variant again.
+    /// Duplicate runs, which belong to no setting: given twice, or the same seed of the same variant again.
     pub repeated: Vec<PathBuf>,
 }
 
@@ -34,7 +32,7 @@ impl Study {
     /// Reads sweep folders and run folders.
     ///
     /// # Errors
-    /// A folder that is neither, a damaged file, or no finished run among them.
+    /// A folder of another kind, a damaged file, or no finished run.
     pub fn read(folders: &[PathBuf]) -> Result<Self> {
         let (mut study, mut seen) = (Self::default(), Vec::new());
         let mut titles: Vec<String> = Vec::new();
@@ -42,7 +40,7 @@ impl Study {
         for folder in folders {
             let listing = if folder.is_dir() { Listing::read(folder)? } else { None };
             if let Some(listing) = listing {
-                // Two sweeps of one name, on two days say, are two things.
+                // Two sweeps of the same name, such as of two days, are different.
                 let taken = titles.contains(&listing.name);
                 let name = if taken { folder.display().to_string() } else { listing.name };
                 let mut runs: Vec<(PathBuf, Labels)> =
@@ -81,7 +79,7 @@ impl Study {
         Ok(study)
     }
 
-    /// Reads one run folder, or notes that it has not finished or was named before.
+    /// Reads one run folder, or records that it is unfinished or a duplicate.
     fn take(&mut self, folder: &Path, seen: &mut Vec<PathBuf>) -> Result<Option<Record>> {
         let place = folder.canonicalize().unwrap_or_else(|_| folder.into());
         if seen.contains(&place) {
@@ -96,7 +94,7 @@ impl Study {
         Ok(record)
     }
 
-    /// Leaves runs out that are equal to one before them: counted twice, they would look like certainty.
+    /// Removes runs that equal an earlier one: counted twice, they would narrow the intervals.
     fn without_twins(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut kept, mut keys) = (Vec::new(), Vec::new());
         for run in runs {

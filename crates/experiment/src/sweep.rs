@@ -1,9 +1,9 @@
-//! A sweep: many runs from one experiment file, in one folder, on one machine or on many.
+//! Sweeps: many runs from one experiment file, in one folder, on one machine or many.
 //!
-//! `experiment.rs` reads the file, `plan.rs` works out all runs, `status.rs` looks at what is done, `check.rs` tries
-//! what is left before anything starts, [`execute`] does it, several runs at once, each with its own threads, and with
-//! `join: true` makes one model of all, which predicts their mean. Nothing but the run folders remembers what was done,
-//! so the same command goes on after any end.
+//! `experiment.rs` reads the file, `plan.rs` creates all runs, `status.rs` determines their state, `check.rs` tests
+//! unfinished runs before the first starts. [`execute`] performs them, several at once, each with its own threads; with
+//! `join: true` it combines all models into one that predicts their mean. All state is in the run folders, so the same
+//! command resumes after any interruption.
 
 mod check;
 mod experiment;
@@ -38,22 +38,22 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// How a sweep ended, as far as this process did it.
+/// Result of a sweep in this process.
 #[derive(Debug)]
 pub struct SweepEnd {
-    /// Each run, by its place in the plan: [`Error::Busy`] if another process is at work in its folder; why another one
-    /// failed is kept in the sweep folder too.
+    /// Runs by index in the plan, with their result: [`Error::Busy`] if another process uses the folder; other failures
+    /// are also stored in the sweep folder.
     pub runs: Vec<(usize, Result<Outcome>)>,
     /// The joined model, if the plan joins models and all runs have finished.
     pub joined: Option<Outcome>,
 }
 
-/// Hears of all runs at once.
+/// Observer of all runs of a sweep.
 pub trait Board: Sync {
-    /// A run, a place in the plan, starts; what it gets hears of its steps.
+    /// Called when a run, an index in the plan, starts; returns the observer of its steps.
     fn starts(&self, run: usize) -> Box<dyn Observer>;
 
-    /// It ended.
+    /// Called when a run ends.
     fn ends(&self, run: usize, end: &Result<Outcome>);
 }
 
@@ -65,12 +65,12 @@ impl Board for Silent {
     fn ends(&self, _: usize, _: &Result<Outcome>) {}
 }
 
-/// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
-/// that fails does not stop the others; the session stops all at their next step, or where they are scored. `board` observes
-/// the runs, the observer of the session what follows: joining their models.
+/// Performs `runs` of the plan in order, `jobs` at a time, sharing the threads of the calling pool. A failed run does
+/// not stop the others; stopping the session stops all of them at the next step or during scoring. `board` observes the
+/// runs, and the observer of the session the joining of models.
 ///
 /// # Errors
-/// As [`Plan::claim`], or where threads cannot be started, or models cannot be joined.
+/// Errors of [`Plan::claim`]; threads cannot be started, or models cannot be joined.
 pub fn execute(
     plan: &Plan,
     runs: &[usize],
@@ -109,41 +109,41 @@ pub fn execute(
     Ok(SweepEnd { runs: ends, joined: join(plan, session)? })
 }
 
-/// The threads of one of `jobs` runs that share those of the calling pool.
+/// Thread pool of one of `jobs` runs that share the threads of the calling pool.
 ///
 /// # Errors
-/// Where threads cannot be started.
+/// Threads cannot be started.
 pub fn pool(jobs: usize) -> Result<ThreadPool> {
     let threads = (rayon::current_num_threads() / jobs).max(1);
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
 }
 
-/// Does one run.
+/// Performs one run.
 fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Result<Outcome> {
     let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
     plan.forget_failure(place);
-    // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
+    // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
     let work = || run(pipeline, Path::new(""), &folder, session);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))
     });
-    // Another process may have claimed it since it was looked at.
+    // Another process may have claimed it meanwhile.
     if let Err(error) = &outcome
         && !matches!(error, Error::Busy(_))
     {
-        // The failure itself is reported in any case.
+        // The failure is returned in any case.
         _ = plan.note_failure(place, error);
     }
     outcome
 }
 
-/// Joins the models of a plan with `join: true` in the folder [`JOINED`] and scores the result. Returns `None` if the plan
-/// joins nothing, a run has not finished, or another process joins them.
+/// Joins the models of a plan with `join: true` in the folder [`JOINED`] and scores the result. Returns `None` if the
+/// plan does not join, a run has not finished, or another process joins them.
 ///
 /// # Errors
-/// As [`crate::run`].
+/// Same as [`crate::run`].
 fn join(plan: &Plan, session: &mut Session<'_>) -> Result<Option<Outcome>> {
     let Some(pipeline) = &plan.joined else { return Ok(None) };
     if !plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
@@ -158,7 +158,7 @@ fn join(plan: &Plan, session: &mut Session<'_>) -> Result<Option<Outcome>> {
     folder.settle(ended).map(Some)
 }
 
-/// The work of [`join`] in a claimed folder.
+/// Joining in a claimed folder.
 struct Join<'a, 's> {
     plan: &'a Plan,
     pipeline: &'a Pipeline,
@@ -167,7 +167,7 @@ struct Join<'a, 's> {
 }
 
 impl Join<'_, '_> {
-    /// Writes and scores the model, unless that very model lies there with these scores.
+    /// Writes and scores the model, unless the same model with these scores exists.
     fn end(&mut self, folder: &mut RunFolder) -> Result<Outcome> {
         let ensemble = self.assemble()?;
         let bytes = file::ensemble_to_bytes(&ensemble);
@@ -189,7 +189,7 @@ impl Join<'_, '_> {
         }
     }
 
-    /// The trained models, in the order of the plan.
+    /// Trained models, in the order of the plan.
     fn assemble(&self) -> Result<Ensemble> {
         let member = |(place, run): (usize, &PlannedRun)| {
             let folder = self.plan.folder_of(place);

@@ -1,4 +1,4 @@
-//! Numbers, durations, tables and CSV as text: one way for all of them.
+//! Text format of numbers, durations, tables and CSV.
 
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::words::cell;
@@ -6,7 +6,7 @@ use pwrfgs_core::{Error, Result};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Four significant digits or so, no exponent in the usual range, whole numbers as such.
+/// Formats about four significant digits, without exponent in the usual range; integers in full.
 pub fn number(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {
@@ -32,7 +32,7 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// A number with that many decimals, or with two digits where that would leave fewer (and six decimals are enough).
+/// Formats a number with the given decimals, or with two digits if it would have fewer (up to six decimals).
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return if value > 0.0 { "∞".into() } else { "−∞".into() };
@@ -41,18 +41,18 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
     let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
     let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
-    // What is rounded to 0 has no sign.
+    // Values rounded to 0 have no sign.
     let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
     if negative { format!("−{text}") } else { text }
 }
 
-/// A name as a field of a CSV file, which no spreadsheet takes for a formula.
+/// Quotes a CSV field, also against interpretation as a formula by spreadsheets.
 pub fn field(name: &str) -> String {
     let name = cell(name);
     if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.into() }
 }
 
-/// 65469 as `65,469`.
+/// Groups digits: 65469 as `65,469`.
 pub fn grouped(value: i64) -> String {
     let digits = value.unsigned_abs().to_string();
     let mut out = String::from(if value < 0 { "-" } else { "" });
@@ -65,7 +65,7 @@ pub fn grouped(value: i64) -> String {
     out
 }
 
-/// A duration for people: `42 s`, `3 min 20 s`, `2 h 05 min`.
+/// Formats a duration: `42 s`, `3 min 20 s`, `2 h 05 min`.
 pub fn duration(seconds: f64) -> String {
     let s = seconds.max(0.0).round() as u64;
     match s {
@@ -75,7 +75,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// The longest cell of a table, characters: a name of a file is not cut, the contents of one are.
+/// Longest table cell, characters; longer cells are truncated, but not file names.
 const CELL: usize = 1_000;
 
 fn cut(cell: &str) -> String {
@@ -85,8 +85,8 @@ fn cut(cell: &str) -> String {
     }
 }
 
-/// Columns two blanks apart: the first `left` begin at the left, the others end at the right. What begins at the left and
-/// has nothing to its right may be as long as it likes, within 1,000 characters. A line without words is left out.
+/// Aligns columns, two blanks apart: the first `left` to the left, the others to the right. A left cell without cells
+/// to its right may have up to 1,000 characters. Empty lines are omitted.
 pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
     let lines: Vec<Vec<String>> = lines.iter().map(|line| line.iter().map(|cell| cut(cell)).collect()).collect();
     let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
@@ -104,7 +104,7 @@ pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
     texts.filter(|text| text.len() > 1).collect()
 }
 
-/// Words in lines of at most `width` characters; `starts` begin the first line and the others.
+/// Wraps words into lines of at most `width` characters; `starts` are the prefixes of the first and of further lines.
 pub fn wrapped(words: &str, starts: [&str; 2], width: usize) -> String {
     let (mut out, mut used) = (String::new(), String::new());
     for word in words.split_whitespace() {
@@ -120,19 +120,19 @@ pub fn wrapped(words: &str, starts: [&str; 2], width: usize) -> String {
     out + &used + "\n"
 }
 
-/// A CSV file with K columns.
+/// CSV file with K columns.
 #[derive(Debug)]
 pub struct Lines<const K: usize>(csv::Writer<Vec<u8>>);
 
 impl<const K: usize> Lines<K> {
-    /// The header alone.
+    /// Creates a file with only the header.
     pub fn new(header: [&str; K]) -> Self {
         let mut lines = Self(csv::Writer::from_writer(Vec::new()));
         lines.put(header);
         lines
     }
 
-    /// One more line.
+    /// Appends a line.
     pub fn put(&mut self, fields: [&str; K]) {
         let fields = fields.map(cell);
         self.0
@@ -140,16 +140,16 @@ impl<const K: usize> Lines<K> {
             .expect("memory takes every line, and all have K fields");
     }
 
-    /// The whole file.
+    /// Text of the whole file.
     pub fn text(self) -> String {
         String::from_utf8(self.0.into_inner().unwrap_or_default()).unwrap_or_default()
     }
 }
 
-/// Rows of a CSV file that a run wrote.
+/// Reads the rows of a CSV file written by a run.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Input`] with the line if a row is damaged or the last one not whole.
+/// [`Error::Read`], or [`Error::Input`] with the line if a row is damaged or the last one is incomplete.
 pub(crate) fn csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     let text = read_text(path)?;
     if !text.ends_with('\n') {
@@ -165,9 +165,9 @@ pub(crate) fn csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
 
-/// The error of a line that is not as the run wrote it.
+/// Error at a damaged line of a run file.
 pub(crate) fn damaged(path: &Path, line: usize, what: &str) -> Error {
-    let advice = "the run's own files must stay as it wrote them; restore it, or repeat the run in another folder";
+    let advice = "run files must not be edited; restore it, or repeat the run in another folder";
     Error::at(path, line, 1, format!("{what}; {advice}"))
 }
 

@@ -1,9 +1,8 @@
-//! The training of a run: its trainer, refused if it cannot fit the machine, and the loop that writes curve,
-//! validation, snapshots and checkpoint.
+//! Training of a run: trainer with memory check, and the loop that writes curve, validation, snapshots and checkpoint.
 //!
-//! Order at every step: train, validation, curve, checkpoint. Rows reach the disk before the checkpoint that counts
-//! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
-//! Snapshots are functions of the step, and written before the checkpoint of that step: a resumed run writes them again.
+//! Order in every step: train, validation, curve, checkpoint. Rows are flushed before the checkpoint that counts them,
+//! and a resumed run truncates the series to its checkpoint, so its files equal those of an uninterrupted run.
+//! Snapshots depend only on the step and are written before its checkpoint; a resumed run rewrites them.
 
 use crate::bench::Bench;
 use crate::facts::{Facts, free_memory};
@@ -21,17 +20,17 @@ use pwrfgs_train::{Estimate, Pruned, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// A trainer at the start, or where the checkpoint in the folder left it, and what a step will take.
+/// Trainer at the start or at the checkpoint of the folder, and the cost of a step.
 ///
 /// # Errors
-/// Settings that cannot work, a damaged checkpoint, what does not fit; [`Error::Stopped`] once the session is.
+/// Invalid settings, a damaged checkpoint, too little memory; [`Error::Stopped`] once the session is stopped.
 pub(crate) fn trainer<'a>(
     pipeline: &Pipeline,
     (data, partition): (&'a Dataset, &'a Partition),
     held: Option<&RunFolder>,
     session: &mut Session<'_>,
 ) -> Result<(Trainer<'a>, Estimate)> {
-    // A strategy that cannot be asked is refused before a checkpoint is blamed for it.
+    // Invalid strategies are reported before an error of the checkpoint.
     check_available(&pipeline.pruners)?;
     let restored = |folder: &RunFolder| {
         let path = folder.file(CHECKPOINT);
@@ -51,11 +50,11 @@ pub(crate) fn trainer<'a>(
     })
 }
 
-/// The trainer that `make` gives, and what its next step takes. Refuses what does not fit the machine: the network before it is
-/// made, then the step.
+/// Trainer created by `make`, and the cost of its next step. Checks the memory for the network before it is created,
+/// then for the step.
 ///
 /// # Errors
-/// What does not fit; those of `make`.
+/// Too little memory, or errors of `make`.
 pub(crate) fn fitting<'a>(
     pipeline: &Pipeline,
     make: impl FnOnce() -> Result<Trainer<'a>>,
@@ -81,18 +80,18 @@ fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {
     }
 }
 
-/// What is trained, on what, and who follows it.
+/// Training in progress: data, trainer, session and files.
 pub(crate) struct Training<'a, 's> {
     pub(crate) pipeline: &'a Pipeline,
     pub(crate) data: &'a Dataset,
     pub(crate) partition: &'a Partition,
     pub(crate) session: &'a mut Session<'s>,
-    /// When the run was started.
+    /// Start time of the run.
     pub(crate) begun: Instant,
 }
 
 impl Training<'_, '_> {
-    /// Trains to the end and writes the model, or returns nothing where it was asked to stop.
+    /// Trains to the end and writes the model; returns `None` if stopped.
     pub(crate) fn train(
         &mut self,
         trainer: &mut Trainer<'_>,
@@ -122,7 +121,7 @@ impl Training<'_, '_> {
             trainer.warnings().iter().for_each(|warning| self.session.observer.on_warning(&named(warning)));
             write(START_SNAPSHOT, 0, trainer.cloud(), trainer.births(), trainer.gates())?;
         }
-        // A file that an earlier start left is of the same events: nothing smaller is worth another.
+        // The event file of an earlier start has the same events, so it needs no separate checkpoint.
         let mut fullest = Snapshot::read(&folder.file(UNPRUNED_SNAPSHOT))?.map_or(0, |before| before.means.len());
         while !trainer.finished() {
             let stopped = self.session.stop.load(Ordering::Relaxed);
@@ -178,7 +177,7 @@ impl Training<'_, '_> {
         Ok(Some(model))
     }
 
-    /// Says that the last checkpoint outlives a failed step.
+    /// Reports that the last checkpoint outlives a failed step.
     fn kept(&mut self, folder: &RunFolder) {
         if folder.file(CHECKPOINT).is_file() {
             let path = folder.name().join(CHECKPOINT);
@@ -187,8 +186,8 @@ impl Training<'_, '_> {
     }
 }
 
-/// Scores the samples `part`: mean and median of the first metric, then the mean of the second, or the bad tail of the first if
-/// there is no second.
+/// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the bad tail
+/// of the first if there is no second.
 fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));

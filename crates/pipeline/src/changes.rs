@@ -1,4 +1,4 @@
-//! `Change`: a path in a pipeline and the value that it gets, from `--set`, from a file or from a program.
+//! `Change`: a pipeline path and its new value, from `--set`, a file or a program.
 
 use crate::ron_tree::Tree;
 use pwrfgs_core::{Error, JsonSchema, Result};
@@ -8,33 +8,33 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, Visitor};
 use std::borrow::Cow;
 use std::fmt;
 
-/// Characters of a text that a message repeats.
+/// Number of characters of a text that a message repeats.
 const LONGEST: usize = 200;
 
-/// A path, such as `training.steps` or `pruners.LearnableMask.lambda`, and the value that it gets.
+/// Pipeline path, such as `training.steps` or `pruners.LearnableMask.lambda`, and its new value.
 #[derive(Clone, Debug)]
 pub struct Change {
-    /// Steps from a pipeline to the place, with points between them.
+    /// Path from the pipeline to the value, separated by dots.
     pub path: String,
     /// The value as RON.
     pub value: String,
-    /// What messages call the change.
+    /// Name of the change in messages.
     pub name: String,
     /// Line and column of the path, from 1, in the file that holds it.
     pub at: Option<(usize, usize)>,
 }
 
 impl Change {
-    /// Sets `path` to the RON text `value`.
+    /// Creates a change of `path` to the RON text `value`.
     pub fn new(path: &str, value: &str) -> Self {
         let name = format!("{path} = {}", shortened(value));
         Self { path: path.into(), value: value.into(), name, at: None }
     }
 
-    /// The change that the argument `path=value` of `--set` asks for.
+    /// Parses the argument `path=value` of `--set`.
     ///
     /// # Errors
-    /// [`Error::Config`] where there is no `=`.
+    /// [`Error::Config`] if there is no `=`.
     pub fn argument(argument: &str) -> Result<Self> {
         let name = format!("--set {}", shortened(argument));
         let Some((path, value)) = argument.split_once('=') else {
@@ -43,23 +43,23 @@ impl Change {
         Ok(Self { path: path.into(), value: value.into(), name, at: None })
     }
 
-    /// The field of a pipeline that changes, or of which a part does.
+    /// Name of the pipeline field that changes completely or in part.
     pub fn field(&self) -> &str {
         self.path.split('.').next().unwrap_or_default().trim()
     }
 }
 
-/// Changes as a file lists them: `{"training.steps": 500, "split": Voxel(size_m: 0.2)}`, applied in this order.
+/// List of changes as in files: `{"training.steps": 500, "split": Voxel(size_m: 0.2)}`, applied in this order.
 #[derive(Clone, Debug, Default)]
 pub struct Changes(pub Vec<Change>);
 
 impl Changes {
-    /// Whether one of them changes `field` of a pipeline, or a part of it.
+    /// Whether a change affects `field` of a pipeline.
     pub fn has(&self, field: &str) -> bool {
         self.0.iter().any(|change| change.field() == field)
     }
 
-    /// The same with where each stands, in the map `map` of `text`, and with what messages call all of them.
+    /// Returns the changes with their positions in the map `map` of `text`, and the common name `name` for messages.
     #[must_use]
     pub fn located(&self, name: &str, map: Option<&Tree>, text: &str) -> Self {
         let mut keys = map.map_or_else(Vec::new, |map| map.keys(text)).into_iter();
@@ -115,7 +115,7 @@ pub(crate) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
     (line, before.chars().rev().take_while(|c| *c != '\n').count() + 1)
 }
 
-/// Cut where it is long, without control characters: an argument can be a whole file.
+/// Shortens a text and removes control characters: an argument can be a whole file.
 pub(crate) fn shortened(text: &str) -> String {
     let plain = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
     let short: String = text.chars().take(LONGEST).map(plain).collect();

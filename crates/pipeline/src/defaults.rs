@@ -1,4 +1,4 @@
-//! What the fields of a pipeline take if they are left out.
+//! Default values of pipeline fields.
 
 use pwrfgs_core::{Baseline, Deformation, Initializer, Metric, Plugin, Projector, Rasterizer, Split, Task};
 use pwrfgs_data::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Official, Zero};
@@ -10,39 +10,39 @@ use pwrfgs_metrics::{
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
 
-/// Plugins of one kind, each with the settings given here.
+/// Plugins of one kind with the given settings.
 macro_rules! plugins {
     ($kind:ident: $($plugin:expr),+ $(,)?) => {
         vec![$(Plugin::from(Box::new($plugin) as Box<dyn $kind>)),+]
     };
 }
 
-/// The split that the data come with.
+/// Default split: the one of the data set.
 pub fn split() -> Plugin<dyn Split> {
     Plugin::from(Box::new(Official::default()) as Box<dyn Split>)
 }
 
-/// The initializer of a method without Gaussians.
+/// Initializer of a method without Gaussians.
 pub fn initializer() -> Plugin<dyn Initializer> {
     Plugin::from(Box::new(NoGaussians::default()) as Box<dyn Initializer>)
 }
 
-/// The projector of splats.
+/// Default projector of splats.
 pub fn projector() -> Plugin<dyn Projector> {
     Plugin::from(Box::new(Mercator::default()) as Box<dyn Projector>)
 }
 
-/// The rasterizer of splats.
+/// Default rasterizer of splats.
 pub fn rasterizer() -> Plugin<dyn Rasterizer> {
     Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>)
 }
 
-/// The deformation of splats.
+/// Default deformation of splats.
 pub fn deformation() -> Plugin<dyn Deformation> {
     Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>)
 }
 
-/// The readout of splats for observations of `task`.
+/// Default readout of splats for observations of `task`.
 pub fn readout(task: Task) -> Readout {
     match task {
         Task::Power => Readout::RECEIVED,
@@ -50,7 +50,7 @@ pub fn readout(task: Task) -> Readout {
     }
 }
 
-/// The baselines of observations of `task`.
+/// Default baselines for observations of `task`.
 pub fn baselines(task: Task) -> Vec<Plugin<dyn Baseline>> {
     let nearest = |k: usize| NearestNeighbours { k: k.into() };
     match task {
@@ -62,7 +62,7 @@ pub fn baselines(task: Task) -> Vec<Plugin<dyn Baseline>> {
     }
 }
 
-/// The metrics of observations of `task`.
+/// Default metrics for observations of `task`.
 pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
     let mut metrics = match task {
         Task::Spectrum => plugins![
@@ -77,7 +77,7 @@ pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
     metrics
 }
 
-/// The metrics behind the columns of `validation.csv`.
+/// Metrics in the columns of `validation.csv`.
 pub fn validation(task: Task) -> Vec<Plugin<dyn Metric>> {
     match task {
         Task::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],

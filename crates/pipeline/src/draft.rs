@@ -1,6 +1,5 @@
-//! `Draft`: a pipeline while it is being changed, as its own text. A change is an edit of that text, so that whatever can be
-//! written can be set, at any depth, without loss; what comes out passes the same parser and the same checks as a file,
-//! once, after all changes.
+//! `Draft`: an editable pipeline in text form. Changes are text edits, so every value can be set at any depth without
+//! loss. After all changes, the text passes the same parser and checks as a file.
 
 use crate::changes::Change;
 use crate::pipeline::Pipeline;
@@ -14,14 +13,14 @@ use pwrfgs_train::{Trainer, TrainingPlan};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// A pipeline that is being changed.
+/// Pipeline under change.
 #[derive(Clone, Debug)]
 pub struct Draft {
     text: String,
     changes: Vec<Change>,
 }
 
-/// What is wrong with a draft, and the changes that made it so.
+/// Problem of a draft, and the changes that caused it.
 #[derive(Debug)]
 pub struct Fault {
     message: String,
@@ -29,22 +28,22 @@ pub struct Fault {
 }
 
 impl Draft {
-    /// The pipeline as it is.
+    /// Creates a draft of the pipeline.
     pub fn of(pipeline: &Pipeline) -> Self {
         Self { text: pipeline.to_ron(), changes: Vec::new() }
     }
 
-    /// Makes a change. Settings, and what stands in parentheses without a name, `(steps: 500, batch: 2)`, change what they
-    /// name; every other value takes the place of the old one.
+    /// Applies a change. Settings and unnamed values in parentheses, such as `(steps: 500, batch: 2)`, change the
+    /// fields they contain; all other values replace the old value.
     ///
     /// # Errors
-    /// Where there is no such place, or the value is none. Whether it fits is told by [`Self::finish`].
+    /// Unknown path or invalid value. [`Self::finish`] checks whether the value fits.
     pub fn set(&mut self, change: &Change) -> Result<(), Fault> {
         let tree = self.tree();
         let edits = edits(&tree, change).map_err(|message| Fault { message, blamed: vec![change.clone()] })?;
         self.edit(edits);
         self.changes.push(change.clone());
-        // With the defaults that the value leaves out, the next change finds their fields.
+        // Written with its defaults, so that the next change finds their fields.
         let whole = ron_options().from_str(&self.text).ok();
         if let Some(Ok(text)) = whole.map(|pipeline: Pipeline| pipeline.text()) {
             self.text = text;
@@ -55,7 +54,7 @@ impl Draft {
     /// Makes relative paths absolute.
     ///
     /// # Errors
-    /// A path that cannot be written as text.
+    /// A path that is not valid text.
     pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), Fault> {
         let tree = self.tree();
         let moved = |path: &Tree| {
@@ -70,20 +69,20 @@ impl Draft {
         Ok(())
     }
 
-    /// The pipeline, checked.
+    /// Returns the validated pipeline.
     ///
     /// # Errors
-    /// What does not fit, with the changes that concern it.
+    /// The first problem, with the changes that caused it.
     pub fn finish(&self) -> Result<Pipeline, Fault> {
         Pipeline::read(&self.text).map_err(|misfit| self.blame(misfit))
     }
 
-    /// What is wrong with `field`, with the changes that concern it.
+    /// Problem of `field`, with the changes that caused it.
     pub fn fault(&self, field: &str, message: String) -> Fault {
         self.blame(Misfit::of(field, message, &self.tree()))
     }
 
-    /// The fault behind `misfit`: of the changes in the smallest value that holds its place.
+    /// Fault for `misfit`: blames the changes inside the smallest value at its position.
     fn blame(&self, misfit: Misfit) -> Fault {
         let Misfit { mut message, at, hint } = misfit;
         let tree = self.tree();
@@ -91,7 +90,7 @@ impl Draft {
         let spans: Vec<Option<Range<usize>>> = places.iter().map(|p| Some(p.as_ref()?.tree.span.clone())).collect();
         let inside = |outer: &Range<usize>| -> Vec<usize> {
             let is_inside = |span: &Range<usize>| outer.start <= span.start && span.end <= outer.end;
-            // Of two changes of one place the later made it what it is.
+            // The later of two changes at one path applies.
             let is_last = |k: usize| !spans[k + 1..].contains(&spans[k]);
             (0..spans.len()).filter(|&k| spans[k].as_ref().is_some_and(is_inside) && is_last(k)).collect()
         };
@@ -118,23 +117,23 @@ impl Draft {
     }
 }
 
-/// What `change` does to the text of `tree`.
+/// Text edits of `tree` for `change`.
 fn edits(tree: &Tree, change: &Change) -> Result<Vec<Edit>, String> {
     let place = Place::at(&change.path, tree)?;
     let value = place.complete(change.value.trim());
-    let new = Tree::parse(&value).map_err(|why| format!("{} is no value: {why}", quoted(change.value.trim())))?;
+    let new = Tree::parse(&value).map_err(|why| format!("{} is not a value: {why}", quoted(change.value.trim())))?;
     let mut edits = Vec::new();
     place.put(&new, &value, &mut edits)?;
     Ok(edits)
 }
 
 impl Fault {
-    /// The same as an error of changes that stand in no file.
+    /// Converts to an error without a file position.
     pub fn in_arguments(self) -> Error {
         Error::Config(self.to_string())
     }
 
-    /// The same as an error of the file at `path`, if that holds one of the changes or there are none.
+    /// Converts to an error of the file at `path` if it contains one of the changes or there are none.
     pub fn in_file(self, path: &Path) -> Error {
         let at = self.blamed.iter().rev().find_map(|change| change.at);
         if at.is_none() && !self.blamed.is_empty() {
@@ -145,7 +144,7 @@ impl Fault {
     }
 }
 
-/// The names of the blamed changes, each once, and what is wrong.
+/// Names of the responsible changes without repetition, and the problem.
 impl std::fmt::Display for Fault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut names: Vec<&str> = self.blamed.iter().map(|change| change.name.as_str()).collect();
@@ -156,10 +155,10 @@ impl std::fmt::Display for Fault {
 }
 
 impl Pipeline {
-    /// Makes all of `changes`, or none of them, and checks the outcome once.
+    /// Applies all `changes` or none, and validates the result once.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the changes that do not fit.
+    /// [`Error::Config`] with the names of invalid changes.
     pub fn change(&mut self, changes: &[Change]) -> Result<()> {
         let mut draft = Draft::of(self);
         let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
@@ -167,10 +166,10 @@ impl Pipeline {
         Ok(())
     }
 
-    /// The same with absolute paths; `absolute` maps a path as it stands.
+    /// Returns the pipeline with its paths mapped by `absolute`.
     ///
     /// # Errors
-    /// [`Error::Config`] if the pipeline, or a path, cannot be written as text.
+    /// [`Error::Config`] if the pipeline, or a path, is not valid text.
     pub fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<Self> {
         self.check_text()?;
         let mut draft = Draft::of(self);
@@ -180,41 +179,41 @@ impl Pipeline {
     /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`.
     ///
     /// # Errors
-    /// As [`Self::change`].
+    /// Same as [`Self::change`].
     pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
         let changes: Result<Vec<Change>> = arguments.iter().map(|one| Change::argument(one.as_ref())).collect();
         self.change(&changes?)
     }
 
-    /// [`Self::set_all`] with one argument.
+    /// Applies one `--set` argument, see [`Self::set_all`].
     ///
     /// # Errors
-    /// As there.
+    /// Same as [`Self::set_all`].
     pub fn set(&mut self, argument: &str) -> Result<()> {
         self.set_all(&[argument])
     }
 
-    /// What is trained, with `training.scale` multiplied in.
+    /// Training plan, with `training.scale` applied.
     ///
     /// # Errors
-    /// As [`Self::resolved`].
+    /// Same as [`Self::resolved`].
     pub fn plan(&self) -> Result<TrainingPlan> {
         self.resolved().map(|resolved| resolved.as_plan())
     }
 
-    /// A trainer before its first step.
+    /// Creates a trainer before its first step.
     ///
     /// # Errors
-    /// As [`Self::plan`] and [`Trainer::new`].
+    /// Errors of [`Self::plan`] and [`Trainer::new`].
     pub fn trainer<'a>(&self, data: &'a Dataset, partition: &Partition) -> Result<Trainer<'a>> {
         Trainer::new(&self.plan()?, data, partition)
     }
 
-    /// The pipeline as it is trained: `training.scale` multiplied into every count of steps, and below 1 divided out of the
-    /// rates of masks.
+    /// Applies `training.scale`: multiplies all numbers of steps by it; if it is below 1, divides the mask learning
+    /// rates by it.
     ///
     /// # Errors
-    /// [`Error::Config`] where training ends before the pruners are done: such a run would be scored unpruned.
+    /// [`Error::Config`] if training ends before the last prune step: the scores would be those of an unpruned model.
     pub fn resolved(&self) -> Result<Self> {
         let training = self.training.resolved();
         let (steps, until) = (training.steps, training.prune_until);

@@ -1,8 +1,7 @@
-//! The pipeline file: its fields with their defaults, what must go together, and changes by path.
+//! Pipeline files: fields with defaults, consistency checks, and changes by path.
 //!
-//! [`Pipeline`] is the whole of a run as one RON value. This crate depends on the plugins that a pipeline takes where
-//! nothing is given, so that defaults are plain values; `train` sees none of it, only the plan that
-//! [`Pipeline::plan`] makes.
+//! [`Pipeline`] holds a whole run as one RON value. This crate depends on the default plugins, so that defaults are
+//! plain values; the crate `train` depends only on the plan from [`Pipeline::plan`].
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

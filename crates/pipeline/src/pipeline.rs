@@ -1,4 +1,4 @@
-//! `Pipeline`: a whole run as one RON value.
+//! `Pipeline`: all settings of a run as one RON value.
 
 use crate::defaults;
 use pwrfgs_core::plugin::{Checked, Plugin, try_to_ron};
@@ -68,21 +68,22 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// The fields that have no default, with an example each.
+    /// Required fields, with an example each.
     pub const REQUIRED: [(&'static str, &'static str); 3] =
         [("name", "\"first\""), ("data", "Teacher()"), ("initializer", "Random()")];
 
-    /// The pipeline as RON text, every default written out; [`Self::parse`] gives the same pipeline back.
+    /// RON text of the pipeline with every default written out; [`Self::parse`] restores the same pipeline.
     ///
-    /// Where a plugin of somebody else cannot be written, a comment says so; [`Self::check_text`] finds that out before.
+    /// If a third-party plugin cannot be written, a comment explains why; [`Self::check_text`] reports this as an
+    /// error.
     pub fn to_ron(&self) -> String {
         self.text().unwrap_or_else(|why| format!("// {why}")) + "\n"
     }
 
-    /// Refuses a pipeline that [`Self::to_ron`] cannot write.
+    /// Returns an error if [`Self::to_ron`] cannot write the pipeline.
     ///
     /// # Errors
-    /// [`Error::Config`] that says why.
+    /// [`Error::Config`] with the reason.
     pub fn check_text(&self) -> Result<()> {
         self.text().map(|_| ()).map_err(Error::Config)
     }
@@ -92,7 +93,7 @@ impl Pipeline {
         try_to_ron(self).map_err(|e| format!("{why}: {e}"))
     }
 
-    /// The way from Gaussians to observations.
+    /// Method from Gaussians to observations.
     pub fn method(&self) -> Plugin<dyn Method> {
         if let Some(method) = &self.method {
             return method.clone();
@@ -111,15 +112,15 @@ impl Pipeline {
         method.into()
     }
 
-    /// The numbers of one observation of `data`: of spectra, the picture as the projector draws it.
+    /// Image plane of one observation of `data`; for spectra, the plane of the projector.
     ///
     /// # Errors
-    /// Where the projector cannot draw it.
+    /// The projector does not support the data.
     pub fn plane(&self, data: &Dataset) -> Result<ImagePlane> {
         Stages::of(self.method(), data).map(|stages| stages.frame.plane)
     }
 
-    /// What is trained, as it stands.
+    /// Training plan without scaling.
     pub(crate) fn as_plan(&self) -> TrainingPlan {
         TrainingPlan {
             name: self.name.clone(),
@@ -131,15 +132,15 @@ impl Pipeline {
         }
     }
 
-    /// How its split divides `data`.
+    /// Splits `data` with the split of the pipeline.
     ///
     /// # Errors
-    /// What the split refuses.
+    /// Errors of the split.
     pub fn partition(&self, data: &Dataset) -> Result<Partition> {
         self.split.split(data, &mut rng::stream(self.split_seed.unwrap_or(self.seed), "split", 0))
     }
 
-    /// This pipeline without what changes nothing of the result: TensorBoard, and how often a checkpoint is written.
+    /// Pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.
     pub fn essential(&self) -> Self {
         let checkpoint_every = Training::default().checkpoint_every;
         let training = Training { checkpoint_every, ..Training::clone(&self.training) };

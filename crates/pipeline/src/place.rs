@@ -1,4 +1,4 @@
-//! `Place`: a value in the text of a pipeline, reached by its path, and what may stand there.
+//! `Place`: a value in the text of a pipeline, found by its path, with its type.
 
 use crate::changes::shortened;
 use crate::pipeline::Pipeline;
@@ -8,19 +8,19 @@ use pwrfgs_core::docs::{Body as Parts, Docs, Field, Kind};
 use pwrfgs_core::plugin::Family;
 use std::ops::Range;
 
-/// A place in a pipeline: the value there, and what may stand there as far as that is known.
+/// Value in a pipeline, with its type if known.
 pub(crate) struct Place<'a> {
-    /// How it was reached, for messages.
+    /// Path, for messages.
     name: String,
     pub(crate) tree: &'a Tree,
     pub(crate) kind: Option<Kind>,
 }
 
-/// New text for old.
+/// Text range and its replacement.
 pub(crate) type Edit = (Range<usize>, String);
 
 impl<'a> Place<'a> {
-    /// The place that `path` names.
+    /// Finds the value at `path`.
     pub(crate) fn at(path: &str, tree: &'a Tree) -> Result<Self, String> {
         let mut place = Self { name: String::new(), tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
         for step in path.trim().split('.') {
@@ -29,7 +29,7 @@ impl<'a> Place<'a> {
         Ok(place)
     }
 
-    /// The place called `step` inside this one.
+    /// Finds the part `step` of this value.
     fn step(self, step: &str) -> Result<Self, String> {
         let Self { name, tree, kind } = self;
         let path = if name.is_empty() { step.to_owned() } else { format!("{name}.{step}") };
@@ -72,7 +72,7 @@ impl<'a> Place<'a> {
         ))
     }
 
-    /// What a person leaves out: quotes around a text or path, parentheses after a plugin.
+    /// Adds omitted quotes around text or a path, and parentheses after a plugin.
     pub(crate) fn complete(&self, value: &str) -> String {
         let (optional, kind) = match &self.kind {
             Some(Kind::Optional(inner)) => (true, Some(&**inner)),
@@ -91,12 +91,12 @@ impl<'a> Place<'a> {
         if bare && plugin && !absent { format!("{value}()") } else { value.to_owned() }
     }
 
-    /// Whether the value that stands here is a text.
+    /// Whether the present value is text.
     fn old_text(&self) -> bool {
         self.tree.name.is_none() && self.tree.body == Body::Plain && self.tree.quoted
     }
 
-    /// Puts `new`, which stands in `text`, here.
+    /// Replaces this value by `new`, a value of `text`.
     pub(crate) fn put(self, new: &Tree, text: &str, edits: &mut Vec<Edit>) -> Result<(), String> {
         let settings = matches!(self.kind, Some(Kind::Of(Docs { body: Parts::Fields(_), .. })));
         let merges = settings || new.name.is_none();
@@ -112,7 +112,7 @@ impl<'a> Place<'a> {
     }
 }
 
-/// Where the paths in the value `tree` of `text` stand, as the fields that take a path say.
+/// Positions of all paths in the value `tree` of `text`, according to its type.
 pub(crate) fn paths<'a>(kind: &Kind, tree: &'a Tree, text: &str) -> Vec<&'a Tree> {
     let kind = inside(kind);
     if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
@@ -130,7 +130,7 @@ pub(crate) fn paths<'a>(kind: &Kind, tree: &'a Tree, text: &str) -> Vec<&'a Tree
     fields.chain(items).flat_map(|(kind, value)| paths(&kind, value, text)).collect()
 }
 
-/// What the source says about a field of the value `tree`.
+/// Documentation of a field of the value `tree`.
 fn field(kind: Option<&Kind>, tree: &Tree, name: &str) -> Option<&'static Field> {
     match kind? {
         Kind::Of(docs) => docs.field(tree.name.as_deref(), name),
@@ -143,12 +143,12 @@ fn field(kind: Option<&Kind>, tree: &Tree, name: &str) -> Option<&'static Field>
     }
 }
 
-/// Through `Option`.
+/// Inner type of an `Option`.
 fn inside(kind: &Kind) -> &Kind {
     if let Kind::Optional(inner) = kind { inside(inner) } else { kind }
 }
 
-/// What stands at one place of a list.
+/// Type of an element of a list.
 fn part(kind: &Kind, step: &str) -> Kind {
     match inside(kind) {
         Kind::List(inner) => (**inner).clone(),
@@ -157,11 +157,11 @@ fn part(kind: &Kind, step: &str) -> Kind {
     }
 }
 
-/// The place `step` of a list: a number, counted from 0, or a name that comes once.
+/// Element `step` of a list: a number, counted from 0, or a unique name.
 fn listed<'a>(here: &str, path: &str, items: &'a [Tree], step: &str) -> Result<&'a Tree, String> {
     if let Ok(index) = step.parse::<usize>() {
         let count = items.len();
-        let none = || format!("{here} has {count} entries, counted from 0, and none numbered {step}");
+        let none = || format!("{here} has {count} entries, counted from 0, but no entry {step}");
         return items.get(index).ok_or_else(none);
     }
     let named: Vec<usize> = (0..items.len()).filter(|&i| items[i].name.as_deref() == Some(step)).collect();
@@ -172,25 +172,25 @@ fn listed<'a>(here: &str, path: &str, items: &'a [Tree], step: &str) -> Result<&
             let hint = did_you_mean(step, names.iter().copied());
             let there =
                 if names.is_empty() { "it is empty".into() } else { format!("there are `{}`", names.join("`, `")) };
-            Err(format!("{here} has no entry {}{hint} ({there}); to add one, give the list whole", quoted(step)))
+            Err(format!("{here} has no entry {}{hint} ({there}); to add one, give the complete list", quoted(step)))
         }
         _ => {
             let places: Vec<String> = named.iter().map(|i| format!("`{path}.{i}`")).collect();
-            Err(format!("{here} has {} entries `{step}`; say which: {}", named.len(), places.join(", ")))
+            Err(format!("{here} has {} entries `{step}`; select one: {}", named.len(), places.join(", ")))
         }
     }
 }
 
-/// Where another plugin of this kind has the field: give that whole.
+/// Hint to give the complete plugin if another plugin of this kind has the field.
 fn whole(kind: Option<&'static str>, path: &str, step: &str) -> String {
     let members = kind.and_then(Family::find).map(|family| (family.members)()).unwrap_or_default();
     let other = members.iter().find(|m| m.docs.is_some_and(|docs| docs.field(None, step).is_some()));
     other.map_or_else(String::new, |m| {
-        format!("; for another plugin give it whole, such as '{path}={}({step}: ..)'", m.name)
+        format!("; to switch to another plugin, pass the complete plugin, such as '{path}={}({step}: ..)'", m.name)
     })
 }
 
-/// In quotes, as [`shortened`].
+/// Quotes a text, see [`shortened`].
 pub(crate) fn quoted(text: &str) -> String {
     format!("`{}`", shortened(text))
 }

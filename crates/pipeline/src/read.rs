@@ -1,4 +1,4 @@
-//! A pipeline from its text, and whether its parts go together: data, method and metrics of one task, and pruners.
+//! Reads a pipeline and checks that data, method, metrics and pruners fit together.
 
 use crate::changes::{line_and_column, shortened};
 use crate::defaults;
@@ -11,19 +11,19 @@ use pwrfgs_train::Rays;
 use ron::error::SpannedError;
 use std::path::Path;
 
-/// Why a text is no pipeline.
+/// Problem of a pipeline text.
 #[derive(Debug)]
 pub(crate) struct Misfit {
     pub(crate) message: String,
-    /// Where, as a byte of the text.
+    /// Position, as a byte index of the text.
     pub(crate) at: Option<usize>,
     pub(crate) hint: TypeHint,
 }
 
-/// Whether a message should add what a value may be.
+/// Whether a message should list the allowed values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TypeHint {
-    /// The message says it.
+    /// The message contains it.
     Never,
     /// If the value has no parts.
     AtLeaf,
@@ -32,7 +32,7 @@ pub(crate) enum TypeHint {
 }
 
 impl Misfit {
-    /// Of a text that is no pipeline by its grammar or the types of its values.
+    /// Creates the misfit for a syntax or type error of the text.
     fn reading(error: &SpannedError, text: &str) -> Self {
         let hint = match error.code {
             ron::Error::Message(_) => TypeHint::AtLeaf,
@@ -47,7 +47,7 @@ impl Misfit {
         Self { message: explain(error), at: Some(line + column), hint }
     }
 
-    /// Of a `field` that does not fit the others; it stands at the data if the field was left out.
+    /// Creates the misfit for a `field` that does not fit the others; at the data if the field was omitted.
     pub(crate) fn of(field: &str, message: String, tree: &Tree) -> Self {
         let place = tree.field(field).or_else(|| tree.field("data"));
         Self { message, at: place.map(|place| place.span.start), hint: TypeHint::Never }
@@ -55,7 +55,7 @@ impl Misfit {
 }
 
 impl Pipeline {
-    /// Reads a pipeline; `path` is for messages only.
+    /// Reads a pipeline; `path` is used only in messages.
     ///
     /// # Errors
     /// [`Error::Input`] with line and column.
@@ -67,7 +67,7 @@ impl Pipeline {
         })
     }
 
-    /// [`Self::parse`] with the place in bytes.
+    /// Same as [`Self::parse`], with byte positions.
     pub(crate) fn read(text: &str) -> Result<Self, Misfit> {
         let mut pipeline: Self = ron_options().from_str(text).map_err(|e| Misfit::reading(&e, text))?;
         let tree = Tree::parse(text).map_err(|message| Misfit { message, at: None, hint: TypeHint::Never })?;
@@ -80,7 +80,7 @@ impl Pipeline {
         Ok(pipeline)
     }
 
-    /// Fills in the fields that were `left_out` and whose default depends on others.
+    /// Sets the fields that were `left_out` and whose default depends on others.
     fn complete(&mut self, left_out: &dyn Fn(&str) -> bool) -> Result<(), String> {
         if left_out("initializer") && self.method.as_ref().is_none_or(|method| method.traits().has_gaussians()) {
             return Err("the field `initializer` is missing".into());
@@ -98,19 +98,19 @@ impl Pipeline {
         Ok(())
     }
 
-    /// The first baseline or metric that does not support observations of `task`: its field, and what to do.
+    /// Field and advice for the first baseline or metric that does not support `task`.
     pub fn unsupported(&self, task: Task) -> Option<(&'static str, String)> {
-        let what = |name: String, role: &str| format!("`{name}` is no {role} of {}; leave it out", task.plural);
+        let what = |name: String, role: &str| format!("`{name}` does not support {} as {role}; remove it", task.plural);
         let baseline = self.baselines.iter().find(|baseline| !baseline.supports(task));
         let metric = || self.metrics.iter().find(|metric| !metric.supports(task));
         let of_baseline = baseline.map(|baseline| ("baselines", what(name_of(baseline), "baseline")));
         of_baseline.or_else(|| Some(("metrics", what(name_of(metric()?), "metric"))))
     }
 
-    /// Refuses baselines and metrics that cannot work on `data`, before a model is trained for their table.
+    /// Returns an error if a baseline or metric does not support `data`.
     ///
     /// # Errors
-    /// The first that refuses, by the name of its field.
+    /// The first error, with the name of its field.
     pub fn check_data(&self, data: &Dataset) -> Result<(), Error> {
         let named = |field: &str, error: Error| match error {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
@@ -128,7 +128,7 @@ impl Pipeline {
         }
     }
 
-    /// What plugins cannot see of each other: the field and what is wrong.
+    /// Checks between plugins: the field and its problem.
     fn check(&self) -> Result<(), (&'static str, String)> {
         if let Some((field, what)) = mixed(self) {
             return Err((field, format!("{field}: {what}")));
@@ -151,25 +151,24 @@ impl Pipeline {
     }
 }
 
-/// The first field that does not support the data, and what to do about it; nothing where the source does not know
-/// before it loads.
+/// First field that does not support the data, with advice; `None` if the task is unknown before loading.
 fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let pruners = || pipeline.as_plan().check().err().map(|what| ("pruners", what));
     other_kinds(pipeline).or_else(pruners).or_else(|| unable(pipeline))
 }
 
-/// What the method cannot do that the pipeline wants of it.
+/// Capability that the pipeline requires and the method lacks.
 fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let method = pipeline.method();
     let traits = method.traits();
     let chooses = traits.chooses_pixels && pipeline.data.task().is_none_or(|task| task.has_pixels);
     if pipeline.training.rays != Rays::All && !chooses {
-        let what = "`rays` wants single pixels of spectra, which Nerf2 draws; leave it out".to_owned();
+        let what = "`rays` needs a method that renders single pixels, such as Nerf2; remove it".to_owned();
         return Some(("training", what));
     }
     let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target == 0;
     if !traits.has_gaussians() && !nobody_prunes {
-        let what = format!("{} has no Gaussians, so there is nothing to prune; leave them out", name_of(&method));
+        let what = format!("{} has no Gaussians to prune; remove the pruners", name_of(&method));
         return Some(("pruners", what));
     }
     None
@@ -179,22 +178,22 @@ fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let task = pipeline.data.task()?;
     let field = if pipeline.method.is_some() { "method" } else { "readout" };
     if let Some(own) = pipeline.method().traits().task.filter(|own| *own != task) {
-        let what = format!("it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method);
+        let what = format!("it predicts {}, but the data are {}; use {}", own.plural, task.plural, task.method);
         return Some((field, what));
     }
     if let Some(field) = unused(pipeline, task) {
-        let what = format!("the method of {} has none; leave it out, or at its default", task.plural);
+        let what = format!("the method of {} does not use it; remove it", task.plural);
         return Some((field, what));
     }
     if !pipeline.initializer.supports(task) {
         let name = name_of(&pipeline.initializer);
-        let what = format!("`{name}` does not search {}; use another, such as Random()", task.plural);
+        let what = format!("`{name}` does not support {}; use another, such as Random()", task.plural);
         return Some(("initializer", what));
     }
     pipeline.unsupported(task)
 }
 
-/// The first field of splats that is not at its default, although [`Pipeline::method`] takes a method without it.
+/// First field of splats with a value other than its default, although [`Pipeline::method`] does not use it.
 fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
     if pipeline.method.is_some() || !task.is_complex {
         return None;

@@ -1,40 +1,40 @@
-//! RON text as a tree of places: where each value stands and what its fields are called. Types, numbers and names of
-//! variants are left to the parser; this is for changing a value in its text, which loses nothing, and for comments on it.
+//! RON text as a tree with text positions and field names, for lossless edits and comments. Types, numbers and variant
+//! names are validated by the parser.
 
 use std::ops::Range;
 
-/// Values nested deeper than this are no settings.
+/// Largest nesting depth.
 const DEEPEST: usize = 100;
 
-/// A value in a text.
+/// Value in a text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
-    /// Where it stands, in bytes.
+    /// Text range, bytes.
     pub span: Range<usize>,
-    /// Its name: `Mercator` of `Mercator(blur: 0.3)`, `true` of `true`.
+    /// Name: `Mercator` of `Mercator(blur: 0.3)`, `true` of `true`.
     pub name: Option<String>,
-    /// What it holds.
+    /// Content of the value.
     pub body: Body,
-    /// Whether it is a text.
+    /// Whether it is a quoted text.
     pub quoted: bool,
 }
 
-/// What a value holds.
+/// Content of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Body {
-    /// Nothing that is named or counted: a number, a text, a name alone, a map.
+    /// Value without parts: a number, a text, a name alone, a map.
     Plain,
-    /// Fields, in parentheses.
+    /// Named fields in parentheses.
     Fields(Vec<(String, Tree)>),
-    /// Values without names, in brackets or parentheses.
+    /// Unnamed values in brackets or parentheses.
     Items(Vec<Tree>),
 }
 
 impl Tree {
-    /// The value that is the whole of `text`.
+    /// Parses `text` as a single value.
     ///
     /// # Errors
-    /// What is wrong, with the byte where it is.
+    /// The problem with its byte position.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut reader = Reader { text, at: 0 };
         reader.attributes()?;
@@ -48,23 +48,23 @@ impl Tree {
         self.fields().iter().find(|(field, _)| field == name).map(|(_, tree)| tree)
     }
 
-    /// All fields; none where the value has no named ones.
+    /// All named fields, or none.
     pub fn fields(&self) -> &[(String, Self)] {
         if let Body::Fields(fields) = &self.body { fields } else { &[] }
     }
 
-    /// All values without names; none where there are fields.
+    /// All unnamed values, or none.
     pub fn items(&self) -> &[Self] {
         if let Body::Items(items) = &self.body { items } else { &[] }
     }
 
-    /// Where the keys of a map stand, in bytes of `text`; none of any other value.
+    /// Text ranges of the keys of a map, bytes; none for other values.
     pub fn keys(&self, text: &str) -> Vec<Range<usize>> {
         let mut reader = Reader { text, at: self.span.start };
         if reader.peek() == Some('{') { reader.map(0).unwrap_or_default() } else { Vec::new() }
     }
 
-    /// Where the values that hold the byte `at` stand, the smallest first; both ends count.
+    /// Text ranges of the values that contain the byte `at`, smallest first; both ends count.
     pub fn around(&self, at: usize) -> Vec<Range<usize>> {
         if !(self.span.start..=self.span.end).contains(&at) {
             return Vec::new();
@@ -75,7 +75,7 @@ impl Tree {
         around
     }
 
-    /// Its own text in that of the whole.
+    /// Text of this value.
     pub fn of<'a>(&self, text: &'a str) -> &'a str {
         &text[self.span.clone()]
     }
@@ -102,7 +102,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Spaces and comments.
+    /// Skips spaces and comments.
     fn space(&mut self) -> Result<(), String> {
         loop {
             self.at += self.rest().len() - self.rest().trim_start().len();
@@ -116,7 +116,7 @@ impl Reader<'_> {
         }
     }
 
-    /// `#![enable(..)]` at the begin of a file.
+    /// Skips `#![enable(..)]` at the start of a file.
     fn attributes(&mut self) -> Result<(), String> {
         self.space()?;
         while self.rest().starts_with("#!") {
@@ -132,7 +132,7 @@ impl Reader<'_> {
         found
     }
 
-    /// Letters, digits and `_` from here on; for a number also what signs and points it has.
+    /// Reads letters, digits and `_`; for numbers also signs and points.
     fn word(&mut self, more: &str) -> &str {
         let raw = self.rest().strip_prefix("r#").is_some_and(|rest| rest.starts_with(char::is_alphabetic));
         self.at += if raw { 2 } else { 0 };
@@ -174,7 +174,7 @@ impl Reader<'_> {
         Ok(Tree { span: from..self.at, name, body, quoted })
     }
 
-    /// `"text"`.
+    /// Skips a string, `"text"`.
     fn quoted(&mut self) -> Result<(), String> {
         self.take('"');
         let mut escaped = false;
@@ -190,7 +190,7 @@ impl Reader<'_> {
         Err("a text does not end; it lacks a `\"`".into())
     }
 
-    /// `r#"text"#`.
+    /// Skips a raw string, `r#"text"#`.
     fn raw(&mut self) -> Result<(), String> {
         let marks = self.rest()[1..].find('"').unwrap_or(0);
         let (start, end) = (marks + 2, format!("\"{}", "#".repeat(marks)));
@@ -199,7 +199,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `'c'`.
+    /// Skips a character, `'c'`.
     fn character(&mut self) -> Result<(), String> {
         let inside = self.rest().char_indices().skip(if self.rest().starts_with("'\\") { 3 } else { 2 });
         let end = inside.filter(|(_, c)| *c == '\'').map(|(i, _)| i).next().ok_or("a character lacks its `'`")?;
@@ -207,7 +207,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `(field: value, ..)` or `(value, ..)`.
+    /// Parses `(field: value, ..)` or `(value, ..)`.
     fn structure(&mut self, depth: usize) -> Result<Body, String> {
         let from = self.at;
         self.take('(');
@@ -250,7 +250,7 @@ impl Reader<'_> {
         }
     }
 
-    /// `{key: value, ..}`: where the keys stand.
+    /// Parses `{key: value, ..}`; returns the text ranges of the keys.
     fn map(&mut self, depth: usize) -> Result<Vec<Range<usize>>, String> {
         let mut keys = Vec::new();
         self.take('{');
@@ -269,7 +269,7 @@ impl Reader<'_> {
         }
     }
 
-    /// A comma, unless the end follows.
+    /// Skips a comma, unless the end follows.
     fn comma(&mut self, close: char) -> Result<(), String> {
         self.space()?;
         if self.take(',') || self.peek() == Some(close) {

@@ -1,9 +1,9 @@
-//! The event file through a reader of its own: a table for the checksum, and fields in their fixed order.
+//! The event file, parsed by an independent reader: a table for the checksum, and fields in their fixed order.
 
 use super::*;
 use std::io::Read as _;
 
-/// CRC-32C by table, eight bits at a time, its polynomial the other way round.
+/// CRC-32C by table, eight bits at a time, with reflected polynomial.
 fn crc32c(bytes: &[u8]) -> u32 {
     let table: Vec<u32> = (0..=255_u8)
         .map(|byte| {
@@ -19,7 +19,7 @@ fn crc32c(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, byte| table[usize::from(crc as u8 ^ byte)] ^ crc >> 8)
 }
 
-/// What an event says: its step and its numbers; the version has none.
+/// Step and numbers of an event; the version has none.
 type Seen = (u64, Vec<(String, f32)>);
 
 /// Every event of a whole file.

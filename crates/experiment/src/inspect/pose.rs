@@ -1,4 +1,4 @@
-//! Whether the recorded pose can be right: the line of sight by geometry against the strongest direction.
+//! Check of the recorded pose: geometric line of sight compared with the strongest direction.
 //!
 //! If most transmitters are received strongest along the direct path, the strongest directions of spectra are the lines of
 //! sight in the receiver's frame, up to one rotation: the error of the recorded orientation. The rotation that fits best
@@ -10,31 +10,31 @@ use crate::statistics::quantile;
 use glam::{DQuat, DVec3};
 use pwrfgs_core::{Axis, Dataset, ImagePlane, evenly};
 
-/// Most pairs that are compared.
+/// Largest number of compared pairs.
 const PAIRS: usize = 4_000;
-/// Fewest pairs that decide anything.
+/// Smallest number of pairs for a verdict.
 const FEWEST: usize = 20;
 
 /// Comparison of lines of sight with strongest directions; angles in degrees, medians over spectra.
 #[derive(Clone, Debug)]
 pub struct PoseCheck {
-    /// Transmitters with a strongest direction that were compared.
+    /// Number of transmitters whose strongest direction was compared.
     pub pairs: usize,
     /// Angle between line of sight and strongest direction, by the recorded pose.
     pub recorded: f64,
-    /// The same after the rotation that fits best.
+    /// Angle after the best rotation.
     pub turned: f64,
     /// Angle between the strongest direction and the constant direction that fits best.
     pub constant: f64,
     /// Angle of the best rotation.
     pub turn: f64,
-    /// The orientation x, y, z, w that the best rotation makes of the recorded one.
+    /// Orientation x, y, z, w after the best rotation of the recorded one.
     pub orientation: [f64; 4],
-    /// Angle of lines of sight from their middle.
+    /// Angle of lines of sight from their mean direction.
     pub spread: f64,
-    /// Other meanings of the recorded numbers, with the angle.
+    /// Alternative interpretations of the recorded numbers, with the angle.
     readings: Vec<(&'static str, f64)>,
-    /// Spectra with reversed columns, and rows, with the angle after the rotation that then fits best.
+    /// Spectra with reversed columns or rows, with the angle after the best rotation.
     flips: Vec<(Flip, f64)>,
     /// Conclusion.
     pub verdict: Verdict,
@@ -42,7 +42,7 @@ pub struct PoseCheck {
 
 /// Checks the recorded pose; `None` if fewer than twenty spectra have a strongest direction.
 pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
-    // Of several receivers the first: each has a pose of its own to be wrong.
+    // The first of several receivers; each has its own pose.
     let receiver = data.scene.origin.world_pose(data.scene.pose());
     let pair = |spectrum: &SpectrumSummary| {
         let sample = data.sample(spectrum.sample);
@@ -90,10 +90,10 @@ pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     Some(found)
 }
 
-/// Columns and rows reversed, with the orientation that fits best.
+/// Reversed columns and rows, with the best orientation.
 fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<(Flip, f64)> {
     let Some((azimuth, elevation)) = plane.angles else { return Vec::new() };
-    // The last pixel takes the place of the first.
+    // The last pixel takes the position of the first.
     let ends = |axis: Axis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
     let (across, up) = (ends(azimuth, plane.width), ends(elevation, plane.height));
     let flip = |d: DVec3, is_rows: bool| {
@@ -108,7 +108,7 @@ fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<(Flip, f64)> {
     vec![angle(COLUMNS, false), angle(ROWS, true)]
 }
 
-/// Median angle of `pairs` once the first of each is turned, degrees.
+/// Median angle of `pairs` after rotating the first direction of each, degrees.
 fn median(pairs: &[Pair], turn: DQuat) -> f64 {
     median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
@@ -122,7 +122,7 @@ fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {
 /// Conclusion about the recorded pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Turning the receiver gains nothing.
+    /// A rotation gives no improvement.
     Right,
     /// The strongest direction follows the line of sight, once the receiver is turned.
     Off,
@@ -134,14 +134,14 @@ pub enum Verdict {
     NotDirect,
 }
 
-/// A turn below this is within the precision of the strongest pixel, degrees.
+/// Largest rotation within the precision of the strongest pixel, degrees.
 const SMALL_DEG: f64 = 2.0;
-/// The strongest direction follows the line of sight if the remaining angle is at most this part of that which a constant
-/// direction leaves.
+/// Largest ratio of remaining angle to the angle of a constant direction for which the strongest direction follows the
+/// line of sight.
 const FOLLOWS: f64 = 0.6;
-/// An angle beyond this is no line of sight, degrees.
+/// Angle above which the strongest direction is not the line of sight, degrees.
 const WIDE_DEG: f64 = 20.0;
-/// Name of a flip of the spectra, and how to undo it.
+/// Name of a flip of the spectra, and its correction.
 type Flip = (&'static str, &'static str);
 const COLUMNS: Flip = ("columns reversed (azimuth the other way)", "save the spectra as s[:, :, ::-1]");
 const ROWS: Flip = (
@@ -164,7 +164,7 @@ impl Verdict {
         }
     }
 
-    /// One sentence.
+    /// Verdict in one sentence.
     pub fn title(self) -> &'static str {
         match self {
             Self::Right => "The recorded orientation fits the spectra.",
@@ -184,7 +184,7 @@ impl PoseCheck {
         self.turned <= FOLLOWS * self.constant
     }
 
-    /// The angles and what follows from them.
+    /// Angles and conclusion as sentences.
     pub fn sentences(&self) -> Vec<String> {
         let Self { recorded, turned, constant, turn, spread, pairs, .. } = self;
         let [x, y, z, w] = self.orientation;
@@ -213,13 +213,13 @@ impl PoseCheck {
         all
     }
 
-    /// Another meaning of the recorded numbers that fits much better than the documented one.
+    /// Interpretation of the recorded numbers that fits much better than the documented one.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let limit = (0.5 * self.recorded).min(1.5 * self.turned);
         self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 
-    /// The flip that fits best, if it fits much better than any rotation does.
+    /// Best flip, if it fits much better than any rotation.
     fn flip(&self) -> Option<&(Flip, f64)> {
         let limit = (0.5 * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
         self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1))

@@ -1,30 +1,30 @@
-//! The rotation that fits pairs of directions best, not misled by some that are wrong.
+//! Robust rotation between pairs of directions.
 //!
 //! Wahba's problem, max over R of Σ w bᵀRa, is the largest eigenvector of a symmetric 4 x 4 matrix (Davenport's
-//! q-method). Weights 1/angle, found anew in turn, make it the least sum of angles: reflections that are stronger than
-//! the direct path then count little.
+//! q-method). With weights 1/angle, updated iteratively, the result minimises the sum of angles: reflections that are
+//! stronger than the direct path then have little influence.
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
-/// Angles below this count alike, radians: about a pixel.
+/// Smallest angle in the weights, radians: about a pixel.
 const LEAST: f64 = 0.01;
-/// Rounds of reweighting.
+/// Number of reweighting iterations.
 const ROUNDS: usize = 40;
-/// Squarings of the matrix: eigenvalues that differ by a part in 10⁹ are told apart.
+/// Number of matrix squarings, which separate eigenvalues with a relative difference of 10⁻⁹.
 const SQUARINGS: usize = 36;
 
-/// Two directions that should be one.
+/// Two directions that should coincide.
 pub(super) type Pair = (DVec3, DVec3);
 
-/// Angle between two unit vectors, radians; exact for small ones, as the arc cosine is not.
+/// Angle between two unit vectors, radians; accurate for small angles, unlike the arc cosine.
 pub(super) fn angle(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-/// The rotation R with the least Σ angle(R a, b).
+/// Rotation R with the smallest Σ angle(R a, b).
 pub(super) fn best(pairs: &[Pair]) -> DQuat {
     let cost = |r: &DQuat| pairs.iter().map(|(a, b)| angle(*r * *a, *b)).sum::<f64>();
-    // Two starts: no rotation, and the one with the least squares.
+    // Two starts: no rotation, and the least-squares rotation.
     let [a, b] = [DQuat::IDENTITY, wahba(pairs, &vec![1.0; pairs.len()])].map(|start| refined(start, pairs));
     if cost(&b) < cost(&a) { b } else { a }
 }
@@ -42,7 +42,7 @@ fn refined(mut rotation: DQuat, pairs: &[Pair]) -> DQuat {
     rotation
 }
 
-/// The rotation with the largest Σ w bᵀRa.
+/// Rotation with the largest Σ w bᵀRa.
 fn wahba(pairs: &[Pair], weights: &[f64]) -> DQuat {
     let (mut m, mut z) = (DMat3::ZERO, DVec3::ZERO);
     for ((a, b), w) in pairs.iter().zip(weights) {
@@ -52,7 +52,7 @@ fn wahba(pairs: &[Pair], weights: &[f64]) -> DQuat {
     let (trace, s) = (m.x_axis.x + m.y_axis.y + m.z_axis.z, m + m.transpose());
     let mut k = DMat4::from_mat3(s - DMat3::from_diagonal(DVec3::splat(trace)));
     (k.w_axis, k.x_axis.w, k.y_axis.w, k.z_axis.w) = (z.extend(trace), z.x, z.y, z.z);
-    // Shifted to be positive, the matrix squared again and again keeps its largest eigenvector alone.
+    // Repeated squaring of the shifted, positive matrix leaves its largest eigenvector.
     let size = |m: &DMat4| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
     k += DMat4::IDENTITY * size(&k);
     for _ in 0..SQUARINGS {
@@ -64,7 +64,7 @@ fn wahba(pairs: &[Pair], weights: &[f64]) -> DQuat {
     DQuat::from_vec4(longest.unwrap_or_default().normalize_or(glam::DVec4::W))
 }
 
-/// The direction with the least sum of angles to all (the spherical median).
+/// Direction with the smallest sum of angles to all (spherical median).
 pub(super) fn middle(directions: &[DVec3]) -> DVec3 {
     let mut middle = directions.iter().sum::<DVec3>().normalize_or(DVec3::Z);
     for _ in 0..ROUNDS {
@@ -90,7 +90,7 @@ mod tests {
             let truth = DQuat::from_axis_angle(direction(&mut random), 0.15 * f64::from(k));
             let pair = |i: usize, random: &mut rng::Rng| {
                 let a = direction(random);
-                // A third of the pairs are anything.
+                // A third of the pairs are random.
                 (a, if i.is_multiple_of(3) { direction(random) } else { truth * a })
             };
             let pairs: Vec<Pair> = (0..300).map(|i| pair(i, &mut random)).collect();

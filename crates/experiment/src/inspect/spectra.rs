@@ -1,4 +1,4 @@
-//! One pass over the spectra: range, normalisation, strongest direction, and those that are constant or equal.
+//! Single pass over the spectra: range, normalisation, strongest direction, constant and equal spectra.
 
 use glam::DVec3;
 use pwrfgs_core::{Dataset, Image, ImagePlane, Progress, Real, Result, evenly};
@@ -7,23 +7,23 @@ use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hasher as _};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Pixels of the largest value this near to the first of them belong to the same direction, degrees.
+/// Angle from the first of several maximum pixels within which they count as one direction, degrees.
 const PLATEAU_DEG: f64 = 15.0;
-/// Largest distance from 0 or 1 that rounding explains.
+/// Tolerance around 0 and 1 for rounding.
 const ROUNDING: f64 = 1e-6;
-/// Ids that are named one by one.
+/// Largest number of listed ids.
 const NAMED: usize = 5;
 
-/// What one spectrum contains.
+/// Summary of one spectrum.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SpectrumSummary {
-    /// Sample.
+    /// Sample index.
     pub(crate) sample: usize,
     /// Smallest and largest pixel.
     range: (f64, f64),
-    /// Strongest direction, a unit vector in the receiver frame; `None` of a constant spectrum.
+    /// Strongest direction, a unit vector in the receiver frame; `None` for a constant spectrum.
     pub(crate) strongest: Option<DVec3>,
-    /// Equal for equal spectra.
+    /// Hash, equal for equal spectra.
     hash: u64,
 }
 
@@ -58,7 +58,7 @@ fn directions(plane: &ImagePlane) -> Vec<DVec3> {
 fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>) {
     let ends = |(low, high): (Real, Real), p: &Real| (low.min(*p), high.max(*p));
     let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), ends);
-    // Rounding gives the strongest direction a plateau of equal pixels: its middle is meant, not its first corner.
+    // Rounding gives the strongest direction a plateau of equal pixels: its centre is used, not its first corner.
     let first = directions[image.argmax()];
     let cos = PLATEAU_DEG.to_radians().cos();
     let plateau = image.pixels.iter().zip(directions).filter(|(p, d)| **p == high && d.dot(first) > cos);
@@ -66,7 +66,7 @@ fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>)
     ((low as f64, high as f64), (low < high).then(|| middle.try_normalize().unwrap_or(first)))
 }
 
-/// Storage, normalisation and unusual spectra, a name and its text each.
+/// Storage, normalisation and unusual spectra, as names and texts.
 pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static str, String)> {
     let ends = |(low, high): (f64, f64), s: &SpectrumSummary| (low.min(s.range.0), high.max(s.range.1));
     let (low, high) = all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
@@ -96,7 +96,7 @@ fn normalization(all: &[SpectrumSummary], constant: usize) -> &'static str {
     }
 }
 
-/// `3 constant (ids 4, 7, 9)`.
+/// Formats a count with ids, such as `3 constant (ids 4, 7, 9)`.
 fn listed(what: &str, ids: &[u32]) -> String {
     if ids.is_empty() {
         return format!("none {what}");

@@ -1,38 +1,38 @@
-//! From pairs at small distances to distance zero.
+//! Extrapolation of pairs at small distances to distance zero.
 
 use super::pairs::Pair;
 use crate::statistics::Summary;
 use pwrfgs_core::Goal;
 use std::collections::BTreeMap;
 
-/// Most samples that count as one, since what is measured within a moment is alike.
+/// Largest number of consecutive samples in a block, since samples close in time are correlated.
 const BLOCK: usize = 64;
-/// Least number of such blocks, where samples are few.
+/// Smallest number of blocks for few samples.
 const BLOCKS: usize = 50;
-/// Standard deviations on either side that hold 95 %.
+/// Half-width of a 95 % interval, in standard deviations.
 const DEVIATIONS: f64 = 1.96;
 
-/// A metric of pairs at distance zero.
+/// Metric of pairs, extrapolated to distance zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtZero {
-    /// Over pairs.
+    /// Summary over pairs.
     pub summary: Summary,
-    /// Where the mean lies with 95 % confidence.
+    /// 95 % confidence interval of the mean.
     pub interval: [f64; 2],
 }
 
-/// What the values of a metric mean.
+/// Reference values of a metric.
 pub(super) struct Scale {
     pub(super) goal: Goal,
-    /// Of a spectrum and itself.
+    /// Score of a spectrum as a prediction of itself.
     pub(super) best: f64,
-    /// Mean over spectra that have nothing to do with each other.
+    /// Mean score between unrelated spectra.
     pub(super) unrelated: f64,
 }
 
 impl Scale {
-    /// `value` of a pair, where the mean is `there`, as it would be where the mean is `here`: what it lacks of the best
-    /// grows or shrinks as what the mean lacks does. Where the best is infinite it moves as far as the mean.
+    /// Moves `value` of a pair from a mean of `there` to a mean of `here`: its deficit to the best value scales like
+    /// that of the mean. With an infinite best value it is shifted by the change of the mean.
     fn moved(&self, value: f64, there: f64, here: f64) -> f64 {
         match (self.best - here) / (self.best - there) {
             part if part.is_finite() => self.best - (self.best - value) * part,
@@ -42,19 +42,19 @@ impl Scale {
     }
 }
 
-/// A straight line through `values` against distance, near pairs weighing most, gives the mean; the values moved with it to
-/// distance zero give median and bad tail. There is at least one pair.
+/// Fits a straight line of `values` over distance, weighted towards near pairs, for the mean at zero; values moved
+/// along it to distance zero give median and bad tail. There is at least one pair.
 pub(super) fn at_zero(pairs: &[Pair], values: &[f64], scale: &Scale) -> Result<AtZero, String> {
     if values.iter().any(|value| !value.is_finite()) {
-        return Err("some pairs have no finite value".into());
+        return Err("some pairs have values that are not finite".into());
     }
     let reach = pairs.iter().fold(0.0, |reach: f64, pair| reach.max(pair.distance));
     let weights: Vec<f64> = pairs.iter().map(|pair| tricube(pair.distance / (1.01 * reach))).collect();
     let line = Line::through(pairs, values, &weights)
         .ok_or_else(|| format!("all pairs are {:.1} mm apart, none is closer", reach * 1e3))?;
-    // A line that goes on for longer than half of what was seen on the way from unrelated spectra is a guess.
+    // A line extrapolated by more than half of the observed range towards unrelated spectra is unreliable.
     if (line.at_zero - line.mean).abs() > 0.5 * (line.mean - scale.unrelated).abs() {
-        let what = "the closest pairs have too little in common for it: they are up to";
+        let what = "the closest pairs agree too little: they are up to";
         return Err(format!("{what} {:.1} mm apart", reach * 1e3));
     }
     let capped = |value: f64| match scale.goal {
@@ -73,23 +73,23 @@ pub(super) fn at_zero(pairs: &[Pair], values: &[f64], scale: &Scale) -> Result<A
     Ok(AtZero { summary, interval })
 }
 
-/// 1 at zero, 0 at one; for NaN, where all distances are zero, 1.
+/// Tricube weight: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
 fn tricube(part: f64) -> f64 {
     if part > 0.0 { (1.0 - part.powi(3)).powi(3) } else { 1.0 }
 }
 
-/// A straight line by weighted least squares.
+/// Straight line by weighted least squares.
 struct Line {
     at_zero: f64,
     slope: f64,
-    /// Weighted mean of the values, of the distances, and the variance of these.
+    /// Weighted mean of the values and of the distances, and the variance of the distances.
     mean: f64,
     distance: f64,
     spread: f64,
 }
 
 impl Line {
-    /// `None` where the distances are all the same and not zero.
+    /// Fits the line; `None` if all distances are equal and not zero.
     fn through(pairs: &[Pair], values: &[f64], weights: &[f64]) -> Option<Self> {
         let total: f64 = weights.iter().sum();
         let mean_of = |of: &dyn Fn(usize) -> f64| (0..pairs.len()).map(|k| weights[k] * of(k)).sum::<f64>() / total;
@@ -98,7 +98,7 @@ impl Line {
         if distance == 0.0 {
             return Some(Self { at_zero: mean, slope: 0.0, mean, distance, spread: 1.0 });
         }
-        // A thousandth of the distance is no range to see a slope over.
+        // Distances within a thousandth of each other do not determine a slope.
         if spread < 1e-6 * distance * distance {
             return None;
         }
@@ -106,13 +106,13 @@ impl Line {
         Some(Self { at_zero: mean - slope * distance, slope, mean, distance, spread })
     }
 
-    /// Standard deviation of `at_zero`. Pairs that share a block of samples are not independent: the variance for dyads of
-    /// Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring samples for nodes.
+    /// Standard deviation of `at_zero`. Pairs that share a block of samples are dependent: the variance for dyads of
+    /// Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring samples as nodes.
     fn deviation(&self, pairs: &[Pair], values: &[f64], weights: &[f64]) -> f64 {
         let samples = pairs.iter().fold(0, |most, pair| most.max(pair.later)) + 1;
         let length = (samples / BLOCKS).clamp(1, BLOCK);
         let total: f64 = weights.iter().sum();
-        // What each pair's residual moves the line by at zero, summed by pairs of blocks, and by blocks.
+        // Influence of the residual of each pair on the line at zero, summed by pairs of blocks, and by blocks.
         let (mut dyads, mut blocks): (BTreeMap<(usize, usize), f64>, BTreeMap<usize, f64>) = Default::default();
         for ((pair, value), weight) in pairs.iter().zip(values).zip(weights) {
             let aside = pair.distance - self.distance;
@@ -179,7 +179,7 @@ mod tests {
         );
     }
 
-    /// Pairs that share a sample are worth less than as many that share none.
+    /// Pairs that share a sample carry less information than pairs that share none.
     #[test]
     fn the_interval_knows_which_pairs_share_samples() {
         let values: Vec<f64> = (0..40).map(|k| 0.6 + 0.1 * f64::from(k % 2)).collect();
@@ -189,7 +189,7 @@ mod tests {
             high - low
         };
         let apart = width(&|k| (k, 3000 + 64 * k));
-        // Two samples, one in all pairs of 0.6, the other in all of 0.7: two numbers, not forty.
+        // Two samples, one in all pairs of 0.6, the other in all of 0.7: two independent values, not forty.
         let shared = width(&|k| (k % 2 * 200, 3000 + 64 * k));
         assert!((apart - 2.0 * 1.96 * 0.05 / 40f64.sqrt()).abs() < 1e-9, "{apart}");
         assert!((shared - 2.0 * 1.96 * 0.05 / 2f64.sqrt()).abs() < 1e-9, "{shared}");
@@ -203,8 +203,8 @@ mod tests {
         let steep: Vec<Pair> = (0..40).map(|k| pair(k, k + 40, 0.01 + 1e-4 * f64::from(k as u32))).collect();
         let values: Vec<f64> = steep.iter().map(|pair| 0.9 - 60.0 * pair.distance).collect();
         let why = at_zero(&steep, &values, &HIGHER).unwrap_err();
-        assert!(why.starts_with("the closest pairs have too little in common"), "{why}");
+        assert!(why.starts_with("the closest pairs agree too little"), "{why}");
         let why = at_zero(&grid, &[f64::INFINITY; 40], &HIGHER).unwrap_err();
-        assert_eq!(why, "some pairs have no finite value");
+        assert_eq!(why, "some pairs have values that are not finite");
     }
 }

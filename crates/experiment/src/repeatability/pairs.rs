@@ -1,24 +1,24 @@
-//! Which pairs of samples are compared.
+//! Selection of sample pairs for comparison.
 
 use crate::statistics::quantile;
 use pwrfgs_core::{Dataset, Real, evenly, neighbours, rng};
 use std::ops::Range;
 
-/// Ids at most this far apart are near in time.
+/// Largest difference of ids that counts as near in time.
 pub const NEAR_IDS: u32 = 3;
-/// Ids further than this apart are far apart in time.
+/// Difference of ids above which samples are far apart in time.
 pub const FAR_IDS: u32 = 30;
-/// Samples that are asked for their neighbours in space.
+/// Largest number of samples for which neighbours in space are searched.
 const ASKED: usize = 8_192;
-/// Neighbours in space far apart in time that each of them is asked for: with all that can be nearer in time, so many more
-/// are looked up.
+/// Number of neighbours in space and far apart in time per sample; more are searched, since some neighbours may be near
+/// in time.
 const NEIGHBOURS: usize = 16;
-/// Pairs drawn at random, for the distances beyond.
+/// Number of random pairs for larger distances.
 const DRAWN: usize = 20_000;
-/// Pairs drawn at random that say what spectra have in common that have nothing to do with each other.
+/// Number of random pairs for the agreement of unrelated spectra.
 const UNRELATED: usize = 200;
 
-/// Which pairs of samples.
+/// Kind of sample pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lapse {
     /// Near in time: at most [`NEAR_IDS`] ids apart.
@@ -28,7 +28,7 @@ pub enum Lapse {
 }
 
 impl Lapse {
-    /// What its pairs are.
+    /// Description of its pairs.
     pub fn words(self) -> String {
         match self {
             Self::Near => format!("near in time (at most {NEAR_IDS} ids apart)"),
@@ -42,7 +42,7 @@ impl Lapse {
 pub(super) struct Pair {
     pub(super) earlier: usize,
     pub(super) later: usize,
-    /// Between the transmitters, metres.
+    /// Distance between the transmitters, metres.
     pub(super) distance: f64,
 }
 
@@ -51,7 +51,7 @@ impl Pair {
         let (earlier, later) = (a.min(b), a.max(b));
         let [p, q] = [earlier, later].map(|i| data.sample(i).tx);
         let distance = neighbours::distance(p, q);
-        // To a nanometre, so that places given in whole millimetres are whole millimetres apart.
+        // Rounded to a nanometre, so that positions in whole millimetres have whole distances.
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
     }
 
@@ -60,8 +60,8 @@ impl Pair {
     }
 }
 
-/// Pairs of one kind, the closest first. Those near in time are all there are. Of those far apart in time all that are
-/// close are there (of 8,192 samples with any other), and of the distant ones a random part.
+/// Pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of 8,192 samples
+/// with any other), and a random part of the distant ones.
 pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
     let rows = by_receiver(data);
     let of = |own: &Vec<usize>| match lapse {
@@ -71,20 +71,20 @@ pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
     let mut pairs: Vec<Pair> = rows.iter().flat_map(of).collect();
     pairs.sort_by_key(|pair| (pair.earlier, pair.later));
     pairs.dedup();
-    // Among equal distances, of which places in whole millimetres have many, none comes first for its id.
+    // Equal distances, common for positions in whole millimetres, are not ordered by id.
     rng::shuffle(&mut rng::stream(0, "repeatability order", 0), &mut pairs);
     pairs.sort_by(|a, b| a.distance.total_cmp(&b.distance));
     pairs
 }
 
-/// Links of each receiver: only what one and the same receiver heard can be compared.
+/// Links of each receiver: only observations of the same receiver are comparable.
 fn by_receiver(data: &Dataset) -> Vec<Vec<usize>> {
     let mut rows = vec![Vec::new(); data.scene.receivers.len()];
     (0..data.len()).for_each(|i| rows[data.links[i].receiver].push(i));
     rows
 }
 
-/// Of the links `rows` of one receiver.
+/// Pairs near in time among the links `rows` of one receiver.
 fn near(data: &Dataset, rows: &[usize]) -> Vec<Pair> {
     let of = |(k, &i): (usize, &usize)| {
         let last = data.sample(i).id.saturating_add(NEAR_IDS);
@@ -94,13 +94,13 @@ fn near(data: &Dataset, rows: &[usize]) -> Vec<Pair> {
     rows.iter().enumerate().flat_map(of).collect()
 }
 
-/// Of the links `rows` of one receiver, out of some receivers.
+/// Pairs far apart in time among the links `rows` of one receiver, out of `receivers` receivers.
 fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<Pair> {
     let places: Vec<[Real; 3]> = rows.iter().map(|&i| data.scene.origin.local(data.sample(i).tx)).collect();
     let asked = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
     let from: Vec<[Real; 3]> = asked.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
-    // Beyond the horizon the lists of some samples are at their end, and what is in others is no fair sample.
+    // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
     let mut ends: Vec<f64> = found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()).collect();
     ends.sort_by(f64::total_cmp);
     let complete = found.iter().any(|list| list.len() == places.len());
@@ -115,7 +115,7 @@ fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<Pair> {
     listed.chain(drawn).collect()
 }
 
-/// Pairs of two of the links `rows` drawn at random.
+/// Random pairs of the links `rows`.
 fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = Pair> {
     let samples = rows.len();
     let mut random = rng::stream(0, "repeatability pairs", 0);
@@ -125,7 +125,8 @@ fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = P
     (0..count).map(move |_| draw()).filter(|pair| pair.earlier != pair.later)
 }
 
-/// Whether neighbours in id are nearer in space than others: samples of a walk, or of a scan, are numbered in order of time.
+/// Whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order of
+/// time.
 pub fn in_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<Pair>| {
         let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance).collect();
@@ -137,15 +138,15 @@ pub fn in_order(data: &Dataset) -> bool {
     median(next) < 0.5 * median(unrelated(data))
 }
 
-/// Some pairs of any two samples.
+/// Random pairs of any two samples.
 pub(super) fn unrelated(data: &Dataset) -> Vec<Pair> {
     let rows = by_receiver(data);
     let each = UNRELATED.div_ceil(rows.len());
     rows.iter().flat_map(|rows| drawn(data, rows, each)).collect()
 }
 
-/// Ranges of distances of one, two, three, five and seven times a power of ten, metres, and the place of their pairs in a
-/// list of ascending distances. The first begins at 0, and holds what is closer than a tenth of a millimetre.
+/// Ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of their pairs
+/// in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
 pub(super) fn bins(pairs: &[Pair]) -> Vec<([f64; 2], Range<usize>)> {
     let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| edge(step, power)));
     let edges: Vec<f64> = [0.0].into_iter().chain(edges).collect();
@@ -173,7 +174,7 @@ mod tests {
 
     #[test]
     fn pairs_are_near_or_far_by_their_ids() {
-        // There and back again: ids 0 to 39 go out, 40 to 79 come back over the same places.
+        // There and back: ids 0 to 39 go out, 40 to 79 return over the same positions.
         let data = data((0..80).map(|id| (id, f64::from(id.min(79 - id)) * 0.01)));
         let near = find(&data, Lapse::Near);
         assert_eq!(near.len(), 79 + 78 + 77);
@@ -194,7 +195,7 @@ mod tests {
         assert_eq!(ends(Lapse::Far), BTreeSet::from([(0, 2), (0, 3), (1, 2), (1, 3)]));
     }
 
-    /// The closest pairs are those of brute force, in a crowd that is larger than the lists of neighbours.
+    /// The closest pairs equal those of brute force, for more samples than the neighbour lists hold.
     #[test]
     fn the_closest_pairs_far_apart_in_time_are_found() {
         let mut random = rng::stream(3, "places", 0);

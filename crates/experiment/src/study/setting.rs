@@ -1,5 +1,5 @@
-//! `Setting` and `Variant`: puts runs in settings and variants, and gives both their names; `Race`: variants that come to the same
-//! numbers of Gaussians in different ways.
+//! `Setting` and `Variant`: group runs and name the groups. `Race`: variants that reach the same numbers of Gaussians
+//! by different strategies.
 
 use crate::folder::MODEL_FILE;
 use crate::scores::MODEL;
@@ -13,20 +13,20 @@ use serde_json::Value;
 /// Runs on the same data and the same split.
 #[derive(Clone, Debug)]
 pub struct Setting {
-    /// What the data call themselves, and the split as RON; of runs that differ in `validation`, all splits.
+    /// Title of the data, and the split as RON; all splits if runs differ in `validation`.
     pub title: String,
     /// Whether the spectra are simulated.
     pub simulated: bool,
-    /// In the order of the plan; none is empty.
+    /// Variants in the order of the plan; none is empty.
     pub variants: Vec<Variant>,
 }
 
-/// Runs that differ in nothing but their seed.
+/// Runs that differ only in their seed.
 #[derive(Clone, Debug)]
 pub struct Variant {
-    /// What tells it from the others of its setting, such as `lambda 0.02`.
+    /// Label that distinguishes it in its setting, such as `lambda 0.02`.
     pub label: String,
-    /// One a seed, in ascending order of seeds.
+    /// One run per seed, in ascending order of seeds.
     pub runs: Vec<Record>,
 }
 
@@ -36,35 +36,35 @@ impl Setting {
         self.variants.iter().flat_map(|v| &v.runs)
     }
 
-    /// Names of the baselines, each once.
+    /// Names of the baselines, without repetition.
     pub fn floors(&self) -> Vec<&str> {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
-    /// What a baseline reaches by a metric, in the mean over all runs.
+    /// Score of a baseline by a metric, as the mean over all runs.
     pub fn floor(&self, name: &str, key: &str) -> Option<f64> {
         let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
         Some(Spread::of(&values)?.mean)
     }
 
-    /// The first variant before number `k` whose models have the same bytes, seed by seed: what the two differ in changed
-    /// nothing.
+    /// First variant before number `k` whose models are identical, seed by seed: the difference in settings has no
+    /// effect.
     pub fn twin(&self, k: usize) -> Option<&Variant> {
         let own = self.variants[k].models()?;
         self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
     }
 
-    /// What was observed: the same in all runs.
+    /// Task, common to all runs.
     pub fn task(&self) -> Task {
         self.runs().next().map_or_else(Task::default, |run| run.scores.table.task)
     }
 
-    /// The first metric of what was observed.
+    /// Headline metric of the task.
     pub fn headline(&self) -> Headline {
         self.task().headline
     }
 
-    /// The fewest and the most seeds of a variant.
+    /// Smallest and largest number of seeds of a variant.
     pub fn seeds(&self) -> (Option<usize>, Option<usize>) {
         let counts = self.variants.iter().map(|v| v.runs.len());
         (counts.clone().min(), counts.max())
@@ -72,36 +72,36 @@ impl Setting {
 }
 
 impl Variant {
-    /// A number of each run, by `of`.
+    /// Mean and deviation of `of` over the runs.
     pub fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
         Spread::of(&self.runs.iter().filter_map(of).collect::<Vec<_>>())
     }
 
-    /// What the models reach by a metric.
+    /// Scores of the models by a metric.
     pub fn score(&self, key: &str) -> Option<Spread> {
         self.spread(|run| run.scores.value(MODEL, key))
     }
 
-    /// Seeds and model file of each run; `None` where a run folder of an earlier version does not say.
+    /// Seeds and model files of all runs; `None` if a run folder of an earlier version lacks them.
     fn models(&self) -> Option<Vec<(u64, &Mark)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
     }
 }
 
-/// Names that a title has room for.
+/// Largest number of names in a title.
 const TITLES: usize = 4;
 
 /// Axis and label, for each axis.
 pub(super) type Labels = Vec<(String, String)>;
 
-/// Names joined by commas, each once; no more than fit a title.
+/// Joins names by commas, without repetition, up to the limit of a title.
 pub(super) fn listed(names: Vec<String>) -> String {
     let all = distinct(names);
     let more = all.len().saturating_sub(TITLES);
     if more > 1 { format!("{} and {more} more", all[..TITLES].join(", ")) } else { all.join(", ") }
 }
 
-/// Gives runs that were named one by one the names of their variants: what the folders of all seeds begin with.
+/// Names the variants of separately given runs: the common start of the folders of all seeds.
 pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
     let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
     let folder = |record: &Record| {
@@ -128,14 +128,14 @@ pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
     all.into_iter().zip(alone).collect()
 }
 
-/// What all begin with, without the separator, or `seed`, before what differs: `init` of `init-0` and `init-1`.
+/// Common start of all names, without the separator or `seed` before the difference: `init` of `init-0` and `init-1`.
 fn common_start(names: &[String]) -> String {
     let mut start = names[0].clone();
     while !names.iter().all(|name| name.starts_with(&start)) {
         start.pop();
     }
     let is_separator = |c: char| " -_.=".contains(c);
-    // The first digits of a number belong to what differs (`a10`, `a11`), unless nothing does.
+    // The first digits of a number belong to the difference (`a10`, `a11`), unless nothing differs.
     let start = match start.chars().last() {
         Some(c) if c.is_ascii_digit() && names.iter().any(|name| *name != start) => {
             start.trim_end_matches(|c: char| c.is_ascii_digit())
@@ -146,8 +146,8 @@ fn common_start(names: &[String]) -> String {
     start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
 }
 
-/// Data and split: equal for runs whose scores are comparable. What a split holds out for validation leaves the test set as
-/// it is.
+/// Key of data and split: equal for runs whose scores are comparable. The validation share of a split does not affect
+/// the test set.
 pub(super) fn setting_key(record: &Record) -> Result<Value> {
     let failed = |e| Error::input(&record.folder, format!("data and split cannot be compared: {e}"));
     let Pipeline { data, split, .. } = &record.pipeline;
@@ -158,14 +158,14 @@ pub(super) fn setting_key(record: &Record) -> Result<Value> {
     Ok([data, split].into_iter().map(|(name, fields)| Value::from_iter([(name, fields)])).collect())
 }
 
-/// Name and fields of a plugin; JSON has the fields alone.
+/// Name and fields of a plugin; JSON contains only the fields.
 fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> {
     let name = one_line(plugin).split('(').next().unwrap_or_default().to_owned();
-    // Through text: there a number of single precision has the digits that a person gave it.
+    // Through text, so that single-precision numbers keep the digits of the file.
     Ok((name, serde_json::from_str(&serde_json::to_string(plugin)?)?))
 }
 
-/// Puts runs in settings and variants.
+/// Groups runs by setting and variant.
 pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     let mut found: Vec<(Value, Setting)> = Vec::new();
     let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
@@ -188,7 +188,7 @@ pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     Ok(found.into_iter().map(|(_, setting)| setting).collect())
 }
 
-/// Adds to titles that are the same the fields of data and split in which they differ: `samples: 200`.
+/// Adds the differing fields of data and split to equal titles, such as `samples: 200`.
 fn tell_apart(found: &mut [(Value, Setting)]) {
     let all: Vec<(String, Vec<String>)> = found.iter().map(|(key, s)| (s.title.clone(), fields(key))).collect();
     for ((_, setting), (title, own)) in found.iter_mut().zip(&all) {
@@ -201,7 +201,7 @@ fn tell_apart(found: &mut [(Value, Setting)]) {
     }
 }
 
-/// The fields of plugins with their values, those of plugins within plugins too; a plugin's name is one by itself.
+/// Fields of plugins with their values, including nested plugins; the name of a plugin is a separate field.
 fn fields(value: &Value) -> Vec<String> {
     let one = |(name, value): (&String, &Value)| match value {
         Value::Object(_) | Value::Array(_) => [vec![name.clone()], fields(value)].concat(),
@@ -214,7 +214,7 @@ fn fields(value: &Value) -> Vec<String> {
     }
 }
 
-/// Groups the runs of one setting by what was run, whatever it is called; a seed that comes twice is the same run.
+/// Groups the runs of one setting by pipeline, independent of names; a repeated seed is the same run.
 fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
     let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
@@ -233,7 +233,7 @@ fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
     all.into_iter().zip(names).map(variant).collect()
 }
 
-/// A name for each variant: the axes on which the variants differ, and the sweep where that is not enough.
+/// Names of the variants: the axes on which they differ, and the sweep if needed.
 fn names(variants: &[&Labels]) -> Vec<String> {
     let of = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
     let differ = |axis: &str| variants.iter().any(|labels| of(labels, axis) != of(variants[0], axis));
@@ -241,13 +241,13 @@ fn names(variants: &[&Labels]) -> Vec<String> {
         let words = labels.iter().filter(|(axis, _)| wanted(axis));
         words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
     };
-    // The sweep has no axis of its own.
+    // Without a common axis, the sweep name is used.
     let short: Vec<String> = variants.iter().map(|l| name(l, &|axis| !axis.is_empty() && differ(axis))).collect();
     let clear = |k: usize| !short[k].is_empty() && short.iter().filter(|other| **other == short[k]).count() == 1;
     (0..short.len()).map(|k| if clear(k) { short[k].clone() } else { name(variants[k], &|_| true) }).collect()
 }
 
-/// Each once, in the order in which it came first.
+/// Removes repetitions, keeping the first.
 pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
     let mut found = Vec::new();
     for one in all {
@@ -258,57 +258,57 @@ pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
     found
 }
 
-/// A value as RON on one line.
+/// Value as RON on one line.
 pub fn one_line(value: &impl serde::Serialize) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
     ron_options().to_string_pretty(value, config).unwrap_or_default()
 }
 
-/// At least so many ways, at so many numbers of Gaussians, are a race.
+/// Smallest numbers of strategies and of Gaussian counts for a race.
 const LEAST: [usize; 2] = [4, 2];
 
-/// Ways to the same numbers of Gaussians.
+/// Strategies compared at the same numbers of Gaussians.
 #[derive(Clone, Debug)]
 pub struct Race<'a> {
-    /// Numbers of Gaussians that most ways come to, ascending.
+    /// Numbers of Gaussians that most strategies reach, ascending.
     pub numbers: Vec<usize>,
-    /// Best mean rank first, of equals in the order of the plan.
+    /// Strategies by mean rank, best first, in the order of the plan for ties.
     pub ways: Vec<Way<'a>>,
 }
 
-/// One way: variants whose labels differ in numbers alone.
+/// Strategy: variants whose labels differ only in numbers.
 #[derive(Clone, Debug)]
 pub struct Way<'a> {
-    /// What its labels share.
+    /// Common part of its labels.
     pub name: String,
-    /// In the order of the plan.
+    /// Variants in the order of the plan.
     pub variants: Vec<&'a Variant>,
-    /// Of each number of the race the score and the rank, from 1; nothing where it does not come to it.
+    /// Score and rank, from 1, at each number of the race; `None` if the strategy does not reach it.
     pub places: Vec<Option<(Spread, usize)>>,
 }
 
 impl Way<'_> {
-    /// Over the numbers that it comes to; infinite where it comes to none.
+    /// Mean rank over the numbers that it reaches; infinite without any.
     pub fn mean_rank(&self) -> f64 {
         let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
         if ranks.is_empty() { f64::INFINITY } else { ranks.iter().sum::<f64>() / ranks.len() as f64 }
     }
 }
 
-/// The label without its numbers.
+/// Label without its numbers.
 fn family(label: &str) -> String {
     let is_number = |word: &&str| word.trim_end_matches(',').parse::<f64>().is_err();
     label.split_whitespace().filter(is_number).collect::<Vec<_>>().join(" ")
 }
 
-/// N of a variant, where its seeds agree.
+/// N of a variant, if its seeds agree.
 fn count(variant: &Variant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
     variant.runs.iter().all(|run| run.facts.gaussians == first).then_some(first)
 }
 
 impl<'a> Race<'a> {
-    /// Nothing where the variants are none.
+    /// Creates the race of a setting; `None` if there are too few strategies.
     pub fn of(setting: &'a Setting) -> Option<Self> {
         let headline = setting.headline();
         let mut ways: Vec<Way<'a>> = Vec::new();
@@ -343,7 +343,7 @@ impl<'a> Race<'a> {
     }
 }
 
-/// Takes words away that all names begin or end with.
+/// Removes words that all names begin or end with.
 fn shorten(ways: &mut [Way<'_>]) {
     let words = |way: &Way<'_>| way.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
     let all: Vec<Vec<String>> = ways.iter().map(words).collect();

@@ -1,4 +1,5 @@
-//! Trying the runs of a sweep before the first starts: load their data, initialise, and time a few steps if asked.
+//! Tests the runs of a sweep before the first starts: loads their data, initialises, and times a few steps if
+//! requested.
 
 use super::plan::{JOINED, Plan, PlannedRun};
 use super::status::State;
@@ -12,18 +13,18 @@ use pwrfgs_train::Trainer;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// A few steps: at most so many, for at most so long.
+/// Largest number of timed steps.
 const STEPS: u64 = 20;
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Holds the plan against its folder, and those of `runs` (places in the plan) that have not finished against their data
-/// and initialiser, whose warnings the observer gets once per combination. Returns the latter.
+/// Validates the plan against its folder, and unfinished runs of `runs` (indices in the plan) against their data and
+/// initialiser. The observer gets warnings once per combination. Returns the unfinished runs.
 ///
 /// # Errors
-/// The first that cannot work, by name; nothing has been written then.
+/// The first invalid run, by name; no files are written in that case.
 pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
-    // All of them, those of other shards too: runs of one folder are compared.
+    // All runs, including those of other shards: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
         RunFolder::inspect(&plan.folder_of(run), &planned.pipeline)?;
     }
@@ -39,11 +40,11 @@ pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result
     Ok(open)
 }
 
-/// Seconds that each of `runs` will take on this thread pool, as far as its first steps tell: pruning makes later ones
-/// faster, densification slower. Finished runs take none; where another seed has finished, it takes as long as that.
+/// Estimated seconds of each of `runs` on this thread pool, from its first steps: pruning makes later steps faster,
+/// densification slower. Finished runs take none; if another seed has finished, its time is used.
 ///
 /// # Errors
-/// As [`check`].
+/// Same as [`check`].
 pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
     let states = plan.states();
     let known = |combination: usize| {
@@ -75,7 +76,7 @@ pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Res
     Ok(runs.iter().map(seconds).collect())
 }
 
-/// The first of `runs` of each combination: another seed changes nothing that can go wrong.
+/// First of `runs` of each combination: another seed cannot cause other errors.
 fn representatives(plan: &Plan, runs: &[usize]) -> Vec<usize> {
     let mut first = runs.to_vec();
     first.sort_by_key(|&run| (plan.runs[run].combination, run));
@@ -83,7 +84,7 @@ fn representatives(plan: &Plan, runs: &[usize]) -> Vec<usize> {
     first
 }
 
-/// Initialises each of `runs`, loading data once for runs that follow each other with the same, and does `then`.
+/// Initialises each of `runs`, loading data once for consecutive runs with the same data, and calls `then`.
 fn try_each<R>(
     plan: &Plan,
     runs: &[usize],
@@ -102,7 +103,7 @@ fn try_each<R>(
             loaded = Some((key, data, partition));
         }
         if let Some((_, data, partition)) = &loaded {
-            // Baselines are scored with the joined model alone.
+            // Baselines are scored only with the joined model.
             let mut scored = std::iter::once(pipeline).chain(&plan.joined);
             scored.try_for_each(|own| own.check_data(data)).map_err(named)?;
             let sketch = || Trainer::sketch(&pipeline.plan()?, data, partition);
@@ -113,7 +114,7 @@ fn try_each<R>(
     Ok(all)
 }
 
-/// The median of a few steps.
+/// Median seconds of a few steps.
 fn seconds_per_step(trainer: &mut Trainer<'_>) -> Result<f64> {
     let begun = Instant::now();
     let mut seconds = Vec::new();

@@ -1,4 +1,4 @@
-//! `Experiment`: an ablation as one RON file, axes of changes over a base pipeline times seeds.
+//! `Experiment`: sweep as one RON file, with axes of changes to a base pipeline and a list of seeds.
 
 use pwrfgs_core::plugin::{Check, Checked, read_ron};
 use pwrfgs_core::{JsonSchema, Result};
@@ -141,24 +141,24 @@ impl Check for Variant {
             return Err(format!("the label `{label}` cannot name a folder; use some letters"));
         }
         if set.has("name") || set.has("seed") {
-            return Err("a variant gives neither `name` nor `seed`: seeds stand in `seeds`".into());
+            return Err("a variant cannot set `name` or `seed`; list seeds in `seeds`".into());
         }
         Ok(())
     }
 }
 
-/// `text` as part of a folder's name: other signs than letters, digits, `.`, `-`, `_` and `+` become `-`.
+/// Converts `text` to a part of a folder name: characters other than letters, digits, `.`, `-`, `_` and `+` become `-`.
 pub(super) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
     let plain: String = text.chars().map(plain).collect();
     let words: Vec<&str> = plain.split('-').filter(|w| !w.is_empty()).collect();
-    // A sign belongs to the number that follows it.
+    // A sign belongs to the following number.
     let number =
         |sign: &str| text.strip_prefix(sign).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
     format!("{}{}", if number("-") { "-" } else { "" }, words.join("-"))
 }
 
-/// Refuses a name that cannot be that of a folder.
+/// Returns an error for a name that is not valid as a folder name.
 fn check_name(name: &str) -> Result<(), String> {
     if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
         return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
@@ -166,7 +166,7 @@ fn check_name(name: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Refuses a list without seeds, or with one twice.
+/// Returns an error for an empty list of seeds, or a repeated seed.
 fn check_seeds(seeds: &[u64]) -> Result<(), String> {
     if seeds.is_empty() {
         return Err("`seeds` is empty; give at least one, such as [0]".into());
@@ -177,7 +177,7 @@ fn check_seeds(seeds: &[u64]) -> Result<(), String> {
     }
 }
 
-/// The first of `names` that comes a second time.
+/// First repeated element of `names`.
 fn repeated(names: impl Iterator<Item = String>) -> Option<String> {
     let mut seen = std::collections::BTreeSet::new();
     names.into_iter().find(|name| !seen.insert(name.clone()))
@@ -192,7 +192,7 @@ impl Check for Axis {
             ));
         }
         if variants.is_empty() {
-            return Err(format!("the axis `{name}` has no variant; give it at least one"));
+            return Err(format!("the axis `{name}` has no variant; add at least one"));
         }
         match repeated(variants.iter().map(|v| slug(&v.label).to_lowercase())) {
             Some(twice) => Err(format!("two labels of the axis `{name}` name the folder `{twice}`; change one")),
@@ -207,7 +207,7 @@ impl Check for Experiment {
         check_name(name)?;
         check_seeds(seeds)?;
         if set.has("name") || set.has("seed") {
-            return Err("`set` is for all runs: it cannot give `name` or `seed`".into());
+            return Err("`set` applies to all runs and cannot set `name` or `seed`".into());
         }
         if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base.is_some())) {
             return Err(format!("axis `{}`: only variants of the first axis may have a `base`", axis.name));

@@ -1,4 +1,4 @@
-//! `sweep.json`: which runs a sweep folder holds, for whoever reads them back.
+//! `sweep.json`: the runs of a sweep folder.
 
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically, write_new};
 use pwrfgs_core::{Error, Result};
@@ -8,36 +8,36 @@ use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Component, Path};
 
-/// The file that makes a folder a sweep folder.
+/// File that marks a sweep folder.
 pub const LISTING: &str = "sweep.json";
 
-/// All runs of a sweep, in its order.
+/// All runs of a sweep, in order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listing {
-    /// The experiment.
+    /// Name of the experiment.
     pub name: String,
-    /// Every combination with every seed.
+    /// Runs of every combination with every seed.
     pub runs: Vec<ListedRun>,
 }
 
 /// One run of a sweep.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ListedRun {
-    /// Its folder, below that of the sweep.
+    /// Run folder, relative to the sweep folder.
     pub folder: String,
     /// Axis and label, for each axis.
     pub labels: Vec<(String, String)>,
-    /// Its seed.
+    /// Random seed of the run.
     pub seed: u64,
 }
 
 impl ListedRun {
-    /// Whether it lies below the folder of its sweep: a listing from elsewhere must not lead out of it.
+    /// Whether the run folder is inside the sweep folder: a foreign listing must not lead elsewhere.
     fn lies_in(&self, sweep: &Path) -> bool {
         let below = Path::new(&self.folder);
         let leads_on = below.components().all(|part| matches!(part, Component::Normal(_)));
         let real = |path: &Path| path.canonicalize().ok();
-        // A run that has not begun has no folder yet.
+        // A run that has not started has no folder yet.
         let stays = match (real(sweep), real(&sweep.join(below))) {
             (Some(sweep), Some(run)) => run.starts_with(sweep),
             _ => true,
@@ -47,10 +47,10 @@ impl ListedRun {
 }
 
 impl Listing {
-    /// The listing of a sweep folder; `None` where it is none.
+    /// Reads the listing of a sweep folder; `None` if it is not one.
     ///
     /// # Errors
-    /// A file that cannot be read, or is not such a listing.
+    /// A file that cannot be read, or is not a valid listing.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
         let Some(text) = files::if_found(&path, files::read_string(&path))? else { return Ok(None) };
@@ -59,13 +59,13 @@ impl Listing {
         match listing.runs.iter().find(|run| !run.lies_in(folder)) {
             None => Ok(Some(listing)),
             Some(run) => {
-                let what = "is not below the sweep's folder; name runs that lie elsewhere by themselves";
+                let what = "is not inside the sweep folder; pass runs of other folders separately";
                 Err(Error::input(&path, format!("`{}` {what}", run.folder)))
             }
         }
     }
 
-    /// Writes it into the sweep folder.
+    /// Writes the listing into the sweep folder.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -73,11 +73,10 @@ impl Listing {
         write_atomically(&folder.join(LISTING), self.to_json().as_bytes())
     }
 
-    /// Whether `folder` may hold this sweep; reads only. Returns the listing that is there.
+    /// Checks that `folder` can hold this sweep; read-only. Returns the existing listing.
     ///
     /// # Errors
-    /// Where it holds anything else, or the runs of another experiment: of two listings that are both of one sweep, one
-    /// has all runs of the other.
+    /// Other content, or runs of another experiment: two listings of one sweep must contain one another.
     pub(super) fn inspect(&self, folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
         let advised = |error| match error {
@@ -88,7 +87,7 @@ impl Listing {
         };
         let Some(there) = Self::read(folder).map_err(advised)? else {
             return match refuse_foreign(folder, "a sweep folder") {
-                // Another process has made it since.
+                // Another process has created it since.
                 Err(_) if path.is_file() => self.inspect(folder),
                 foreign => foreign.map(|()| None),
             };
@@ -106,11 +105,11 @@ impl Listing {
         }
     }
 
-    /// Makes `folder`, or takes that of an earlier start, and lists the runs there; one that lists more keeps them.
-    /// Returns the locked listing.
+    /// Creates `folder` or reuses that of an earlier start, and adds the runs to its listing. Returns the locked
+    /// listing.
     ///
     /// # Errors
-    /// As [`Self::inspect`], or where the folder cannot be written.
+    /// Errors of [`Self::inspect`], or a folder that cannot be written.
     pub(super) fn claim(&self, folder: &Path) -> Result<File> {
         let path = folder.join(LISTING);
         loop {
@@ -122,7 +121,7 @@ impl Listing {
                 lock => lock.map_err(|e| Error::read(&path, e))?,
             };
             match self.inspect(folder)? {
-                // Replaced, and then locked anew.
+                // Replaced, and then locked again.
                 Some(there) if there != *self && there.missing_in(self).is_none() => self.write(folder)?,
                 Some(_) => {
                     files::remove_temporaries(folder, &[LISTING]);
@@ -133,7 +132,7 @@ impl Listing {
         }
     }
 
-    /// The first of its runs that `other` does not list.
+    /// First of its runs that is missing in `other`.
     fn missing_in(&self, other: &Self) -> Option<&ListedRun> {
         let others: BTreeSet<&ListedRun> = other.runs.iter().collect();
         self.runs.iter().find(|run| !others.contains(run))
@@ -184,10 +183,7 @@ mod tests {
             "link",
         ] {
             let said = read(folder).unwrap_err();
-            assert!(
-                said.is_input() && said.to_string().contains("is not below the sweep's folder"),
-                "{folder}: {said}"
-            );
+            assert!(said.is_input() && said.to_string().contains("is not inside the sweep folder"), "{folder}: {said}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! `Plan`: every run of an experiment as a resolved pipeline with a folder of its own.
+//! `Plan`: every run of an experiment as a resolved pipeline with a separate folder.
 
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
@@ -12,27 +12,27 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// The run folder of the joined model, below the sweep folder.
+/// Run folder of the joined model, relative to the sweep folder.
 pub const JOINED: &str = "joined";
 
-/// The longest name of a folder that common file systems take, in bytes.
+/// Longest folder name of common file systems, bytes.
 const LONGEST_NAME: usize = 255;
 
-/// The most runs of one sweep.
+/// Largest number of runs of a sweep.
 const MOST_RUNS: usize = 10_000;
 
 /// An experiment with all its runs.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// The experiment.
+    /// Name of the experiment.
     pub name: String,
     /// The sweep folder.
     pub folder: PathBuf,
-    /// All combinations times seeds; those of one combination stand together.
+    /// All combinations times seeds; runs of one combination are consecutive.
     pub runs: Vec<PlannedRun>,
-    /// By what the joined model is scored, if the runs are joined; its name is that of the experiment.
+    /// Pipeline for scoring the joined model, named after the experiment, if the runs are joined.
     pub joined: Option<Pipeline>,
-    /// Resources of a run on a cluster.
+    /// Slurm resources of a run.
     pub slurm: Slurm,
     /// The experiment file, for messages.
     source: PathBuf,
@@ -41,19 +41,19 @@ pub struct Plan {
 /// One run.
 #[derive(Clone, Debug)]
 pub struct PlannedRun {
-    /// Its folder, below that of the sweep, such as `init=random,lambda=0.02,seed=1`.
+    /// Run folder, relative to the sweep folder, such as `init=random,lambda=0.02,seed=1`.
     pub folder: String,
     /// Axis and label, for each axis.
     pub labels: Vec<(String, String)>,
-    /// Which combination it belongs to, counted from 0: runs of one differ in their seed only.
+    /// Index of its combination, counted from 0: its runs differ only in their seed.
     pub combination: usize,
-    /// What is run; its paths are absolute.
+    /// Pipeline of the run, with absolute paths.
     pub pipeline: Pipeline,
-    /// The variant of the last axis that says with what it starts: base, data, split or initialiser.
+    /// Last variant that sets the start of the run: base, data, split or initialiser.
     start: Option<Start>,
 }
 
-/// A variant that says with what a run starts.
+/// Variant that sets the start of a run.
 #[derive(Clone, Debug)]
 struct Start {
     /// Axis and label, for messages.
@@ -63,11 +63,11 @@ struct Start {
 }
 
 impl Plan {
-    /// Reads the experiment in `path` and works out all its runs; `set` holds `--set` arguments, which change the base
-    /// and so give way to what an axis says. The sweep folder is `out`, or `runs/NAME`.
+    /// Reads the experiment in `path` and creates all its runs; `set` holds `--set` arguments, which change the base,
+    /// so axes override them. The sweep folder is `out`, or `runs/NAME`.
     ///
     /// # Errors
-    /// Whatever is wrong with the experiment (with line and column), its base, or a combination (with axis and label).
+    /// An invalid experiment (with line and column), base, or combination (with axis and label).
     pub fn read(path: &Path, set: &[String], out: Option<&Path>) -> Result<Self> {
         let text = read_text(path)?;
         let experiment = Experiment::parse(&text, path)?;
@@ -99,7 +99,7 @@ impl Plan {
         })
     }
 
-    /// The error of a run that cannot start, at the variant that made it so.
+    /// Error of a run that cannot start, at the responsible variant.
     pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
         let message = format!("{folder}: {error}");
@@ -107,44 +107,44 @@ impl Plan {
         Error::Input { path: self.source.clone(), at: *at, message: format!("{title}: {message}") }
     }
 
-    /// The folder of a run.
+    /// Folder of a run.
     pub fn folder_of(&self, run: usize) -> PathBuf {
         self.folder.join(&self.runs[run].folder)
     }
 
-    /// What `sweep.json` says.
+    /// Content of `sweep.json`.
     pub fn listing(&self) -> Listing {
         let listed =
             |r: &PlannedRun| ListedRun { folder: r.folder.clone(), labels: r.labels.clone(), seed: r.pipeline.seed };
         Listing { name: self.name.clone(), runs: self.runs.iter().map(listed).collect() }
     }
 
-    /// Makes the sweep folder, or takes that of an earlier start, and writes `sweep.json`. Until the returned file is
-    /// dropped, no other process changes the list, submits runs of it or writes its report; one that wants to waits.
+    /// Creates the sweep folder or reuses that of an earlier start, and writes `sweep.json`. Until the returned file is
+    /// dropped, other processes wait before they change the list, submit runs or write the report.
     ///
     /// # Errors
-    /// Where the folder holds anything else, or the runs of another experiment, or cannot be written.
+    /// The folder holds other content or runs of another experiment, or cannot be written.
     pub fn claim(&self) -> Result<File> {
         self.listing().claim(&self.folder)
     }
 
-    /// The place of the run whose folder is called `name`.
+    /// Index of the run whose folder is `name`.
     ///
     /// # Errors
-    /// Where there is none; names the nearest.
+    /// Unknown name; the error suggests the nearest.
     pub fn find(&self, name: &str) -> Result<usize> {
         self.runs.iter().position(|r| r.folder == name).ok_or_else(|| {
             let hint = did_you_mean(name, self.runs.iter().map(|r| r.folder.as_str()));
-            Error::Config(format!("no run of {} is called `{name}`{hint}", self.name))
+            Error::Config(format!("unknown run `{name}` of {}{hint}", self.name))
         })
     }
 }
 
-/// Some axes applied.
+/// Combination of variants of some axes.
 struct Combination {
-    /// Axis and label, for each axis applied.
+    /// Axis and label, for each applied axis.
     labels: Vec<(String, String)>,
-    /// The last that says with what a run starts.
+    /// Last variant that sets the start of the run.
     start: Option<Start>,
     draft: Draft,
 }
@@ -161,8 +161,8 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// The pipeline in `file`, relative to the experiment file, with what is set for all runs. Values that do not fit by
-    /// themselves are still changes, and are checked with those of the axes.
+    /// Reads the pipeline in `file`, relative to the experiment file, with the settings of all runs. Values are
+    /// validated later, together with those of the axes.
     fn base(&self, file: &Path) -> Result<Draft> {
         let mut draft = read_base(&self.here.join(file))?;
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
@@ -170,7 +170,8 @@ impl Source<'_> {
         set_all(&mut draft, self.set)?;
         let is_own = |change: Change| ["name", "seed"].contains(&change.field());
         if self.set.iter().any(|argument| Change::argument(argument).is_ok_and(is_own)) {
-            return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
+            let what = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
+            return Err(Error::Config(what.into()));
         }
         Ok(draft.finish().map_or(draft, |base| Draft::of(&base)))
     }
@@ -205,7 +206,7 @@ impl Source<'_> {
         Ok(all)
     }
 
-    /// Axes multiply: a few too many would never end.
+    /// Returns an error for too many runs, since axes multiply.
     fn refuse_too_many(&self) -> Result<()> {
         let axes = self.experiment.axes.iter().map(|axis| axis.variants.len());
         let runs = axes.chain([self.experiment.seeds.len()]).try_fold(1, usize::checked_mul);
@@ -213,26 +214,26 @@ impl Source<'_> {
             return Ok(());
         }
         let why = format!(
-            "the axes and seeds make {} runs, more than {MOST_RUNS}; take fewer variants, or several experiments",
+            "the axes and seeds make {} runs, more than {MOST_RUNS}; use fewer variants, or several experiments",
             runs.map_or_else(|| "beyond count".into(), |runs| runs.to_string())
         );
         Err(Error::input(self.path, why))
     }
 
-    /// The pipeline of a combination, scaled and checked now that all axes have spoken.
+    /// Pipeline of a combination, scaled and validated after all axes.
     fn finish(&self, combination: &Combination) -> Result<Pipeline> {
         let pipeline = combination.draft.finish().map_err(|fault| fault.in_file(self.path))?;
         let unscaled = |e: Error| combination.draft.fault("training", e.to_string()).in_file(self.path);
         pipeline.resolved().map_err(unscaled)
     }
 
-    /// Two combinations that are the same pipeline would be compared with each other as if they differed.
+    /// Returns an error for two combinations with the same pipeline, which would be compared as if they differed.
     fn refuse_equal(&self, combinations: &[Combination], pipelines: &[Pipeline]) -> Result<()> {
         let mut seen: BTreeMap<String, &Combination> = BTreeMap::new();
         for (combination, pipeline) in combinations.iter().zip(pipelines) {
             if let Some(earlier) = seen.insert(pipeline.to_ron(), combination) {
                 let why = format!(
-                    "`{}` is the same pipeline as `{}`; does a later axis replace what an earlier one says?",
+                    "`{}` is the same pipeline as `{}`; check whether a later axis overrides an earlier one",
                     named(&combination.labels),
                     named(&earlier.labels)
                 );
@@ -243,7 +244,7 @@ impl Source<'_> {
         Ok(())
     }
 
-    /// One run.
+    /// Creates one run.
     fn run(&self, k: usize, combination: &Combination, pipeline: &Pipeline, seed: u64) -> Result<PlannedRun> {
         let words = combination.labels.iter().map(|(axis, label)| format!("{axis}={}", slug(label)));
         let folder = words.chain([format!("seed={seed}")]).collect::<Vec<_>>().join(",");
@@ -270,18 +271,18 @@ impl Source<'_> {
     }
 }
 
-/// What messages call a variant.
+/// Name of a variant in messages.
 fn title(axis: &str, label: &str) -> String {
     format!("axis `{axis}`, variant `{label}`")
 }
 
-/// `lambda 0.02, init random`.
+/// Joins labels, such as `lambda 0.02, init random`.
 fn named(labels: &[(String, String)]) -> String {
     labels.iter().map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
 }
 
 impl PlannedRun {
-    /// Name of its model within a joined model: labels and seed, such as `waves-0`.
+    /// Name of its model in a joined model: labels and seed, such as `waves-0`.
     pub(super) fn member_name(&self) -> String {
         let labels = self.labels.iter().map(|(_, label)| slug(label).replace('+', "-"));
         let words: Vec<String> = labels.chain([self.pipeline.seed.to_string()]).collect();
@@ -289,11 +290,11 @@ impl PlannedRun {
     }
 }
 
-/// Gives all `runs` the same split and returns the pipeline that scores their joined model, called `name`. Baselines are
-/// scored with that model alone.
+/// Gives all `runs` the same split and returns the pipeline that scores their joined model `name`. Only that model is
+/// compared with baselines.
 ///
 /// # Errors
-/// Runs that cannot predict together.
+/// Runs whose models cannot be joined.
 fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     if !(2..=MOST_MEMBERS).contains(&runs.len()) {
         return Err(format!("there are {} runs; give variants and seeds that make 2 to {MOST_MEMBERS}", runs.len()));
@@ -309,7 +310,7 @@ fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
         let PlannedRun { folder, pipeline, .. } = run;
         let called = run.member_name();
         if runs[..place].iter().any(|other| other.member_name().eq_ignore_ascii_case(&called)) {
-            return Err(format!("two models are called `{called}`; change a label"));
+            return Err(format!("two models have the name `{called}`; change a label"));
         }
         if let Some(twin) = trained[..place].iter().position(|other| *other == trained[place]) {
             let twin = &runs[twin].folder;
@@ -335,7 +336,7 @@ fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     Ok(scored)
 }
 
-/// Everything of a pipeline that decides the model, once all have the same split.
+/// All settings of a pipeline that affect the model, given a common split.
 fn trained(pipeline: &Pipeline) -> String {
     let (name, baselines, metrics) = Default::default();
     to_ron(&Pipeline { name, split_seed: None, baselines, metrics, ..pipeline.essential() })

@@ -1,8 +1,8 @@
-//! Handing the runs of a sweep to Slurm: one job array, one task a run.
+//! Submission of the runs of a sweep to Slurm: one job array, one task per run.
 //!
-//! Each submission has a folder `slurm/1`, `slurm/2`, .. below the sweep folder: the script as `sbatch` read it, the list
-//! of runs that its tasks do, its job id, and a log a task. A task names its run by that list, so that a change of the
-//! experiment does not change what waiting tasks do.
+//! Each submission has a folder `slurm/1`, `slurm/2`, .. in the sweep folder: the script for `sbatch`, the list of runs
+//! of its tasks, the job id, and one log per task. Tasks read their run from that list, so changes of the experiment do
+//! not affect waiting tasks.
 
 use super::plan::Plan;
 use pwrfgs_core::files::{self, write_atomically};
@@ -17,12 +17,12 @@ const SCRIPT: &str = "sweep.sh";
 const RUNS: &str = "runs.txt";
 const JOB: &str = "job.txt";
 
-/// Writes and submits a job array for `runs`; `command` is the program with all arguments of one task but the run's name,
-/// which comes last. Returns the job id and the script. Whoever asks [`queued`] first and then submits holds the sweep
-/// folder ([`Plan::claim`]) for both, so that nobody else submits the same.
+/// Writes and submits a job array for `runs`; `command` is the program with all arguments of a task except the run
+/// name, which is appended. Returns the job id and the script. Lock the sweep folder ([`Plan::claim`]) for both
+/// [`queued`] and `submit`, so that no other process submits the same runs.
 ///
 /// # Errors
-/// Where the folder cannot be written, or `sbatch` is missing or refuses.
+/// The folder cannot be written, or `sbatch` is missing or fails.
 pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String, PathBuf)> {
     let own = new_submission(plan)?;
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
@@ -30,7 +30,7 @@ pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String
     let path = own.join(SCRIPT);
     write_atomically(&path, script(plan, runs.len(), command, &own)?.as_bytes())?;
     let output = Command::new("sbatch").arg("--parsable").arg(&path).output().map_err(|e| {
-        Error::Config(format!("cannot call sbatch ({e}); go to a machine where Slurm is, or leave --launcher away"))
+        Error::Config(format!("cannot call sbatch ({e}); use a machine with Slurm, or omit --launcher"))
     })?;
     let said = String::from_utf8_lossy(&output.stdout).trim().to_owned();
     if !output.status.success() {
@@ -46,10 +46,10 @@ pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String
     Ok((job, path))
 }
 
-/// The folders of the runs that wait or run in Slurm's queue; none where nothing was submitted.
+/// Folders of the runs in Slurm's queue, waiting or running; empty without submissions.
 ///
 /// # Errors
-/// Where Slurm does not answer: then a run that waits would pass for one that does not.
+/// Slurm does not respond: waiting runs would be submitted twice.
 pub fn queued(plan: &Plan) -> Result<BTreeSet<String>> {
     let jobs: Vec<(String, Vec<String>)> = submissions(plan)
         .into_iter()
@@ -59,7 +59,7 @@ pub fn queued(plan: &Plan) -> Result<BTreeSet<String>> {
         })
         .collect();
     let mut names = BTreeSet::new();
-    // One call a job: squeue refuses them all where it has forgotten one.
+    // One call per job: squeue fails for all jobs if one is unknown to it.
     for (job, runs) in &jobs {
         names.extend(tasks(job)?.into_iter().filter_map(|task: usize| runs.get(task.wrapping_sub(1)).cloned()));
     }
@@ -68,22 +68,22 @@ pub fn queued(plan: &Plan) -> Result<BTreeSet<String>> {
 
 /// Numbers, from 1, of the tasks of `job` that wait or run.
 fn tasks(job: &str) -> Result<Vec<usize>> {
-    // Without those that are completing: they have ended, and only their processes are cleared away.
+    // Without completing tasks: these have ended, and Slurm only removes their processes.
     let states = "--states=PENDING,CONFIGURING,RUNNING,SUSPENDED";
     let output = Command::new("squeue")
         .args(["--noheader", "--array", "--format=%K", states, "--jobs", job])
         .output()
-        .map_err(|e| Error::Config(format!("cannot call squeue ({e}); go to a machine where Slurm is")))?;
+        .map_err(|e| Error::Config(format!("cannot call squeue ({e}); use a machine with Slurm")))?;
     let said = String::from_utf8_lossy(&output.stderr);
-    // What it has forgotten has ended some minutes ago.
+    // Unknown jobs have ended some minutes ago.
     if !output.status.success() && !said.contains("Invalid job id") {
-        return Err(Error::Config(format!("Slurm does not tell what waits in its queue: {}; try again", said.trim())));
+        return Err(Error::Config(format!("cannot read the Slurm queue: {}; try again", said.trim())));
     }
     let numbers = String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).collect();
     Ok(numbers)
 }
 
-/// A folder for one more submission; nobody else makes one while the sweep folder is held.
+/// Creates a folder for one more submission; the lock of the sweep folder prevents collisions.
 fn new_submission(plan: &Plan) -> Result<PathBuf> {
     let number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
     let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?;
@@ -101,10 +101,10 @@ fn submissions(plan: &Plan) -> Vec<(u32, PathBuf)> {
     all
 }
 
-/// The script of a job array of `tasks` tasks.
+/// Script of a job array of `tasks` tasks.
 fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<String> {
     let slurm = &plan.slurm;
-    let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, a task each.\n", tasks, plan.name);
+    let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));
     let mut options = vec![
         format!("--job-name={}", plan.name),
@@ -113,7 +113,7 @@ fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<S
         format!("--output={}/%a.log", own.display().to_string().replace('%', "%%")),
         "--open-mode=append".into(),
         "--requeue".into(),
-        // To the script alone, a minute before the time limit; another signal than that of scancel, which must not requeue.
+        // To the script only, a minute before the time limit; not the signal of scancel, which must not requeue.
         "--signal=B:USR1@60".into(),
         format!("--cpus-per-task={}", slurm.cpus),
         format!("--mem={}", slurm.memory),
@@ -124,7 +124,8 @@ fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<S
     options.extend(slurm.options.iter().cloned());
     for option in &options {
         if option.contains(['"', '\n', '\\']) {
-            return Err(Error::Config(format!("`{option}` cannot stand in a script for sbatch; rename the folder")));
+            let what = "contains a quote, newline or backslash; change the run folder or `slurm`";
+            return Err(Error::Config(format!("sbatch option `{option}` {what}")));
         }
         _ = writeln!(text, "#SBATCH \"{option}\"");
     }

@@ -1,4 +1,4 @@
-//! `State`: how far each run of a sweep is, told by its folder.
+//! `State`: progress of each run of a sweep, read from its folder.
 
 use super::plan::Plan;
 use crate::facts::Facts;
@@ -10,29 +10,29 @@ use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 
-/// How far a run is.
+/// State of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum State {
-    /// Its folder does not exist, or holds no step yet.
+    /// Its folder does not exist, or contains no step yet.
     Waiting,
-    /// A process is at work in it.
+    /// Another process is running it.
     Running {
-        /// Steps done.
+        /// Number of completed steps.
         step: u64,
     },
-    /// Begun, and nobody is at work in it: it goes on from its last checkpoint, or is scored.
+    /// Started, but not running: it will resume from its last checkpoint, or be scored.
     Stopped {
-        /// Steps done, as far as its curve tells.
+        /// Number of completed steps according to its curve.
         step: u64,
     },
-    /// It failed when it was last tried; it is tried again.
+    /// The last attempt failed, with the reason; it will be tried again.
     Failed(String),
-    /// Nothing is left to do.
+    /// Finished, with scores and facts.
     Finished(Box<(ScoreTable, Facts)>),
 }
 
 impl State {
-    /// In a word.
+    /// One-word name of the state.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
@@ -44,16 +44,16 @@ impl State {
     }
 }
 
-/// Below the sweep folder: a file for each run that failed, with the reason.
+/// Folder with a file for each failed run, with the reason, relative to the sweep folder.
 const FAILURES: &str = "failures";
 
 impl Plan {
-    /// How far each run is.
+    /// State of each run.
     pub fn states(&self) -> Vec<State> {
         (0..self.runs.len()).map(|run| self.state(run)).collect()
     }
 
-    /// How far one run is.
+    /// State of one run.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
         match RunFolder::inspect(&folder, &self.runs[run].pipeline).and_then(|state| state.finished(&folder, false)) {
@@ -73,7 +73,7 @@ impl Plan {
         }
     }
 
-    /// Remembers why a run failed, for whoever asks later.
+    /// Stores the reason why a run failed.
     pub(super) fn note_failure(&self, run: usize, error: &Error) -> Result<()> {
         let path = self.failure_file(run);
         let folder = self.folder.join(FAILURES);
@@ -81,7 +81,7 @@ impl Plan {
         write_atomically(&path, format!("{error}\n").as_bytes())
     }
 
-    /// Forgets it.
+    /// Removes the stored failure.
     pub(super) fn forget_failure(&self, run: usize) {
         _ = std::fs::remove_file(self.failure_file(run));
         _ = std::fs::remove_dir(self.folder.join(FAILURES)); // where it was the last
