@@ -1,7 +1,7 @@
-//! Strategies that are written in Python, as a pipeline names them: [`Python`].
+//! Strategies written in Python, as recorded in a pipeline: [`Python`].
 //!
-//! The Python package sets a [`Host`] that can run them. A program without one reads such a pipeline, reports it and
-//! predicts with its model; to train it, or to divide and score data by a class of Python's, it refuses.
+//! The Python package sets a [`Host`] that can run them. Programs without a host can read and report such a pipeline
+//! and predict with its model; training, and splits or scores by Python classes, are errors.
 
 use pwrfgs_core::tape::{TraceScalar, Traced};
 use pwrfgs_core::{
@@ -12,11 +12,11 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
 
-/// A class of Python's that takes part in a run, as the run folder records it: as a pruner it says which Gaussians stay, and
-/// so on for initializers, splits, baselines and metrics. The Python package writes this text when an object is given to it,
-/// and makes the object anew from it when a run is resumed.
+/// Python class used by a run, as recorded in the run folder: a pruner, initializer, split, baseline or metric. The
+/// Python package writes this text for an object, and recreates the object from it when a run is resumed.
 ///
-/// A folder with one can be reported, and its model predicts, anywhere; it is trained by the Python package alone.
+/// Folders of such runs can be reported, and their models predict, in any program; only the Python package can train
+/// them.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Pruner};
@@ -28,44 +28,44 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Python {
-    /// The module that it is imported from.
+    /// Module to import.
     pub module: String,
-    /// The class in it.
+    /// Name of the class in the module.
     pub class: String,
-    /// What the class is called with, as a JSON object.
+    /// Arguments of the class, as a JSON object.
     pub settings: String,
-    /// SHA-256 of its source: a strategy that has changed since does not go on with a run of the old one.
+    /// SHA-256 of the class source: a run cannot be resumed after the class has changed.
     pub source: String,
 }
 
-/// Who makes objects of Python from their names.
+/// Host that creates Python objects by name.
 pub trait Host: Send + Sync {
     /// # Errors
-    /// Why there is no such strategy.
+    /// The reason why there is no such strategy.
     fn pruner(&self, which: &Python) -> Result<Arc<dyn Pruner>>;
     /// # Errors
-    /// As [`Self::pruner`].
+    /// Same as [`Self::pruner`].
     fn initializer(&self, which: &Python) -> Result<Arc<dyn Initializer>>;
     /// # Errors
-    /// As [`Self::pruner`].
+    /// Same as [`Self::pruner`].
     fn split(&self, which: &Python) -> Result<Arc<dyn Split>>;
     /// # Errors
-    /// As [`Self::pruner`].
+    /// Same as [`Self::pruner`].
     fn baseline(&self, which: &Python) -> Result<Arc<dyn Baseline>>;
     /// # Errors
-    /// As [`Self::pruner`].
+    /// Same as [`Self::pruner`].
     fn metric(&self, which: &Python) -> Result<Arc<dyn Metric>>;
 }
 
 static HOST: OnceLock<Box<dyn Host>> = OnceLock::new();
 
-/// From now on strategies are made by `host`; the first one stays.
+/// Sets the host of all strategies; later calls have no effect.
 pub fn set_host(host: Box<dyn Host>) {
     _ = HOST.set(host);
 }
 
 impl Python {
-    /// The host, or why there is none.
+    /// The host, or an error if there is none.
     fn host(&self) -> Result<&'static dyn Host> {
         HOST.get().map(|host| &**host).ok_or_else(|| {
             Error::Config(format!(
@@ -81,7 +81,7 @@ impl Python {
     }
 }
 
-/// The trainer looks at [`PrunerTraits::unavailable`] first, so there is a strategy whenever one is asked anything that counts.
+/// The trainer checks [`PrunerTraits::unavailable`] first, so a strategy exists whenever a result is used.
 #[typetag::serde]
 impl Pruner for Python {
     fn traits(&self) -> PrunerTraits {

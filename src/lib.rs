@@ -1,7 +1,7 @@
 //! pwrfgs: pruned 3D Gaussian splatting for wireless radiance fields.
 //!
-//! This crate joins the others and links the built-in plugins: a program that uses it can read every name that
-//! `pwrfgs plugins` prints. A plugin of one's own is a struct, a trait and a two-line program:
+//! This crate combines the others and links the built-in plugins: programs that use it can read every name that `pwrfgs
+//! plugins` prints. A custom plugin is a struct, a trait and a two-line program:
 //!
 //! ```no_run
 //! use pwrfgs::prelude::*;
@@ -40,17 +40,17 @@ use prelude::{Observer, Pipeline, Result};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-/// What makes the report of a run; `None` without the feature `report`.
+/// Function that creates the report of a run; `None` without the feature `report`.
 #[cfg(feature = "report")]
 pub const PAGE: Option<experiment::Page> = Some(report::page);
-/// What makes the report of a run; `None` without the feature `report`.
+/// Function that creates the report of a run; `None` without the feature `report`.
 #[cfg(not(feature = "report"))]
 pub const PAGE: Option<experiment::Page> = None;
 
-/// [`experiment::run`] with the report that this build has.
+/// Runs a pipeline, see [`experiment::run`], with the report of this build.
 ///
 /// # Errors
-/// As there.
+/// Same as [`experiment::run`].
 pub fn run(
     pipeline: &Pipeline,
     base: &Path,
@@ -61,7 +61,7 @@ pub fn run(
     experiment::run(pipeline, base, out, &mut experiment::Session { observer, stop, page: PAGE })
 }
 
-/// What a plugin or a small program needs.
+/// Imports for plugins and small programs.
 pub mod prelude {
     pub use pwrfgs_core::schemars;
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
@@ -81,7 +81,7 @@ pub mod prelude {
     pub use typetag;
 }
 
-/// The examples of this page are compiled and run with the tests.
+/// Examples of the plugin page, compiled and run as tests.
 #[cfg(doctest)]
 #[doc = include_str!("../docs/plugins.md")]
 mod plugins_page {}

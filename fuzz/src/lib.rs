@@ -1,9 +1,9 @@
-//! Mutation tests of every file that pwrfgs reads, through its own readers.
+//! Mutation tests of all file readers of pwrfgs.
 //!
-//! A case is a number: it decides which file is broken and how, so that a case which fails is tried again by its number.
-//! (Three files tell the time, and so differ in these digits from one bench to the next: `run.json`, `curve.csv` and the
-//! events.) A case passes where the reader takes the file or says what is wrong with it: no panic, no abort, no hang, no
-//! failure that blames the machine, no message without end.
+//! A case is a number that determines the file and its mutation, so that a failed case can be repeated. (`run.json`,
+//! `curve.csv` and the event file contain times, so these digits differ between runs.) A case passes if the reader
+//! accepts the file or reports an input error: no panic, no abort, no hang, no error that blames the machine, no
+//! endless message.
 
 #![allow(clippy::disallowed_methods)] // it reads its own files
 
@@ -22,15 +22,15 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use targets::{Reader, TARGETS, Target};
 
-/// The variable that makes the fuzzer be `pwrfgs`.
+/// Environment variable that makes the fuzzer act as `pwrfgs`.
 pub const AS_PROGRAM: &str = "PWRFGS_FUZZ_AS_PROGRAM";
-/// What calls of the program write; a call is refused beside what an earlier one left.
+/// Outputs of program calls, removed before each call: existing ones would be an error.
 const WRITTEN: [&str; 6] = ["ran", "simulated", "compared", "heard", "out.npz", "out.ply"];
 /// Longest processor time of a case, seconds.
 const PATIENCE: f64 = 10.0;
 /// Longest message, bytes.
 const LONGEST_MESSAGE: usize = 2_000;
-/// Other models than that of the pipeline.
+/// Models other than that of the pipeline.
 const MODELS: [&[&str]; 5] = [
     &["deformation=Fixed()", "readout=Real", "calibration=AsReleased", "projector=WrfgsCompat()"],
     &["deformation=Factored(depth: 2, width: 8, position_encoding: Waves(count: 3, reach: 4.0, seed: 0))"],
@@ -39,16 +39,16 @@ const MODELS: [&[&str]; 5] = [
     &["readout=MinMax", "initializer=Random(count: 5, std: 1.0)"],
 ];
 
-/// The folder that cases are tried in, with one small file of every format, and what every file on it was.
+/// Test folder with one small file of every format, and their original contents.
 #[derive(Debug)]
 pub struct Bench {
     folder: PathBuf,
-    /// For each target the bytes it is made from, its own first.
+    /// Seed files of each target, its own file first.
     seeds: Vec<Vec<Vec<u8>>>,
 }
 
 impl Bench {
-    /// Makes the folder, from `fuzz/seeds`, what a user begins with, and files that the library itself makes.
+    /// Creates the folder from `fuzz/seeds`, shipped files, and files written by the library.
     ///
     /// # Errors
     /// A file that cannot be read or written.
@@ -70,15 +70,15 @@ impl Bench {
         Ok(Self { folder: folder.into(), seeds })
     }
 
-    /// What target number `target` is made from.
+    /// Seed files of target number `target`.
     pub fn seeds(&self, target: usize) -> &[Vec<u8>] {
         &self.seeds[target]
     }
 
-    /// Tries case `n` and leaves the bench as it was, or the broken file where `keep` says so; what is wrong, if anything.
+    /// Runs case `n` and restores the bench, or keeps the broken file if `keep`. Returns the fault, if any.
     ///
     /// # Errors
-    /// Where the bench cannot be written.
+    /// The bench cannot be written.
     pub fn try_case(&self, n: u64, keep: bool) -> Result<Option<String>> {
         let target = target_of(n);
         let seeds = &self.seeds[target];
@@ -87,10 +87,10 @@ impl Bench {
         self.try_bytes(target, &mutate(&seeds[seed], &seeds[other], TARGETS[target].form, &mut random), keep)
     }
 
-    /// Tries `bytes` as the file of target number `target`, as [`Self::try_case`] does.
+    /// Tests `bytes` as the file of target number `target`, like [`Self::try_case`].
     ///
     /// # Errors
-    /// Where the bench cannot be written.
+    /// The bench cannot be written.
     pub fn try_bytes(&self, target: usize, bytes: &[u8], keep: bool) -> Result<Option<String>> {
         let path = self.folder.join(TARGETS[target].file);
         let put = |bytes: &[u8]| fs::write(&path, bytes).map_err(|e| Error::write(&path, e));
@@ -104,11 +104,11 @@ impl Bench {
         Ok(refusal.and_then(|refusal| refusal.fault()).or(slow))
     }
 
-    /// What the reader of target number `target` says against its file, if anything. One that refuses its whole file may
-    /// never come to read the file, so that its cases test nothing.
+    /// Error of the reader of target number `target` for its valid file, if any. If the reader rejects the valid file,
+    /// its cases test nothing.
     ///
     /// # Errors
-    /// Where the program cannot be called.
+    /// The program cannot be called.
     pub fn refusal(&self, target: usize) -> Result<Option<Refusal>> {
         let arguments = match TARGETS[target].reader {
             Reader::Library(read) => {
@@ -130,16 +130,16 @@ impl Bench {
     }
 }
 
-/// What a reader says against a file.
+/// Error of a reader.
 #[derive(Debug)]
 pub struct Refusal {
     is_input: bool,
-    /// The message.
+    /// Error message.
     pub text: String,
 }
 
 impl Refusal {
-    /// What is wrong with the message.
+    /// Problem of the message.
     fn fault(&self) -> Option<String> {
         let start: String = self.text.chars().take(200).collect();
         match () {
@@ -151,7 +151,7 @@ impl Refusal {
     }
 }
 
-/// Processor time of this process, seconds; 0 where the system does not tell.
+/// Processor time of this process, seconds; 0 if unavailable.
 fn processor_seconds() -> f64 {
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
@@ -159,14 +159,14 @@ fn processor_seconds() -> f64 {
     fields.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
-/// Which target a case is of: targets take turns, as often in a round as their share.
+/// Target of a case: targets alternate in proportion to their share.
 pub fn target_of(n: u64) -> usize {
     let places = || TARGETS.iter().enumerate().flat_map(|(place, target)| std::iter::repeat_n(place, target.share));
-    // Spread by a step that has no divisor in common with most rounds, so that any stretch of cases is of all.
+    // The step has no common divisor with most rounds, so that any range of cases covers all targets.
     places().nth((n.wrapping_mul(7_919) % places().count() as u64) as usize).unwrap_or_default()
 }
 
-/// The files below a folder, or the file itself, in order.
+/// Files in a folder, or the file itself, in order.
 fn files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.into()]);
@@ -176,7 +176,7 @@ fn files(path: &Path) -> Result<Vec<PathBuf>> {
     Ok(all.iter().map(|path| files(path)).collect::<Result<Vec<_>>>()?.concat())
 }
 
-/// Copies all files below a folder; not their permissions: a checkout may be read-only.
+/// Copies all files in a folder without their permissions, since a checkout may be read-only.
 fn copy(from: &Path, to: &Path) -> Result<()> {
     for path in files(from)? {
         let copied = to.join(path.strip_prefix(from).unwrap_or(&path));
@@ -187,14 +187,14 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The bytes of a target's own file, and of the files that its seeds name.
+/// Contents of a target's file and of its seed files.
 fn seeds(folder: &Path, target: &Target) -> Result<Vec<Vec<u8>>> {
     let all = std::iter::once(&target.file).chain(target.seeds).map(|name| files(&folder.join(name)));
     let read = |path: &PathBuf| fs::read(path).map_err(|e| Error::read(path, e));
     all.collect::<Result<Vec<_>>>()?.concat().iter().map(read).collect()
 }
 
-/// A sweep folder with one finished run, and a run that was stopped half-way.
+/// Creates a sweep folder with one finished run, and an interrupted run.
 fn runs(folder: &Path) -> Result<()> {
     let pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
     pwrfgs::run(&pipeline, folder, &folder.join("sweep/a"), &mut Silent, &AtomicBool::new(false))?;
@@ -205,7 +205,7 @@ fn runs(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Stops a run after its third step: pruned, and a look at the validation part behind it.
+/// Stops a run after its third step, after pruning and a validation.
 struct Stopper<'a>(&'a AtomicBool);
 
 impl Observer for Stopper<'_> {
@@ -214,7 +214,7 @@ impl Observer for Stopper<'_> {
     }
 }
 
-/// Untrained models of every kind, and the trained one in other forms.
+/// Creates untrained models of every kind, and the trained one in other formats.
 fn models(folder: &Path) -> Result<()> {
     let path = |name: &str| folder.join("models").join(name);
     fs::create_dir_all(folder.join("models")).map_err(|e| Error::write(folder, e))?;

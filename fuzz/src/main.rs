@@ -1,5 +1,5 @@
-//! The driver: cases are tried in processes of their own with little memory, so that one that panics, aborts or hangs is
-//! known by its number and the others go on.
+//! Driver of the mutation tests: cases run in separate processes with little memory, so that one that panics, aborts or
+//! hangs is identified and the others continue.
 //!
 //! ```text
 //! pwrfgs-fuzz [--cases N] [--first N]   tries cases and lists what is wrong; exit code 1 where something is
@@ -14,7 +14,7 @@ use std::io::Result;
 use std::path::Path;
 use std::process::{Command, ExitCode, Output};
 
-/// Limits of a process that tries cases: address space, KiB, and processor time, seconds.
+/// Limits of a worker process: address space, KiB, and processor time, seconds.
 const LIMITS: &str = "ulimit -v 4000000; ulimit -t";
 
 fn main() -> Result<ExitCode> {
@@ -40,7 +40,7 @@ fn main() -> Result<ExitCode> {
     Ok(ExitCode::from(u8::from(wrong > 0)))
 }
 
-/// What a case breaks, for people.
+/// Description of a case.
 fn name_of(case: u64) -> String {
     let target = TARGETS[target_of(case)];
     format!("{}{}", target.file, target.command())
@@ -50,7 +50,7 @@ fn bench(folder: &Path) -> Bench {
     Bench::new(folder).expect("the bench can be made")
 }
 
-/// The whole file of every target, twice: an earlier call must not be what refuses the next.
+/// Tests the valid file of every target twice: output of an earlier call must not cause an error.
 fn whole() -> Result<usize> {
     let folder = tempfile::tempdir()?;
     let bench = bench(folder.path());
@@ -60,7 +60,7 @@ fn whole() -> Result<usize> {
     Ok(refused.len())
 }
 
-/// Every `step`-th case from `first` to below `end`: tells which it tries, and what is wrong with it.
+/// Runs every `step`-th case from `first` to below `end`; prints each case and its fault.
 fn work(folder: &Path, first: u64, step: u64, end: u64) -> usize {
     let bench = bench(folder);
     for case in (first..end).step_by(step as usize) {
@@ -72,7 +72,7 @@ fn work(folder: &Path, first: u64, step: u64, end: u64) -> usize {
     0
 }
 
-/// All cases, in as many processes at a time as there are processors; how many are wrong.
+/// Runs all cases in parallel, one process per processor; returns the number of faults.
 fn drive(first: u64, cases: u64) -> Result<usize> {
     let workers = std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let faults: Vec<Result<Vec<String>>> = std::thread::scope(|scope| {
@@ -86,7 +86,7 @@ fn drive(first: u64, cases: u64) -> Result<usize> {
     Ok(faults.len())
 }
 
-/// Every `step`-th case, in as many processes as it takes; what is wrong.
+/// Runs every `step`-th case, restarting the process if needed; returns the faults.
 fn all_of(mut next: u64, step: u64, end: u64) -> Result<Vec<String>> {
     let mut faults = Vec::new();
     while next < end {
@@ -104,7 +104,7 @@ fn all_of(mut next: u64, step: u64, end: u64) -> Result<Vec<String>> {
     Ok(faults)
 }
 
-/// This program as one that works in a new folder, on one thread and with little memory.
+/// Starts this program as a worker in a new folder, on one thread and with little memory.
 fn one_process(first: u64, step: u64, end: u64) -> Result<Output> {
     let folder = tempfile::tempdir()?;
     let mut command = Command::new("sh");

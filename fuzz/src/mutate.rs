@@ -1,37 +1,37 @@
-//! Mutations: a file becomes a broken one, as a function of a random stream.
+//! Mutations of files, as a function of a random stream.
 //!
-//! Most know nothing of the format. Two formats guard themselves, so that blind changes end at the guard: of a PNG the
-//! checksums are put right afterwards, of a safetensors file the length of its header.
+//! Most mutations ignore the format. Two formats have checks that would reject blind changes: PNG checksums are
+//! corrected afterwards, and so is the header length of safetensors files.
 
 use pwrfgs_core::rng::{Rng, below};
 
-/// What is known of a format.
+/// Format of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// Text, or binary without a guard.
+    /// Text, or binary without checksums.
     Plain,
     /// PNG: chunks with checksums.
     Png,
-    /// Safetensors: the header's length (u64), the header (JSON), numbers.
+    /// Safetensors: header length (u64), header (JSON), numbers.
     Tensors,
 }
 
-/// Longest file made, bytes.
+/// Largest mutated file, bytes.
 const LONGEST: usize = 1 << 20;
-/// What stands in place of a word or a number.
+/// Replacements of words and numbers.
 const TOKENS: &str = "0 -1 1 2 255 256 1e308 -1e308 1e309 1e39 1e-46 1e30 NaN nan inf -inf .inf 0.5 -0 65536 2147483648 \
                       4294967295 9223372036854775807 9223372036854775808 18446744073709551615 18446744073709551616 \
                       99999999999999999999999999 0x10 1e PLTE tRNS fdAT";
-/// Signs that texts are made of.
+/// Characters used in text.
 const SIGNS: &[u8] = b"()[]{}<>,:;=\"'`\\/.-+#&*!|%@\n\r\t \0\x1b\x7f\xc3\xff09azNe";
-/// How a deep nesting begins.
+/// Starts of deep nesting.
 const OPENING: [&[u8]; 8] = [b"[", b"(", b"{", b"[(", b"- ", b"? ", b"Some(", b"a:("];
-/// Numbers at the end of some range, for binary files.
+/// Limits of number ranges, for binary files.
 const WHOLE: [u64; 12] =
     [0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 40, u64::MAX];
 const FLOATS: [f32; 7] = [f32::NAN, f32::INFINITY, f32::MAX, f32::MIN, f32::MIN_POSITIVE, 1e30, -1e10];
 
-/// A file made from `seed`: one to four changes, most often one. `other` lends parts.
+/// Mutates `seed` by one to four changes, usually one. `other` provides parts.
 pub fn mutate(seed: &[u8], other: &[u8], form: Form, rng: &mut Rng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..[1, 1, 1, 2, 2, 4][below(rng, 6)] {
@@ -46,7 +46,7 @@ pub fn mutate(seed: &[u8], other: &[u8], form: Form, rng: &mut Rng) -> Vec<u8> {
     bytes
 }
 
-/// A change that knows no format.
+/// Change that ignores the format.
 fn blind(bytes: &[u8], other: &[u8], rng: &mut Rng) -> Vec<u8> {
     let is_word = |byte: u8| byte.is_ascii_alphanumeric() || b"+-._".contains(&byte);
     let (kind, mut place, lent) = (below(rng, 16), chunk(bytes.len(), rng), chunk(other.len(), rng));
@@ -73,12 +73,12 @@ fn blind(bytes: &[u8], other: &[u8], rng: &mut Rng) -> Vec<u8> {
             if below(rng, 2) == 0 {
                 value.reverse();
             }
-            // Numbers most often stand at multiples of their length.
+            // Numbers are usually at multiples of their length.
             place.0 = if below(rng, 4) == 0 { place.0 } else { place.0 / value.len() * value.len() };
             place.1 = (place.0 + value.len()).min(bytes.len());
             value
         }
-        // A line or a word becomes another, or is gone, or comes twice.
+        // A line or a word is replaced, removed or repeated.
         _ => {
             let all = if kind == 9 { runs(bytes, |byte| byte != b'\n') } else { runs(bytes, is_word) };
             if all.is_empty() {
@@ -98,14 +98,14 @@ fn blind(bytes: &[u8], other: &[u8], rng: &mut Rng) -> Vec<u8> {
     [&bytes[..place.0], &new, &bytes[place.1..]].concat()
 }
 
-/// A chunk of `length` bytes: short ones more often than long ones.
+/// Random chunk of `length` bytes; short ones are more frequent.
 fn chunk(length: usize, rng: &mut Rng) -> (usize, usize) {
     let from = below(rng, length + 1);
     let longest = [4, 16, 256, length][below(rng, 4)].min(length - from);
     (from, from + below(rng, longest + 1))
 }
 
-/// The longest runs of bytes that are of a kind.
+/// Longest runs of bytes of one kind.
 fn runs(bytes: &[u8], kind: impl Fn(u8) -> bool) -> Vec<(usize, usize)> {
     let ends = bytes.chunk_by(|a, b| kind(*a) == kind(*b)).scan(0, |end, run| {
         *end += run.len();
@@ -114,7 +114,7 @@ fn runs(bytes: &[u8], kind: impl Fn(u8) -> bool) -> Vec<(usize, usize)> {
     ends.filter(|(from, _)| kind(bytes[*from])).collect()
 }
 
-/// Changes one chunk, or their order, and puts lengths and checksums right.
+/// Changes one chunk, or their order, and corrects lengths and checksums.
 fn inside_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     let (start, mut rest) = bytes.split_at_checked(8)?;
     let mut chunks = Vec::new();
@@ -127,7 +127,7 @@ fn inside_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
         rest = tail.get(4..).unwrap_or_default();
     }
     let last = chunks.len().checked_sub(1)?;
-    // The first chunk says sides, depth, colours and interlacing.
+    // The first chunk contains sizes, depth, colours and interlacing.
     let (a, b) = ([0, below(rng, last + 1)][below(rng, 2)], below(rng, last + 1));
     match below(rng, 8) {
         0 => chunks.swap(a, b),
@@ -144,12 +144,12 @@ fn inside_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     Some([start.to_vec(), chunks.into_iter().flat_map(whole).collect()].concat())
 }
 
-/// Changes the header as a text, or a number behind it, and puts the header's length right.
+/// Changes the header as text, or a number after it, and corrects the header length.
 fn inside_tensors(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
     let (header, data) = rest.split_at_checked(u64::from_le_bytes(*length) as usize)?;
     let (mut header, mut data) = (header.to_vec(), data.to_vec());
-    // What tensors say of themselves is soon caught: shapes and places. The note comes before it.
+    // Shapes and offsets of tensors are validated early. The metadata precede them.
     let end = header.windows(3).position(|signs| signs == b"}\"}").unwrap_or(header.len());
     match below(rng, 5) {
         0 => data = blind(&data, &[], rng),

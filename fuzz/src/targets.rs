@@ -1,5 +1,5 @@
-//! The readers that cases are given to, each with the file it reads; where a reader is content, what the program would do
-//! next is done too, as far as it stays small.
+//! Tested readers with their files; if a reader accepts a file, the next steps of the program are also performed, as
+//! far as they stay small.
 
 use crate::mutate::Form;
 use pwrfgs::experiment::sweep::Plan;
@@ -11,32 +11,32 @@ use pwrfgs::report::Study;
 use std::fs;
 use std::path::Path;
 
-/// A file and who reads it.
+/// File with its reader.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// The file that is broken, below the bench.
+    /// Mutated file, relative to the bench.
     pub file: &'static str,
-    /// Files, or folders of them, that it is made from; its own first.
+    /// Seed files or folders; its own file first.
     pub seeds: &'static [&'static str],
-    /// What is known of the format.
+    /// Format of the file.
     pub form: Form,
-    /// How many of a round's cases it gets.
+    /// Number of its cases per round.
     pub share: usize,
-    /// Who reads it.
+    /// Reader of the file.
     pub reader: Reader,
 }
 
-/// Who reads a file.
+/// Reader of a file.
 #[derive(Clone, Copy, Debug)]
 pub enum Reader {
-    /// A function of the library, which is given the bench.
+    /// Library function, called with the bench.
     Library(fn(&Path) -> Result<()>),
-    /// The program with these arguments, standing in the bench.
+    /// Program with these arguments, called in the bench.
     Program(&'static [&'static str]),
 }
 
 impl Target {
-    /// The command that reads it, if the program does.
+    /// Command that reads it, if it is a program target.
     pub fn command(&self) -> String {
         match self.reader {
             Reader::Program([command, ..]) => format!(" for pwrfgs {command}"),
@@ -63,7 +63,7 @@ use Form::{Plain, Png, Tensors};
 const MODEL: &str = "models/model.safetensors";
 const PREDICT: &[&str] = &["predict", MODEL, "--tx-csv", "positions.csv", "--out", "heard", "-q"];
 
-/// Every format.
+/// All formats.
 pub const TARGETS: &[Target] = &[
     of(48, "p.ron", &["pipelines"], Plain, pipeline),
     of(32, "e.ron", &["experiments"], Plain, experiment),
@@ -118,7 +118,7 @@ fn pipeline(bench: &Path) -> Result<()> {
     if is_small(&pipeline) { first_step(&pipeline, bench) } else { Ok(()) }
 }
 
-/// Whether no number of the plugins is large: what is large takes long, and rightly so.
+/// Whether all numbers of the plugins are small, since large ones rightly take long.
 fn is_small(pipeline: &Pipeline) -> bool {
     let Pipeline { data, split, initializer, projector, rasterizer, deformation, pruners, .. } = pipeline;
     let text = format!("{data:?} {split:?} {initializer:?} {projector:?} {rasterizer:?} {deformation:?} {pruners:?}");
@@ -127,7 +127,7 @@ fn is_small(pipeline: &Pipeline) -> bool {
     small && pipeline.training.batch <= 16 && !text.contains("Simulated") && !text.contains("seed: 1e")
 }
 
-/// Loads, starts, trains a step and predicts.
+/// Loads, initialises, trains one step and predicts.
 fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
     let (data, partition) = experiment::load(pipeline, bench, &mut Silent)?;
     let mut trainer = pipeline.trainer(&data, &partition)?;
@@ -136,7 +136,7 @@ fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The first step of a pipeline on the bench.
+/// First step of a pipeline on the bench.
 fn step(bench: &Path, name: &str) -> Result<()> {
     first_step(&read_pipeline(&bench.join(name), &[])?, bench)
 }
@@ -172,7 +172,7 @@ fn load(bench: &Path, source: &str) -> Result<()> {
     source.load(bench, &|_, _| {})?.observations.check()
 }
 
-/// All files of points: the one at hand is broken.
+/// Reads all point files, one of which is mutated.
 fn cloud(bench: &Path) -> Result<()> {
     ["points.xyz", "points.csv", "mesh.ply"].into_iter().try_for_each(|name| {
         let mut pipeline = read_pipeline(&bench.join("points.ron"), &[])?;
@@ -181,7 +181,7 @@ fn cloud(bench: &Path) -> Result<()> {
     })
 }
 
-/// All meshes: the one at hand is broken; one of them is a cloud as well.
+/// Reads all meshes, one of which is mutated; one of them is also a point cloud.
 fn surface(bench: &Path) -> Result<()> {
     for name in ["mesh.ply", "mesh.obj"] {
         pwrfgs::data::read_mesh(&bench.join("cloud").join(name))?;
@@ -209,7 +209,7 @@ fn checkpoint(bench: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A copy of the stopped run goes on, to its scores; the report has cases of its own.
+/// Resumes a copy of the interrupted run up to its scores; the report has separate cases.
 fn resumed(bench: &Path) -> Result<()> {
     let again = bench.join("again");
     let _ = fs::remove_dir_all(&again);
@@ -222,7 +222,7 @@ fn read_back(bench: &Path) -> Result<()> {
     Study::read(&[bench.join("sweep")]).map(drop)
 }
 
-/// The finished run is compared, with every figure.
+/// Compares the finished run, with every figure.
 fn compared(bench: &Path) -> Result<()> {
     let study = Study::read(&[bench.join("sweep")])?;
     pwrfgs::report::write(&study, None, &bench.join("compared"), &mut Silent).map(drop)

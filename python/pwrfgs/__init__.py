@@ -1,13 +1,13 @@
 """pwrfgs: pruned 3D Gaussian splatting for wireless radiance fields.
 
-Three lines get a prediction::
+A prediction in three lines::
 
     import pwrfgs
     model = pwrfgs.Model.load("runs/quickstart")
     spectrum = model.predict([3.5, 2.2, 1.2])          # [H, W]
 
-Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lambda_=0.02)``; choices of settings are in
-``pwrfgs.settings``, such as ``pwrfgs.settings.Rays.Same(400)``. Strategies of one's own derive from ``pwrfgs.Pruner``,
+Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lambda_=0.02)``; enums of settings are in
+``pwrfgs.settings``, such as ``pwrfgs.settings.Rays.Same(400)``. Custom strategies derive from ``pwrfgs.Pruner``,
 ``Initializer``, ``Split``, ``Baseline`` and ``Metric``.
 """
 

@@ -1,4 +1,4 @@
-"""Exceptions. Their texts are those of the command line: what is wrong, where, and what to do."""
+"""Exceptions, with the same messages as the command line: problem, position and next step."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ class Error(Exception):
 
 
 class InputError(Error, ValueError):
-    """Wrong input: a file, a setting or an array that cannot be used.
+    """Invalid input: a file, a setting or an array.
 
-    ``path``, ``line`` and ``column`` say where, if a file is at fault.
+    ``path``, ``line`` and ``column`` give the position of an error in a file.
     """
 
     path: Optional[str] = None

@@ -1,4 +1,4 @@
-"""The differentiable kernels, for methods of one's own."""
+"""Differentiable kernels for custom methods."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def project(
     projector: Any = "Mercator",
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Splats:
-    """Gaussians in space as ellipses on a picture of the receiver's sky.
+    """Project Gaussians to ellipses on the image plane of a receiver.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ def rasterize(
     rasterizer: Any = "AlphaBlending",
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Array:
-    """Draws Gaussians on the receiver's sky.
+    """Render Gaussians on the image plane of a receiver.
 
-    ``signals`` [N] complex give a complex picture [H, W]; [N, C] real ones a picture [C, H, W]. Other arguments as in
-    ``project``. The derivative is ``rasterize_with_vjp``, and ``pwrfgs.torch.rasterize`` for PyTorch.
+    Complex ``signals`` [N] give a complex image [H, W]; real ``signals`` [N, C] give an image [C, H, W]. Other arguments
+    as in ``project``. For gradients use ``rasterize_with_vjp``, or ``pwrfgs.torch.rasterize`` with PyTorch.
     """
     return rasterize_with_vjp(
         means, quats, scales, opacities, signals, pose, height, width,
@@ -96,11 +96,11 @@ def rasterize_with_vjp(
     rasterizer: Any = "AlphaBlending",
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Tuple[Array, Vjp]:
-    """``rasterize``, and the way back: a function from the derivative of a real number in the picture (of its shape; of a
-    complex picture ∂/∂Re + i ∂/∂Im) to those in (means, quats, scales, opacities, signals).
+    """Render, and return the vector-Jacobian product: a function from the gradient of a real loss with respect to the image
+    (same shape; ∂/∂Re + i ∂/∂Im for a complex image) to the gradients of (means, quats, scales, opacities, signals).
 
-    The derivative is that of the picture as it is drawn: where Gaussians change places in depth, or enter or leave a pixel at
-    1/255, the picture jumps, and no derivative says so."""
+    The image is discontinuous where Gaussians swap their depth order, or enter or leave a pixel at an opacity of 1/255. The
+    gradient does not include these jumps."""
     real = np.float64 if _pwrfgs.real_bytes == 8 else np.float32
     signals = np.asarray(signals)
     waves = np.iscomplexobj(signals)

@@ -1,4 +1,4 @@
-"""`Pipeline`: a whole experiment as one value."""
+"""`Pipeline`: all settings of a run as one value."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ Source = Union[str, "os.PathLike[str]", "Pipeline"]
 
 
 def is_text(source: Any) -> bool:
-    """Whether a user gave RON, and not the path of a file or of a folder."""
+    """Whether a string is RON, and not a path."""
     if not isinstance(source, str) or (len(source) < 4096 and os.path.exists(source)):
         return False
     return re.match(r"(?:Pipeline)?\s*\(", without_comments(source)) is not None
 
 
 def without_comments(text: str) -> str:
-    """RON text from its first word on."""
+    """RON text without leading comments."""
     return re.sub(r"\A(?:\s+|//[^\n]*|/\*.*?\*/|#!\[[^\]]*\])*", "", text, flags=re.DOTALL)
 
 
 class Pipeline:
-    """A whole experiment: data, split, initialiser, pruners, training, baselines and metrics.
+    """All settings of a run: data, split, initialiser, pruners, training, baselines and metrics.
 
     ``Pipeline("pipelines/quickstart.ron")`` reads a file, ``Pipeline("Pipeline(name: ..)")`` a text, and
-    ``Pipeline(name="first", data=Teacher(), initializer=Random())`` is made of values. Fields are attributes, at any depth:
-    ``pipeline.training.steps = 2000``. Each change is checked at once. ``repr`` is RON with every default written out.
+    ``Pipeline(name="first", data=Teacher(), initializer=Random())`` combines values. Fields are attributes, at any depth:
+    ``pipeline.training.steps = 2000``. Each change is validated at once. ``repr`` is RON with every default written out.
 
-    Relative paths count from the folder of the file, or from where you stand.
+    Relative paths start at the folder of the file, or at the current directory.
     """
 
     __slots__ = ("_inner",)
@@ -61,7 +61,7 @@ class Pipeline:
             self.set(fields)
 
     def get(self, path: str) -> Any:
-        """The value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""
+        """Return the value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""
         value: Any = from_ron(self._inner.text())
         own(value, self, "")
         for step in path.split(".") if path else ():
@@ -70,13 +70,13 @@ class Pipeline:
                 try:
                     value = named[0] if named else value[int(step)]
                 except (ValueError, IndexError):
-                    raise InputError(f"{path}: there is no entry `{step}`") from None
+                    raise InputError(f"{path}: unknown entry `{step}`") from None
             else:
                 value = getattr(value, step)
         return value
 
     def set(self, values: Mapping[str, Any], **more: Any) -> "Pipeline":
-        """Sets values by their path, all or none of them: ``pipeline.set({"training.steps": 2000})``."""
+        """Set values by path, all or none: ``pipeline.set({"training.steps": 2000})``."""
         every = {**dict(values), **more}
         self._inner.set([(path, to_ron(value)) for path, value in every.items()])
         return self
@@ -85,20 +85,20 @@ class Pipeline:
         return _read, (self._inner.text(), self.folder)
 
     def copy(self) -> "Pipeline":
-        """Another pipeline that says the same."""
+        """Return a copy."""
         return Pipeline(self)
 
     def save(self, path: Union[str, "os.PathLike[str]"]) -> None:
-        """Writes it as a new file that the command line runs; relative paths become absolute."""
+        """Write a new pipeline file for the command line; relative paths become absolute."""
         self._inner.save(os.fspath(path))
 
     def load_data(self) -> "_pwrfgs.Dataset":
-        """The data that it names."""
+        """Load the data set of the pipeline."""
         return self._inner.data()
 
     @property
     def folder(self) -> str:
-        """Where its relative paths begin."""
+        """Base folder of relative paths."""
         return os.fspath(self._inner.folder)
 
     def __getattr__(self, name: str) -> Any:
@@ -131,7 +131,7 @@ class Pipeline:
 
 
 def _read(text: str, folder: str) -> Pipeline:
-    """What was pickled."""
+    """Restore a pickled pipeline."""
     pipeline = Pipeline.__new__(Pipeline)
     object.__setattr__(pipeline, "_inner", _pwrfgs.Pipeline.parse(text, "pipeline", folder))
     return pipeline

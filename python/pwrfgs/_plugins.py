@@ -1,4 +1,4 @@
-"""One class for each plugin that the program has, made when the package is imported; ``_plugins.pyi`` of a wheel lists them."""
+"""One class per plugin, created at import; ``_plugins.pyi`` of a wheel lists them."""
 
 from typing import List
 

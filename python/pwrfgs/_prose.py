@@ -1,4 +1,4 @@
-"""Comments of the source as docstrings."""
+"""Convert doc comments of the Rust source to docstrings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import List, Optional
 
 
 def prose(text: str, width: int, taken: int = 0) -> List[str]:
-    """A comment of the source in lines of ``width``, of which ``taken`` is not free in the first: paragraphs filled,
-    examples in Rust and its links left out."""
+    """Wrap a doc comment to lines of ``width``, with ``taken`` characters used in the first. Paragraphs are filled; Rust
+    examples and links are removed."""
     lines: List[str] = []
     paragraph: List[str] = []
     fence: Optional[str] = None
@@ -49,5 +49,5 @@ def prose(text: str, width: int, taken: int = 0) -> List[str]:
 
 
 def wrap(text: str, width: int, indent: str = "") -> List[str]:
-    """Words in lines, none of them divided."""
+    """Wrap text without breaking words."""
     return textwrap.wrap(text, width, initial_indent=indent, break_long_words=False, break_on_hyphens=False)

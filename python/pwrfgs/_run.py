@@ -1,4 +1,4 @@
-"""`run` and what it gives; `Trainer`, `simulate`, `sweep` and `report`."""
+"""`run` and its result `Run`; `Trainer`, `simulate`, `sweep` and `report`."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ Event = Dict[str, Any]
 
 
 class Run:
-    """A run folder: ``Run("runs/x")`` opens one that is there."""
+    """Run folder: ``Run("runs/x")`` opens an existing one."""
 
     def __init__(self, folder: PathLike) -> None:
         self.folder = os.fspath(folder)
         if not os.path.isfile(os.path.join(self.folder, "run.json")):
-            raise InputError(f"{self.folder} is no run folder: there is no run.json in it")
+            raise InputError(f"{self.folder} is not a run folder: run.json is missing")
 
     def _file(self, name: str) -> str:
         return os.path.join(self.folder, name)
 
     @property
     def facts(self) -> Dict[str, Any]:
-        """With what, on what and how long: ``run.json``."""
+        """Settings, machine and times of the run (``run.json``)."""
         facts: Dict[str, Any] = json.loads(_pwrfgs.facts(self.folder)[0])
         return facts
 
     @property
     def finished(self) -> bool:
-        """Whether model, scores and report are written."""
+        """Whether the run is finished, with model, scores and report."""
         return self.facts.get("finished") is not None
 
     @property
     def scores(self) -> Dict[str, Dict[str, Any]]:
-        """``scores["model"]["ssim"]["mean"]``, and so for every baseline: mean, median and bad_tail of numbers a sample, a
-        number of others, None where a metric does not apply. Empty before the run has finished."""
+        """Scores of the model and every baseline, such as ``scores["model"]["ssim"]["mean"]``: mean, median and bad_tail for
+        per-sample metrics, one number for others, None if a metric does not apply. Empty before the run has finished."""
         return dict(_pwrfgs.facts(self.folder)[1] or {})
 
     def table(self) -> Any:
-        """The scores as a data frame of pandas (rows: predictor; columns: metric and statistic), or, without pandas, as a
-        list of dicts."""
+        """Scores as a pandas data frame (rows: predictor; columns: metric and statistic), or a list of dicts without
+        pandas."""
         rows: List[Dict[str, Any]] = []
         for predictor, metrics in self.scores.items():
             row: Dict[str, Any] = {"predictor": predictor}
@@ -68,36 +68,36 @@ class Run:
         return pandas.DataFrame(rows).set_index("predictor") if rows else pandas.DataFrame()
 
     def samples(self) -> List[Dict[str, str]]:
-        """Every number of ``samples.csv``: a row a test sample."""
+        """Columns of ``samples.csv``: one row per test sample."""
         # Names that spreadsheets would compute have one more apostrophe in the file.
         rows = _rows(self._file("samples.csv"))
         return [{key: text[1:] if text.startswith("'") else text for key, text in row.items()} for row in rows]
 
     @property
     def curve(self) -> Dict[str, Array]:
-        """Loss, penalty, Gaussians and seconds by step."""
+        """Loss, penalty, number of Gaussians and seconds per step."""
         return _columns(self._file("curve.csv"))
 
     @property
     def validation(self) -> Dict[str, Array]:
-        """What the validation part scored while it was trained."""
+        """Scores on the validation set during training."""
         return _columns(self._file("validation.csv"))
 
     @property
     def model(self) -> "_pwrfgs.Model":
-        """The trained model; there is none before the run has finished."""
+        """Trained model, available after the run has finished."""
         if not os.path.isfile(self._file("model.safetensors")):
-            raise InputError(f"{self.folder} has no model yet: the run has not finished; pwrfgs.run({self.folder!r}) goes on with it")
+            raise InputError(f"{self.folder} has no model: the run has not finished; resume it with pwrfgs.run({self.folder!r})")
         return _pwrfgs.Model.load(self._file("model.safetensors"))
 
     @property
     def pipeline(self) -> Pipeline:
-        """What was run. Of a joined model, what it is scored by: its runs have their own."""
+        """Pipeline of the run; for a joined model, the pipeline of its evaluation."""
         return Pipeline(self._file("pipeline.ron"))
 
     @property
     def report(self) -> str:
-        """The page of the run, a file for any browser."""
+        """Path of the report, an HTML file."""
         return self._file("report.html")
 
     def __repr__(self) -> str:
@@ -131,7 +131,7 @@ def _columns(path: str) -> Dict[str, Array]:
 
 
 class _Progress:
-    """A bar in a terminal or a notebook."""
+    """Progress bar in a terminal or a notebook."""
 
     def __init__(self, shown: bool) -> None:
         self.shown = shown
@@ -177,7 +177,7 @@ class _Progress:
 
 
 def _arguments(values: Optional[Mapping[str, Any]]) -> List[str]:
-    """Settings as ``--set`` has them: texts as they are on the command line, everything else as RON."""
+    """Convert settings to ``--set`` arguments: strings unchanged, everything else as RON."""
     if values is not None and not isinstance(values, Mappings):
         raise InputError(f'set is {values!r}; give a dict, such as {{"training.steps": 2000}}')
     return [f"{path}={value if isinstance(value, str) else to_ron(value)}" for path, value in (values or {}).items()]
@@ -196,29 +196,30 @@ def run(
     metrics: Sequence[Any] = (),
     progress: bool = True,
 ) -> Run:
-    """Trains, prunes, scores and reports: ``run("pipelines/quickstart.ron")``.
+    """Train, prune, score and report: ``run("pipelines/quickstart.ron")``.
 
     Parameters
     ----------
     pipeline
-        A ``Pipeline``, the path of a pipeline file, or a run folder, whose run goes on.
+        A ``Pipeline``, the path of a pipeline file, or a run folder to resume.
     set
-        Settings by path, as ``--set`` has them: ``{"training.steps": 2000, "split": "Voxel()"}``.
+        Settings by path, as in ``--set``: ``{"training.steps": 2000, "split": "Voxel()"}``.
     out
-        The run folder; ``runs/NAME`` where it is left out. A run that was stopped goes on there, a finished one is opened,
-        anything else is not touched.
+        Run folder, default ``runs/NAME``. An interrupted run is resumed there, a finished one is opened, and a folder with
+        other content is an error.
     callback
         Called with every event, a dict with ``what``: "step" (step, phase, loss, penalty, gaussians), "validation", "stage",
         "start" or "message". An exception in it stops the run at the next step, with a checkpoint.
     pruners, baselines, metrics
-        Strategies of one's own, or plugins, **beside** those that the pipeline names: a Gaussian stays where all pruners agree.
-        ``set={"pruners": []}`` takes the pipeline's away first.
+        Custom strategies or plugins **in addition to** those of the pipeline: a Gaussian is kept if all pruners keep it.
+        ``set={"pruners": []}`` removes those of the pipeline.
     initializer, split
-        A strategy of one's own, or a plugin, in the place of the pipeline's.
+        Custom strategy or plugin that replaces that of the pipeline.
     progress
-        Whether a bar is drawn.
+        Whether to show a progress bar.
 
-    Ctrl-C stops at the next step and writes a checkpoint; the same call goes on and ends in the same files.
+    Ctrl-C stops at the next step and writes a checkpoint. Repeat the call to resume; the result is identical to an
+    uninterrupted run.
     """
     for name, many in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if not isinstance(many, (list, tuple)):
@@ -253,17 +254,17 @@ def run(
 
 
 def _named(field: str, strategy: Any) -> Any:
-    """What a user gives for a field: a name alone becomes a value; a plugin must be of the kind that stands there."""
+    """Convert a value for a field: names become values; a plugin must be of the kind of the field."""
     kind = _strategies.FIELDS[field]
     value = from_ron(plugin_text(kind, strategy, None))
     kinds = KINDS.get(getattr(value, "_name", None) or "", [kind])
     if kind not in kinds:
-        raise InputError(f"{field}: {value._name} is a {' and a '.join(kinds)}, and a {kind} is wanted")
+        raise InputError(f"{field}: {value._name} is a {' and a '.join(kinds)}, expected a {kind}")
     return value
 
 
 def _refuse_twice(there: List[Any], more: List[Any]) -> None:
-    """Refuses a pruner that is there already, which nobody means."""
+    """Raise an error for a pruner that the pipeline already has."""
 
     def of_class(value: Any) -> Any:
         return value._name, value._fields.get("module"), value._fields.get("class")
@@ -272,8 +273,8 @@ def _refuse_twice(there: List[Any], more: List[Any]) -> None:
         if of_class(value) in map(of_class, [*there, *more[:place]]):
             name = value._fields["class"] if value._name == "Python" else value._name
             raise InputError(
-                f"the pipeline has {name} already, and this would be another beside it; change its settings by `set`, or take the "
-                'pruners that are there away with set={"pruners": []}'
+                f"the pipeline has {name} already; change its settings with `set`, or remove the pruners of the pipeline with "
+                'set={"pruners": []}'
             )
 
 
@@ -287,9 +288,9 @@ def _listener(bar: _Progress, callback: Optional[Callable[[Event], Any]]) -> Cal
 
 
 class Trainer:
-    """The training loop in one's own hands: ``step()`` until ``finished``.
+    """Custom training loop: call ``step()`` until ``finished``.
 
-    ``dataset`` is what the pipeline's ``data`` names where it is left out. Nothing is written.
+    ``dataset`` defaults to the data of the pipeline. No files are written.
     """
 
     def __init__(self, pipeline: Any, dataset: Optional["_pwrfgs.Dataset"] = None) -> None:
@@ -299,38 +300,38 @@ class Trainer:
         self._inner = _pwrfgs.Trainer(self.pipeline._inner, self.dataset)
 
     def step(self) -> Event:
-        """One step: batch, gradients, Adam, then densification or pruning where due. Gives step, phase, loss, penalty and
-        gaussians (N after it). After an exception in it the trainer takes no further step: half of one may be done."""
+        """Perform one step: batch, gradients, Adam, then densification or pruning if due. Returns step, phase, loss, penalty
+        and gaussians (N after the step). After an exception, the trainer accepts no further step."""
         return dict(self._inner.step())
 
     @property
     def done(self) -> int:
-        """Steps taken."""
+        """Number of completed steps."""
         return int(self._inner.done)
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are taken."""
+        """Whether all steps are completed."""
         return bool(self._inner.finished)
 
     @property
     def cloud(self) -> Cloud:
-        """The Gaussians as they stand; a copy."""
+        """Current Gaussians, as a copy."""
         cloud: Cloud = self._inner.cloud
         return cloud
 
     @property
     def stats(self) -> Stats:
-        """What was seen of them since the last densification; a copy."""
+        """Statistics of the Gaussians since the last densification, as a copy."""
         stats: Stats = self._inner.stats
         return stats
 
     def prune(self, keep: Any) -> int:
-        """Takes away the Gaussians where ``keep`` [N] is false, with their moments and statistics; gives how many are left."""
+        """Remove the Gaussians with ``keep`` [N] false, with their moments and statistics; returns the remaining number."""
         return int(self._inner.prune(keep))
 
     def model(self) -> "_pwrfgs.Model":
-        """The model as it stands."""
+        """Current model."""
         return self._inner.model()
 
     def __repr__(self) -> str:
@@ -350,11 +351,11 @@ def simulate(
     paths: bool = False,
     progress: bool = True,
 ) -> "_pwrfgs.Dataset":
-    """Simulates a scene file into the new folder ``out`` and loads it: ``simulate("scenes/office.ron", "data/office")``.
+    """Simulate a scene file into the new folder ``out`` and load it: ``simulate("scenes/office.ron", "data/office")``.
 
-    ``layout`` is "spectra", "arrays", "rssi" (``noise_db`` is its scatter), "channels" or "csi" (``snr_db`` is their noise).
-    Ctrl-C stops it; nothing is left behind then. A scene of several receivers makes a folder for each inside ``out`` (but for
-    "rssi"); the first is loaded.
+    ``layout`` is "spectra", "arrays", "rssi" (with noise of ``noise_db``), "channels" or "csi" (with an SNR of ``snr_db``).
+    Ctrl-C stops without leaving files. With several receivers, each has a folder inside ``out`` (except for "rssi"); the
+    first is loaded.
     """
     bar = _Progress(progress)
     bar.begin("simulating", samples)
@@ -371,7 +372,7 @@ def simulate(
 
 
 class SweepError(InputError):
-    """Runs of a sweep that failed; ``reasons`` has why, by folder."""
+    """Failed runs of a sweep; ``reasons`` maps folders to messages."""
 
     reasons: Dict[str, str] = {}
 
@@ -379,10 +380,10 @@ class SweepError(InputError):
 def sweep(
     experiment: PathLike, set: Optional[Mapping[str, Any]] = None, out: Optional[PathLike] = None, jobs: int = 1
 ) -> List[Run]:
-    """Does every run of an experiment file that is left to do, and its report; gives the runs in their order, and after them,
-    if the file says ``join: true``, the joined model.
+    """Perform all unfinished runs of an experiment file and write its report. Returns the runs in order, followed by the
+    joined model if the file sets ``join: true``.
 
-    The same call goes on after Ctrl-C. Raises ``SweepError`` when runs failed, after all others are done.
+    Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
     """
     folder, ends = _pwrfgs.sweep(experiment, _arguments(set), out, jobs)
     failed = {os.fspath(run): reason for run, reason in ends if reason}
@@ -395,11 +396,11 @@ def sweep(
 
 
 def report(runs: Any, out: Optional[PathLike] = None, reference: Optional[str] = None) -> str:
-    """Compares finished runs, or whole sweeps: tables and figures in ``out`` (``report`` in the first of the folders), with
-    report.html to open; gives the tables as text."""
+    """Compare finished runs or sweeps: write tables, figures and report.html to ``out`` (default: ``report`` in the first
+    folder); returns the tables as text."""
     given = [runs] if isinstance(runs, (str, os.PathLike, Run)) else list(runs)
     folders = [one.folder if isinstance(one, Run) else os.fspath(one) for one in given]
     if not folders:
-        raise InputError("give a run at least")
+        raise InputError("runs is empty; pass at least one run")
     where = os.path.join(folders[0], "report") if out is None else os.fspath(out)
     return str(_pwrfgs.report(folders, where, reference))

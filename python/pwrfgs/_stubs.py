@@ -1,7 +1,7 @@
-"""Writes ``_plugins.pyi`` and ``settings.pyi``: what editors and type checkers know of the classes that are made of the
-program's plugins and settings.
+"""Writes ``_plugins.pyi`` and ``settings.pyi``: stubs for editors and type checkers, for the classes created from plugins and
+settings.
 
-``python -m pwrfgs._stubs`` writes both beside itself; a wheel is built with them (``backend.py``).
+``python -m pwrfgs._stubs`` writes both to this folder; a wheel is built with them (``backend.py``).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PLAIN = {
 
 
 def annotation(words: str) -> str:
-    """The type of a field, from the registry's words for it; ``Any`` where they name a plugin or a setting."""
+    """Type annotation of a field from its description in the registry; ``Any`` for plugins and settings."""
     if words in PLAIN:
         return PLAIN[words]
     if words.endswith(" or None"):
@@ -47,7 +47,7 @@ def annotation(words: str) -> str:
 
 
 def parts(words: str) -> List[str]:
-    """What commas divide, but for those inside parentheses."""
+    """Split at commas outside parentheses."""
     found, depth = [""], 0
     for letter in words:
         depth += (letter == "(") - (letter == ")")
@@ -59,7 +59,7 @@ def parts(words: str) -> List[str]:
 
 
 def literal(value: Any) -> str:
-    """A default as a stub may have it: plain values and lists of them, else an ellipsis."""
+    """Default value in a stub: plain values and lists of them, else an ellipsis."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if value is None or isinstance(value, (bool, int)) or (isinstance(value, float) and math.isfinite(value)):
@@ -72,7 +72,7 @@ def literal(value: Any) -> str:
 
 
 def docstring(lines: Sequence[str], indent: str) -> str:
-    """Lines as a docstring."""
+    """Format lines as a docstring."""
     escaped = [line.replace("\\", "\\\\").replace('"""', r"\"\"\"") for line in lines]
     if len(escaped) == 1 and len(indent) + len(escaped[0]) + 6 <= WIDTH and not escaped[0].endswith('"'):
         return f'{indent}"""{escaped[0]}"""\n'
@@ -81,7 +81,7 @@ def docstring(lines: Sequence[str], indent: str) -> str:
 
 
 def listing(fields: Sequence[Tuple[str, str, str]], width: int) -> List[str]:
-    """Fields (name, words, comment) as NumPy's docstrings have them."""
+    """Format fields (name, type, comment) in the NumPy docstring style."""
     lines = ["Parameters", "----------"]
     for name, words, text in fields:
         lines.append(f"{name} : {words}")
@@ -90,7 +90,7 @@ def listing(fields: Sequence[Tuple[str, str, str]], width: int) -> List[str]:
 
 
 def function(name: str, parameters: Sequence[str], result: str, indent: str, end: str) -> str:
-    """``def`` with its parameters, in one line where they fit."""
+    """Format ``def`` with parameters, on one line if they fit."""
     flat = f"{indent}def {name}({', '.join(parameters)}) -> {result}:{end}\n"
     if len(flat) <= WIDTH + 1:
         return flat
@@ -158,7 +158,7 @@ def settings() -> str:
 
 
 def imports(text: str, values: Sequence[str]) -> str:
-    """What ``text`` uses of ``typing``, and ``values`` of this package."""
+    """Imports that ``text`` needs from ``typing``, and ``values`` from this package."""
     code = re.sub(r'""".*?"""', "", text, flags=re.DOTALL)
     used = [name for name in TYPING if re.search(rf"\b{name}\b", code)]
     found = f"from typing import {', '.join(used)}\n\n"
@@ -168,7 +168,7 @@ def imports(text: str, values: Sequence[str]) -> str:
 
 
 def exports(names: Sequence[str]) -> str:
-    """``__all__``, filled."""
+    """Format ``__all__``."""
     lines = wrap(", ".join(f'"{name}"' for name in names) + ",", WIDTH - 4)
     return "__all__: List[str] = [\n" + "".join(f"    {line}\n" for line in lines) + "]\n"
 

@@ -1,4 +1,4 @@
-"""What calls give and strategies get: plain records of arrays."""
+"""Records of arrays for results and strategy arguments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Record = TypeVar("Record")
 
 
 def _told(cls: Type[Record]) -> Type[Record]:
-    """Gives the fields of a named tuple the lines of its docstring, which `help` shows beside them."""
+    """Set the docstrings of named tuple fields from the class docstring, for `help`."""
     for name, doc in re.findall(r"^ *(\w+) : (.*)$", cls.__doc__ or "", flags=re.MULTILINE):
         getattr(cls, name).__doc__ = doc
     return cls
@@ -24,10 +24,10 @@ def _told(cls: Type[Record]) -> Type[Record]:
 
 @_told
 class Pose(NamedTuple):
-    """Where a receiver is and how it is turned.
+    """Position and orientation of a receiver.
 
     position : Metres, world frame.
-    orientation : Unit quaternion x, y, z, w (the order of the data sets) that turns receiver axes into world axes.
+    orientation : Unit quaternion x, y, z, w (the order of the data sets) from receiver axes to world axes.
     """
 
     position: Tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -36,12 +36,12 @@ class Pose(NamedTuple):
 
 @dataclass
 class Receiver:
-    """One receiver of a data set.
+    """Receiver of a data set.
 
-    name : what tables call it
+    name : name in tables
     position : metres, world frame
-    orientation : unit quaternion x, y, z, w that turns receiver axes into world axes; boresight is z
-    antennas : places [A, 3] of its antennas, metres in its own frame, before it is turned; one at the middle where left out
+    orientation : unit quaternion x, y, z, w from receiver axes to world axes; boresight is z
+    antennas : antenna positions [A, 3], metres, receiver frame; default: one at the origin
     """
 
     name: str = "receiver"
@@ -52,16 +52,16 @@ class Receiver:
     def __post_init__(self) -> None:
         self.antennas = [tuple(map(float, place)) for place in self.antennas]  # type: ignore[misc]
         if any(len(place) != 3 for place in self.antennas):
-            raise InputError(f"antennas is {self.antennas}; give places [A, 3], metres")
+            raise InputError(f"antennas is {self.antennas}, expected positions [A, 3] in metres")
 
 
 @_told
 class Partition(NamedTuple):
-    """Places of links, sorted and disjoint.
+    """Link indices of a split, sorted and disjoint.
 
-    train : places of links to learn from
-    validation : places of links to watch a training by; may be none
-    test : places of links to score with
+    train : indices of training links
+    validation : indices of validation links; may be empty
+    test : indices of test links
     """
 
     train: Array
@@ -70,7 +70,7 @@ class Partition(NamedTuple):
 
 
 class Gaussians(NamedTuple):
-    """Gaussians in space, named as gsplat names them.
+    """Gaussians in space, with the field names of gsplat.
 
     means : [N, 3], metres, world frame.
     quats : [N, 4] as w, x, y, z.
@@ -88,12 +88,12 @@ class Gaussians(NamedTuple):
 
 @_told
 class Splats(NamedTuple):
-    """Gaussians on a picture.
+    """Gaussians projected to the image plane.
 
     means2d : [N, 2]: column and row, px.
     conics : [N, 3]: A, B, C of A dx² + 2 B dx dy + C dy², px⁻².
     depths : [N], metres.
-    radii : [N], px; 0 where it does not reach the picture.
+    radii : [N], px; 0 outside the image.
     opacities : [N].
     """
 
@@ -105,10 +105,10 @@ class Splats(NamedTuple):
 
 
 class Cloud:
-    """Gaussians as they are learned: unconstrained columns of N rows, by name in ``columns``.
+    """Gaussians in training: unconstrained columns of N rows, by name in ``columns``.
 
     ``means`` [N, 3] (metres), ``log_scales`` [N, 3], ``quats`` [N, 4] (w, x, y, z), ``opacity_logits`` [N],
-    ``signals`` [N, 2] (real and imaginary part), and the columns that strategies asked for.
+    ``signals`` [N, 2] (real and imaginary part), and the columns of strategies.
     """
 
     __slots__ = ("columns",)
@@ -158,13 +158,13 @@ class Cloud:
 
 @_told
 class Stats(NamedTuple):
-    """What was seen of each Gaussian since the last densification, [N] each.
+    """Statistics of each Gaussian since the last densification, [N] each.
 
-    visible : Drawings that it was in.
-    gradient : Sum over these of the norm of the derivative in its place on the picture.
+    visible : Number of rendered images in which it was visible.
+    gradient : Sum over these of the norm of the image-plane position gradient.
     radius : Largest radius, px.
     weight : Sum of its blending weights.
-    asked : What ``needs`` named, fresh at this prune step; empty at any other.
+    asked : Statistics requested by ``needs``, computed at this prune step; empty at other steps.
     """
 
     visible: Array
@@ -176,14 +176,14 @@ class Stats(NamedTuple):
 
 @_told
 class Moment(NamedTuple):
-    """When a strategy is asked.
+    """Training step at which a strategy is called.
 
     step : Training step, from 1.
     phase : "densify", "prune" or "finetune".
-    seed : The pipeline's.
-    round : Which prune step it is, from 1; 0 at any other step.
-    rounds : How many there are.
-    target : `training.target`, for the pruner that has to reach it; None for others.
+    seed : Random seed of the pipeline.
+    round : Number of the prune step, from 1; 0 at other steps.
+    rounds : Total number of prune steps.
+    target : `training.target`, for the pruner that must reach it; None for others.
     """
 
     step: int
@@ -196,10 +196,10 @@ class Moment(NamedTuple):
 
 @_told
 class Room(NamedTuple):
-    """What an initialiser knows, metres in the world frame.
+    """Input of an initialiser, metres in the world frame.
 
-    points : Surface points [P, 3]; P is 0 where none are known.
-    bounds : [2, 3]: smallest and largest corner of everything known.
+    points : Surface points [P, 3]; P is 0 without a point cloud.
+    bounds : [2, 3]: smallest and largest corner of the scene.
     receivers : [R, 3].
     """
 
@@ -210,11 +210,11 @@ class Room(NamedTuple):
 
 @_told
 class Links(NamedTuple):
-    """Links without what was observed of them.
+    """Links without observations.
 
     tx : [L, 3], metres.
-    ids : [L]: the numbers that the data give the transmitters.
-    receiver : [L]: who heard it.
+    ids : [L]: transmitter ids in the data set.
+    receiver : [L]: receiver index.
     """
 
     tx: Array
@@ -224,14 +224,14 @@ class Links(NamedTuple):
 
 @dataclass
 class Column:
-    """A column of the Gaussians that a strategy asks for.
+    """Column of the Gaussians for a strategy.
 
-    name : what ``cloud`` and derivatives call it
-    width : numbers a Gaussian
-    init : what they begin with
-    learning_rate : how fast it is learned by the derivatives of ``gate`` and ``penalty``; None, for a column that only
-        ``update`` changes, learns nothing
-    adam : whether Adam moves it; where not, plain descent does
+    name : name in ``cloud`` and derivatives
+    width : number of values per Gaussian
+    init : initial value
+    learning_rate : learning rate for the derivatives of ``gate`` and ``penalty``; None for a column that only ``update``
+        changes
+    adam : whether to use Adam; otherwise plain gradient descent
     """
 
     name: str

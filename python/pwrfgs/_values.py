@@ -24,20 +24,20 @@ WIDTH = 110
 
 
 def python_name(name: str) -> str:
-    """A field as Python can say it: ``lambda`` is ``lambda_``."""
+    """Field name in Python: ``lambda`` is ``lambda_``."""
     return name + "_" if keyword.iskeyword(name) else name
 
 
 def ron_name(name: str) -> str:
-    """The reverse."""
+    """Inverse of ``python_name``."""
     bare = name[:-1] if name.endswith("_") else name
     return bare if keyword.iskeyword(bare) else name
 
 
 class Value:
-    """A value of a pipeline with a name and fields, such as ``LearnableMask(lambda_=0.02)``.
+    """Value of a pipeline with a name and fields, such as ``LearnableMask(lambda_=0.02)``.
 
-    Fields are attributes; ``repr`` is RON. One that came out of a pipeline writes to that pipeline when a field is set.
+    Fields are attributes; ``repr`` is RON. Setting a field of a value from a pipeline changes that pipeline.
     """
 
     __slots__ = ("_name", "_fields", "_items", "_owner")
@@ -98,7 +98,7 @@ class Value:
         return hash(to_ron(self))
 
     def replace(self, **fields: Any) -> "Value":
-        """The same with other values of some fields."""
+        """Return a copy with some fields replaced."""
         merged = {**self._fields, **{ron_name(name): value for name, value in fields.items()}}
         if self._name in KINDS:
             made = CLASSES[self._name](**{python_name(name): value for name, value in merged.items()})
@@ -108,7 +108,7 @@ class Value:
 
 
 def unknown(what: str, name: str, fields: Any) -> str:
-    """There is no such field: which there are, and which is near."""
+    """Message for an unknown field, with the known fields and the nearest name."""
     import difflib
 
     names = [python_name(field) for field in fields]
@@ -119,7 +119,7 @@ def unknown(what: str, name: str, fields: Any) -> str:
 
 
 class Items(List[Any]):
-    """A list of a pipeline: what changes it changes the pipeline."""
+    """List of a pipeline: changes also apply to the pipeline."""
 
     _owner: Optional[Tuple["Pipeline", str]] = None
 
@@ -133,7 +133,7 @@ class Items(List[Any]):
 
 
 def changing(method: str) -> Any:
-    """A method of lists that changes the pipeline first, so that what it refuses is not in the list either."""
+    """List method that changes the pipeline first, so that rejected values do not enter the list."""
     plainly = getattr(list, method)
 
     def change(self: Items, *given: Any, **named: Any) -> Any:
@@ -158,19 +158,19 @@ for _method in (
 
 
 def own(value: Any, pipeline: "Pipeline", path: str) -> None:
-    """Makes values that came out of a pipeline write to it."""
+    """Connect values from a pipeline to it, so that changes apply to it."""
     if isinstance(value, (Value, Items)):
         value._own(pipeline, path)
 
 
 def current(value: Any, pipeline: "Pipeline", path: str) -> None:
-    """Refuses a value that no longer stands where it came from: to change it would change another."""
+    """Raise an error for a value that is no longer at its path: a change would affect another value."""
     try:
         there = pipeline.get(path)
     except (InputError, AttributeError):
         there = None
     if there != value:
-        raise InputError(f"`{path}` of the pipeline has changed since this value was taken from it; take it anew")
+        raise InputError(f"`{path}` of the pipeline has changed since this value was read; read it again")
 
 
 # Kinds of plugins by their name (`Random` is an initializer and a split), and the classes made of them.
@@ -181,7 +181,7 @@ CLASSES: Dict[Optional[str], type] = {}
 
 
 def to_ron(value: Any) -> str:
-    """RON text of a value of Python's."""
+    """RON text of a Python value."""
     if value is None:
         return "None"
     if isinstance(value, (bool, np.bool_)):
@@ -210,7 +210,7 @@ def to_ron(value: Any) -> str:
     if isinstance(value, _pwrfgs.Dataset):
         source = value._source
         if source is None:
-            raise InputError("a pipeline names data by where they lie; call dataset.save(path) first")
+            raise InputError("a pipeline refers to data by path; call dataset.save(path) first")
         return source
     if isinstance(value, type) and issubclass(value, Value):
         return to_ron(value())
@@ -220,7 +220,7 @@ def to_ron(value: Any) -> str:
 
 
 def quoted(text: str) -> str:
-    """A text between quotes, as RON reads it."""
+    """Quoted RON string."""
 
     def letter(c: str) -> str:
         return "\\" + c if c in '"\\' else c if c.isprintable() else f"\\u{{{ord(c):x}}}"
@@ -228,12 +228,12 @@ def quoted(text: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise InputError(f"{text!r} is no text that can be written as UTF-8") from None
+        raise InputError(f"{text!r} is not valid UTF-8 text") from None
     return '"' + "".join(map(letter, text)) + '"'
 
 
 def value_text(value: Value) -> str:
-    """``Name(field: value)``."""
+    """RON text ``Name(field: value)``."""
     inside = [f"{name}: {to_ron(field)}" for name, field in value._fields.items()]
     inside += [to_ron(item) for item in value._items]
     name = value._name or ""
@@ -242,7 +242,7 @@ def value_text(value: Value) -> str:
 
 
 def from_ron(text: str) -> Any:
-    """The value that a RON text says."""
+    """Parse a RON text to a value."""
     return from_node(_pwrfgs.parse_ron(text))
 
 
@@ -276,11 +276,11 @@ def plain(text: str) -> Any:
 
 
 def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> str:
-    """RON of what a user gives for a plugin of this kind: a value, a name with settings, or an object of their own."""
+    """RON text of a plugin of this kind: a value, a name with settings, or a custom object."""
     if isinstance(value, str):
         if "(" in value:
             if settings:
-                raise InputError(f"{kind}: {value} has settings of its own; give all in one place")
+                raise InputError(f"{kind}: {value} already has settings; pass all settings in one place")
             return value
         names = [name for name, kinds in KINDS.items() if kind in kinds]
         wanted = value.replace("_", "").lower()
@@ -289,12 +289,12 @@ def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> st
             raise InputError(unknown(f"{kind}", value, names).replace("has no field", "has none called"))
         value = CLASSES[found[0]](**(settings or {}))
     elif settings:
-        raise InputError("settings go with a name; an object has its own")
+        raise InputError("settings need a plugin name; an object has its own settings")
     return to_ron(value)
 
 
 def fitting(words: str, value: Any) -> Any:
-    """A list where a list is wanted, a tuple where a tuple is: Python's users take either for the other."""
+    """Convert between lists and tuples as required by the field."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, tuple) and words.startswith("list of"):
@@ -307,7 +307,7 @@ def fitting(words: str, value: Any) -> Any:
 
 
 def blamed(name: str, kinds: List[str], named: Dict[str, Any], fields: Dict[str, Tuple[str, str]], fault: str) -> str:
-    """What is wrong, with the field that is at fault where it is wrong alone."""
+    """Message with the invalid field, if a single field is invalid."""
     if name in fault and "`" in fault:
         return fault
     for field, value in named.items():
@@ -327,7 +327,7 @@ def blamed(name: str, kinds: List[str], named: Dict[str, Any], fields: Dict[str,
 
 
 def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
-    """The class of a plugin's name, from what the registry says of it."""
+    """Create the class of a plugin from the registry."""
     kinds = [entry["kind"] for entry in entries]
     fields: Dict[str, Tuple[str, str]] = {}
     for entry in entries:
@@ -385,7 +385,7 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
 
 
 class Choice(type):
-    """An enum of settings: its variants are attributes."""
+    """Enum of settings, with variants as attributes."""
 
     def __iter__(cls) -> Iterator[str]:
         return iter(getattr(cls, "_variants"))
@@ -399,7 +399,7 @@ class Choice(type):
 
 
 def make_choice(entry: Dict[str, Any]) -> type:
-    """A namespace of an enum's variants, such as ``Rays.Same(400)`` and ``Readout.Real``."""
+    """Create the namespace of enum variants, such as ``Rays.Same(400)`` and ``Readout.Real``."""
     body: Dict[str, Any] = {"__doc__": entry["doc"], "__module__": "pwrfgs.settings", "_variants": []}
     for variant, doc, named, fields in entry["variants"]:
         body["_variants"].append(variant)
@@ -414,10 +414,10 @@ def make_choice(entry: Dict[str, Any]) -> type:
             names = [field[0] for field in _fields]
             if not _named:
                 if given or len(items) != len(names):
-                    raise InputError(f"{_variant} takes {len(names)} without a name, such as {_variant}(..)")
+                    raise InputError(f"{_variant} takes {len(names)} positional values, such as {_variant}(..)")
                 return Value._make(_variant, {}, items)
             if items:
-                raise InputError(f"{_variant} has fields with names: {', '.join(names)}")
+                raise InputError(f"{_variant} needs named fields: {', '.join(names)}")
             missing = [field[0] for field in _fields if not field[3] and field[0] not in map(ron_name, given)]
             if missing:
                 raise InputError(f"{_variant} lacks {', '.join(map(python_name, missing))}")
@@ -437,7 +437,7 @@ def make_choice(entry: Dict[str, Any]) -> type:
 
 
 def fill() -> None:
-    """Makes a class of every plugin that the program has."""
+    """Create a class for every plugin."""
     by_name: Dict[str, List[Dict[str, Any]]] = {}
     for entry in _pwrfgs.registry():
         if entry["name"] != "Python":

@@ -1,7 +1,7 @@
-"""The numbers of the reports on any arrays.
+"""Metrics of the reports, for any arrays.
 
-Each takes a prediction and what was observed, of one sample or of many with leading axes, and gives a number, or numbers of
-the shape of those axes.
+Each takes a prediction and the observation, for one sample or with leading axes for many, and returns a number, or an array
+of the shape of the leading axes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _measure(metric: str, kind: str, prediction: Any, truth: Any, axes: int, **m
 
 
 def ssim(prediction: Any, truth: Any) -> Score:
-    """Structural similarity of spectra [.., H, W] from 0 to 1, as scikit-image has it; predictions are clamped."""
+    """Structural similarity of spectra [.., H, W] from 0 to 1, as in scikit-image; predictions are clamped."""
     return _measure("Ssim()", "spectrum", prediction, truth, 2)
 
 
@@ -48,7 +48,7 @@ def l1(prediction: Any, truth: Any) -> Score:
 
 
 def eta(prediction: Any, truth: Any, snr_db: float = 0.0) -> Score:
-    """Achievable-rate ratio of spectra [.., H, W], from 0 to 1: what steering by the prediction costs. Eq. (15)."""
+    """Achievable-rate ratio of spectra [.., H, W], from 0 to 1: rate loss of beam steering by the prediction, eq. (15)."""
     return _measure(f"RateRatio(snr_db: {float(snr_db)!r})", "spectrum", prediction, truth, 2)
 
 
@@ -68,17 +68,17 @@ def channel_snr(prediction: Any, truth: Any) -> Score:
 
 
 def chamfer(first: Any, second: Any) -> float:
-    """Chamfer distance of two sets of points [N, 3] and [P, 3], m²: the mean squared distance to the nearest of the others,
-    both ways added."""
+    """Chamfer distance of two sets of points [N, 3] and [P, 3], m²: mean squared distance to the nearest point of the other
+    set, summed over both directions."""
     return float(_pwrfgs.chamfer(first, second))
 
 
 def repeatability(dataset: "_pwrfgs.Dataset", metrics: Sequence[Any] = ("Ssim()",)) -> Dict[str, Dict[str, Any]]:
-    """What two observations at one place have in common: the ceiling of any function of the position.
+    """Agreement of two observations at one position: the noise ceiling of any function of the position.
 
-    Pairs of samples are taken at small distances and followed to distance zero: ``["near"]`` those measured within a moment,
-    ``["far"]`` those far apart in time. Each has ``pairs``, ``reach_m`` and, for each metric, ``mean``, ``median`` and
-    ``interval`` (95 %) at distance zero, or ``why_not``.
+    Pairs of samples at small distances are extrapolated to distance zero: ``["near"]`` holds pairs near in time, ``["far"]``
+    pairs far apart in time. Each has ``pairs``, ``reach_m`` and, per metric, ``mean``, ``median`` and ``interval`` (95 %) at
+    distance zero, or ``why_not``.
     """
     texts = [metric if isinstance(metric, str) else to_ron(metric) for metric in metrics]
     return dict(_pwrfgs.repeatability(dataset, texts))

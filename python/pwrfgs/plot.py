@@ -1,6 +1,6 @@
-"""Pictures by matplotlib that look like the reports: ``plot.spectrum``, ``plot.sky``, ``plot.room``, ``plot.curve``, ``plot.plane``.
+"""Matplotlib figures in the style of the reports: ``plot.spectrum``, ``plot.sky``, ``plot.room``, ``plot.curve``, ``plot.plane``.
 
-Each draws on ``ax``, or on a new figure, and gives the axes. Colours are even to the eye and safe for the colour-blind.
+Each draws on ``ax``, or on a new figure, and returns the axes. Colours are perceptually uniform and colour-blind safe.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _axes(ax: Any, **options: Any) -> Any:
 
 
 def colours() -> Any:
-    """The reports' colour map, from dark violet to yellow."""
+    """Colour map of the reports, from dark violet to yellow."""
     from matplotlib.colors import ListedColormap
 
     t = np.linspace(0.0, 1.0, 256)
@@ -48,10 +48,10 @@ def colours() -> Any:
 def spectrum(
     values: Any, ax: Any = None, title: Optional[str] = None, elevation_deg: Tuple[float, float] = (0.0, 90.0)
 ) -> Any:
-    """A spatial spectrum [H, W] as a map: azimuth across, elevation up."""
+    """Plot a spatial spectrum [H, W]: azimuth on x, elevation on y."""
     values = np.asarray(values)
     if values.ndim != 2:
-        raise ValueError(f"values has shape {list(values.shape)}, and [H, W] is wanted; choose one of them")
+        raise ValueError(f"values has shape {list(values.shape)}, expected [H, W]; select one spectrum")
     ax = _axes(ax, figsize=(6.4, 2.4))
     shown = ax.imshow(
         values.clip(0.0, 1.0), origin="lower", aspect="auto", cmap=colours(), vmin=0.0, vmax=1.0,
@@ -65,10 +65,10 @@ def spectrum(
 
 
 def sky(values: Any, ax: Any = None, title: Optional[str] = None, elevation_deg: Tuple[float, float] = (0.0, 90.0)) -> Any:
-    """The same as the receiver sees it: the zenith in the middle, the horizon around."""
+    """Plot a spatial spectrum [H, W] as a sky map: zenith at the centre, horizon at the edge."""
     values = np.asarray(values)
     if values.ndim != 2:
-        raise ValueError(f"values has shape {list(values.shape)}, and [H, W] is wanted; choose one of them")
+        raise ValueError(f"values has shape {list(values.shape)}, expected [H, W]; select one spectrum")
     ax = _axes(ax, figsize=(3.6, 3.6), subplot_kw={"projection": "polar"})
     height, width = values.shape
     azimuth = np.deg2rad(np.linspace(0.0, 360.0, width + 1))
@@ -84,8 +84,8 @@ def sky(values: Any, ax: Any = None, title: Optional[str] = None, elevation_deg:
 
 
 def room(dataset: Any, model: Any = None, split: Any = None, ax: Any = None) -> Any:
-    """The room from above, metres: surface points, receivers, transmitters (by part, where ``split`` is given) and the
-    Gaussians of ``model``, larger where they are more opaque."""
+    """Plot the room from above, metres: surface points, receivers, transmitters (by set, if ``split`` is given) and the Gaussians
+    of ``model``, with size by opacity."""
     ax = _axes(ax, figsize=(5.6, 4.8))
     points, tx = dataset.points, dataset.tx
     if len(points):
@@ -113,7 +113,7 @@ def room(dataset: Any, model: Any = None, split: Any = None, ax: Any = None) -> 
 
 
 def curve(run: Any, ax: Any = None) -> Any:
-    """Loss, smoothed, and the number of Gaussians of a run by step."""
+    """Plot the smoothed loss and the number of Gaussians of a run over steps."""
     ax = _axes(ax, figsize=(6.4, 3.0))
     rows = run.curve
     steps, loss = rows["step"], rows["loss"]
@@ -138,8 +138,8 @@ def plane(
     title: Optional[str] = None,
     limits: Optional[Tuple[float, float]] = None,
 ) -> Any:
-    """Numbers [len(y), len(x)] over a horizontal plane, such as a radio map; ``x`` and ``y`` in metres. ``limits`` are the ends
-    of the colour scale."""
+    """Plot values [len(y), len(x)] over a horizontal plane, such as a radio map; ``x`` and ``y`` in metres. ``limits`` is the
+    range of the colour scale."""
     ax = _axes(ax, figsize=(5.6, 4.4))
     shown = ax.pcolormesh(np.asarray(x), np.asarray(y), np.asarray(values), cmap=colours(), shading="nearest", rasterized=True)
     if limits is not None:

@@ -1,4 +1,4 @@
-"""Choices of settings, by the name of their type: ``Schedule.Cosine(first=1e-3)``, ``Rays.Same(400)``, ``Readout.Real``.
+"""Enums of settings, by type name: ``Schedule.Cosine(first=1e-3)``, ``Rays.Same(400)``, ``Readout.Real``.
 
 Plain settings are dicts: ``pipeline.training = dict(steps=2000, batch=8)``.
 """

@@ -1,4 +1,4 @@
-"""The rasterizer for PyTorch: ``pwrfgs.torch.rasterize`` takes part in autograd. Needs torch; nothing else imports it."""
+"""The rasterizer for PyTorch: ``pwrfgs.torch.rasterize`` supports autograd. Requires torch, which is imported only here."""
 
 from __future__ import annotations
 
@@ -53,11 +53,10 @@ def rasterize(
     rasterizer: Any = "AlphaBlending",
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Any:
-    """``pwrfgs.rasterize`` of tensors: ``signals`` [N] complex give a complex picture [H, W], [N, C] real ones a picture
-    [C, H, W]. Gradients flow to all five, once: there is no second derivative.
+    """Render tensors like ``pwrfgs.rasterize``: complex ``signals`` [N] give a complex image [H, W], real ``signals`` [N, C] an
+    image [C, H, W]. All five inputs have first-order gradients.
 
-    Computes on the processor, wherever the tensors are, in single precision: tensors are float32, signals float32 or
-    complex64. Others are refused."""
+    Computes on the CPU for tensors on any device, in single precision: tensors must be float32, signals float32 or complex64."""
     given = dict(means=means, quats=quats, scales=scales, opacities=opacities, signals=signals)
     for name, x in given.items():
         takes = _REAL + _COMPLEX if name == "signals" else _REAL

@@ -1,4 +1,4 @@
-//! Arrays of NumPy in and out.
+//! Conversion of NumPy arrays.
 
 use crate::border::wrong;
 use num_complex::Complex;
@@ -11,16 +11,16 @@ use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// What a user gave, as a contiguous array.
+/// Contiguous array given by a user.
 pub(crate) type Given<'py, T> = PyReadonlyArrayDyn<'py, T>;
 
-/// A complex number of the kernels' precision: complex64, or complex128 in the double-precision build.
+/// Complex number in the precision of the kernels: complex64, or complex128 in the double-precision build.
 pub(crate) type Gain = Complex<Real>;
 
-/// `value` as an array of `T` in C order: itself where it is one, else a copy. `shape` has `None` where any length will do.
+/// Converts `value` to an array of `T` in C order, without a copy if possible. `None` in `shape` accepts any length.
 ///
 /// # Errors
-/// Where it is no array of numbers, or has another shape; `what` names it.
+/// Not an array of numbers, or another shape; `what` is its name.
 pub(crate) fn given<'py, T: Element>(
     what: &str,
     value: &Bound<'py, PyAny>,
@@ -35,7 +35,7 @@ pub(crate) fn given<'py, T: Element>(
     let fits = have.len() == shape.len() && have.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
     if !fits {
         let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
-        let message = format!("{what} has shape {}, and [{}] is wanted", shown(have), want.join(", "));
+        let message = format!("{what} has shape {}, expected [{}]", shown(have), want.join(", "));
         return Err(wrong(py, &message));
     }
     array.try_readonly().map_err(|e| wrong(py, &format!("{what}: {e}")))
@@ -45,11 +45,12 @@ fn shown(shape: &[usize]) -> String {
     format!("{shape:?}")
 }
 
-/// Through NumPy, which refuses what is no number.
+/// Converts through NumPy, which rejects non-numbers.
 fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let py = value.py();
     let numpy = py.import("numpy")?;
-    let array = numpy.call_method1("asarray", (value,)).map_err(|e| wrong(py, &format!("{what} is no array: {e}")))?;
+    let array = numpy.call_method1("asarray", (value,));
+    let array = array.map_err(|e| wrong(py, &format!("{what} is not an array: {e}")))?;
     let kind = array.getattr("dtype")?.getattr("kind")?.extract::<String>()?;
     let target = dtype::<T>(py);
     let takes = if target.kind() == b'c' {
@@ -64,7 +65,7 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
     let empty = array.getattr("size")?.extract::<usize>()? == 0; // an empty list has no kind of its own
     if !takes.contains(kind.as_str()) && !empty {
         let found = array.getattr("dtype")?;
-        return Err(wrong(py, &format!("{what} holds {found}, and {target} is wanted")));
+        return Err(wrong(py, &format!("{what} holds {found}, expected {target}")));
     }
     let options = PyDict::new(py);
     options.set_item("dtype", target)?;
@@ -72,17 +73,17 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
     array.cast_into::<PyArrayDyn<T>>().map_err(Into::into)
 }
 
-/// How many axes a value has.
+/// Number of axes of a value.
 pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
     if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
         return Ok(array.ndim());
     }
     let py = value.py();
     let count = py.import("numpy")?.call_method1("ndim", (value,));
-    count.map_err(|e| wrong(py, &format!("this is no array: {e}")))?.extract()
+    count.map_err(|e| wrong(py, &format!("value is not an array: {e}")))?.extract()
 }
 
-/// One place, metres, finite.
+/// Reads one position, metres, finite.
 pub(crate) fn place(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
     let all = numbers::<f64>(what, value, &[Some(3)])?;
     if !all.iter().all(|v| v.is_finite()) {
@@ -91,7 +92,7 @@ pub(crate) fn place(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> 
     Ok([all[0], all[1], all[2]])
 }
 
-/// Places `[.., 3]`, metres, all of them finite.
+/// Reads positions `[.., 3]`, metres, finite.
 pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
     let array = given::<f64>(what, value, &[None, Some(3)])?;
     let all = array.as_slice().map_err(|e| wrong(value.py(), &e.to_string()))?;
@@ -102,7 +103,7 @@ pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64;
     }
 }
 
-/// Numbers as they are, for `[N, width]` columns.
+/// Reads numbers without a check, for `[N, width]` columns.
 pub(crate) fn numbers<T: Element + Copy>(
     what: &str,
     value: &Bound<'_, PyAny>,
@@ -112,10 +113,10 @@ pub(crate) fn numbers<T: Element + Copy>(
     array.as_slice().map(<[T]>::to_vec).map_err(|e| wrong(value.py(), &e.to_string()))
 }
 
-/// A new array of this shape.
+/// Creates an array of this shape.
 ///
 /// # Errors
-/// Where NumPy refuses.
+/// NumPy rejects the array.
 pub(crate) fn array<'py, T: Element>(
     py: Python<'py>,
     values: Vec<T>,
@@ -124,7 +125,7 @@ pub(crate) fn array<'py, T: Element>(
     values.into_pyarray(py).reshape(shape.to_vec())
 }
 
-/// Refuses numbers that there is no memory for, before they are made.
+/// Returns an error if there is not enough memory for the numbers.
 ///
 /// # Errors
 /// `MemoryError`.
@@ -133,11 +134,11 @@ pub(crate) fn room<T>(shape: &[usize]) -> PyResult<()> {
     if count.is_some_and(|count| Vec::<T>::new().try_reserve_exact(count).is_ok()) {
         return Ok(());
     }
-    Err(PyMemoryError::new_err(format!("there is no memory for numbers of shape {shape:?}; ask for fewer at a time")))
+    Err(PyMemoryError::new_err(format!("not enough memory for numbers of shape {shape:?}; request fewer at a time")))
 }
 
-/// Observations of `task` as an array `[lead.., axes of one]`, complex where they are: `rows` holds one after the other, each
-/// of `size` (columns, rows).
+/// Observations of `task` as an array `[lead.., axes of one]`, complex if needed: `rows` holds them in order, each of
+/// `size` (columns, rows).
 pub(crate) fn observations<'py>(
     py: Python<'py>,
     task: Task,
@@ -152,7 +153,7 @@ pub(crate) fn observations<'py>(
     array(py, rows, &shape).map(Bound::into_any)
 }
 
-/// Pairs of real numbers as complex ones.
+/// Converts pairs of real numbers to complex numbers.
 fn complex(pairs: &[[Real; 2]]) -> Vec<Gain> {
     pairs.iter().map(|[re, im]| Gain::new(*re, *im)).collect()
 }

@@ -1,4 +1,4 @@
-//! Between Rust and Python: errors and warnings, plugins, the interpreter's lock, Ctrl-C, and processes that forked.
+//! Bridge between Rust and Python: errors, warnings, plugins, the interpreter lock (GIL), Ctrl-C and forked processes.
 
 use pwrfgs_core::plugin::{PluginKind, read_ron};
 use pwrfgs_core::{Error, Plugin, Result};
@@ -19,26 +19,26 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-/// How often Ctrl-C is looked for.
+/// Interval between checks for Ctrl-C.
 pub(crate) const LOOK: Duration = Duration::from_millis(50);
-/// Events that may wait for a slow listener.
+/// Largest number of queued events for a slow listener.
 const WAITING: usize = 64;
 
 thread_local! {
-    /// Strategies that are being asked on this thread.
+    /// Number of nested strategy calls on this thread.
     static ASKED: Cell<usize> = const { Cell::new(0) };
 }
 
-/// The process that loaded the library. Threads do not survive a fork.
+/// Id of the process that loaded the library. Threads do not survive a fork.
 static HOME: OnceLock<u32> = OnceLock::new();
 
-/// Remembers the process, and refuses an environment that asks for too many threads.
+/// Records the process, and returns an error if the environment requests too many threads.
 pub(crate) fn begin(py: Python<'_>) -> PyResult<()> {
     HOME.get_or_init(process::id);
     pwrfgs_core::threads::check_environment().map_err(|error| raised(py, error))
 }
 
-/// Refuses a process that was forked after the library was loaded: its threads are not there, and it would wait for ever.
+/// Returns an error in a process that was forked after loading the library: its threads are missing, so it would hang.
 pub(crate) fn at_home() -> PyResult<()> {
     if *HOME.get_or_init(process::id) == process::id() {
         return Ok(());
@@ -49,12 +49,12 @@ pub(crate) fn at_home() -> PyResult<()> {
     ))
 }
 
-/// Whether a strategy is being asked on this thread: what it does then must not wait for the run that asks it.
+/// Whether a strategy is called on this thread: its code must not wait for the run that called it.
 pub(crate) fn asked() -> bool {
     ASKED.get() > 0
 }
 
-/// Does `work` as a strategy that is being asked.
+/// Performs `work` as part of a strategy call.
 pub(crate) fn asking<T>(work: impl FnOnce() -> T) -> T {
     struct Asking;
     impl Drop for Asking {
@@ -67,15 +67,15 @@ pub(crate) fn asking<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// Does `work` without the interpreter's lock.
+/// Performs `work` without the interpreter lock.
 pub(crate) fn free<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     at_home()?;
     let done = py.detach(|| catch_unwind(AssertUnwindSafe(work)));
     settled(py, done)
 }
 
-/// The same, of something that others may have in hand: `work` gives nothing while they have, and is tried again. Ctrl-C ends
-/// the waiting.
+/// Same as `free`, for a shared object: `work` returns `None` while it is in use, and is tried again. Ctrl-C ends the
+/// waiting.
 pub(crate) fn free_once_there<T: Send>(
     py: Python<'_>,
     mut work: impl FnMut() -> Option<Result<T>> + Send,
@@ -98,8 +98,8 @@ pub(crate) fn free_once_there<T: Send>(
     }
 }
 
-/// Does `work` on a thread of its own, while this one looks for Ctrl-C and hands events to `hear`. Once it is interrupted,
-/// or `hear` raises, `work` is told to stop, and what interrupted it is raised when it has.
+/// Performs `work` on a separate thread, while this thread checks for Ctrl-C and passes events to `hear`. After an
+/// interrupt or an exception in `hear`, `work` is stopped and the exception is raised.
 pub(crate) fn waited<T: Send, E: Send>(
     py: Python<'_>,
     work: impl FnOnce(SyncSender<E>, &AtomicBool) -> Result<T> + Send,
@@ -129,10 +129,10 @@ pub(crate) fn waited<T: Send, E: Send>(
     })
 }
 
-/// The next event; `Some(None)` after a while without one, `None` when the worker is done.
+/// Next event; `Some(None)` after a pause without one, `None` when the worker has finished.
 #[allow(clippy::option_option)]
 fn next<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
-    // A receiver is no thing to share, and is not: this thread waits.
+    // A receiver cannot be shared and is not shared: this thread waits.
     let events = AssertSend(events);
     match py.detach(move || events.wait()) {
         Ok(event) => Some(Some(event)),
@@ -141,7 +141,7 @@ fn next<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
     }
 }
 
-/// A receiver that stays on its thread while the lock is free.
+/// Receiver that stays on its thread while the lock is released.
 struct AssertSend<'a, E>(&'a Receiver<E>);
 
 #[allow(unsafe_code)]
@@ -154,7 +154,7 @@ impl<E> AssertSend<'_, E> {
     }
 }
 
-/// What work came to, as Python has it.
+/// Converts the result of the work to Python.
 fn settled<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> PyResult<T> {
     match done {
         Ok(done) => done.map_err(|error| raised(py, error)),
@@ -163,7 +163,7 @@ fn settled<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> P
             Err(panic) => {
                 let text = panic.downcast_ref::<String>().map(String::as_str);
                 let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
-                exception(py, "Error", &format!("this is a mistake in pwrfgs, please report it: {text}"))
+                exception(py, "Error", &format!("internal error in pwrfgs; please report it: {text}"))
             }
         }),
     }
@@ -175,7 +175,7 @@ fn exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
     made.map_or_else(|error| error, PyErr::from_value)
 }
 
-/// An error of the toolkit as an exception: with the same text, and where it names a file with `path`, `line` and `column`.
+/// Converts an error to an exception with the same text, and with `path`, `line` and `column` if it names a file.
 pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
     let is_input = error.is_input();
     let message = without_flags(&error.to_string());
@@ -198,7 +198,7 @@ pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
     }
 }
 
-/// Settings by the names that they have in Python, where the command line has flags.
+/// Replaces command-line flags in a message by their Python names.
 fn without_flags(message: &str) -> String {
     let flags = [
         ("--set ", ""),
@@ -210,29 +210,28 @@ fn without_flags(message: &str) -> String {
     flags.iter().fold(message.to_owned(), |message, (flag, own)| message.replace(flag, own))
 }
 
-/// Wrong input that only Python can give.
+/// Exception for input that is invalid only in Python.
 pub(crate) fn wrong(py: Python<'_>, message: &str) -> PyErr {
     exception(py, "InputError", message)
 }
 
-/// An exception on its way through code that knows none: it unwinds to [`free`] or [`waited`].
+/// Throws an exception through code without exceptions: it unwinds to [`free`] or [`waited`].
 pub(crate) fn throw(error: PyErr) -> ! {
     std::panic::resume_unwind(Box::new(error))
 }
 
-/// The same as an error of the toolkit.
+/// Same as `throw`, as an error of the toolkit.
 pub(crate) fn carried(error: PyErr) -> Error {
     Error::Plugin(Box::new(error))
 }
 
-/// The RON text of what a user gives for a plugin of this kind: a value, a name with settings, or an object of a class of
-/// their own.
+/// RON text of a plugin given by a user: a value, a name with settings, or an object of a user class.
 pub(crate) fn text_of(kind: &str, value: &Bound<'_, PyAny>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<String> {
     let helper = value.py().import("pwrfgs._values")?.getattr("plugin_text")?;
     helper.call1((kind, value, settings))?.extract()
 }
 
-/// A plugin from its text.
+/// Parses a plugin.
 pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyResult<Plugin<T>>
 where
     Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
@@ -240,7 +239,7 @@ where
     free(py, || read_ron(text, Path::new(T::KIND)).map_err(unplaced))
 }
 
-/// Without the position, which would count in a text that nobody has seen.
+/// Removes the position, which refers to a generated text.
 pub(crate) fn unplaced(error: Error) -> Error {
     match error {
         Error::Input { message, .. } => Error::Config(message),
@@ -248,16 +247,15 @@ pub(crate) fn unplaced(error: Error) -> Error {
     }
 }
 
-/// Hears warnings from now on, as records of Python's `logging` under the name "pwrfgs": printed on the error stream where
-/// nobody has said otherwise.
+/// Forwards warnings to Python's `logging` under the name "pwrfgs"; by default they are printed on the error stream.
 pub(crate) fn log_warnings() {
     _ = tracing::subscriber::set_global_default(Logger); // whoever was there first stays
 }
 
-/// Hands warnings on; spans it does not look at.
+/// Forwards warnings and ignores spans.
 struct Logger;
 
-/// The text of an event.
+/// Text of an event.
 #[derive(Default)]
 struct Text(String);
 
@@ -277,7 +275,7 @@ impl Subscriber for Logger {
     fn event(&self, event: &Event<'_>) {
         let mut text = Text::default();
         event.record(&mut text);
-        // Where logging fails there is nobody left to tell.
+        // If logging fails there is no other channel.
         Python::attach(|py| {
             let logger = py.import("logging").and_then(|logging| logging.call_method1("getLogger", ("pwrfgs",)));
             _ = logger.and_then(|logger| logger.call_method1("warning", ("%s", text.0)));

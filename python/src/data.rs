@@ -1,4 +1,4 @@
-//! `Dataset`: data in and out.
+//! `Dataset`: data sets in Python.
 
 mod given;
 
@@ -15,18 +15,18 @@ use pyo3::types::{PyDict, PyList, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Transmitters, receivers, and what was observed of each link of one with the other.
+/// Transmitters, receivers, and the observation of each link.
 ///
-/// Load one with `Dataset.load(path)`, or make one with `Dataset.from_arrays(...)`. Its length is the number of links L,
-/// one a transmitter where there is one receiver.
+/// Load one with `Dataset.load(path)`, or create one with `Dataset.from_arrays(...)`. Its length is the number of links
+/// L: one per transmitter if there is one receiver.
 #[pyclass(frozen, module = "pwrfgs")]
 pub(crate) struct Dataset {
     pub(crate) data: Arc<Data>,
-    /// What reads it, as RON; none until it is saved.
+    /// Data source as RON; `None` until it is saved.
     source: Mutex<Option<String>>,
 }
 
-/// Takes data apart into NumPy's arrays, link by link.
+/// Converts the observations of links to a NumPy array.
 pub(crate) fn observed<'py>(py: Python<'py>, data: &Data, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let rows = free(py, || Ok(links.iter().flat_map(|&i| data.image(i).pixels).collect()))?;
     observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
@@ -37,7 +37,7 @@ impl Dataset {
         Self { data: Arc::new(data), source: Mutex::new(source) }
     }
 
-    /// All observations, if there are any of the task that a getter asks for.
+    /// All observations if `is_there`, else `None`.
     fn all_if<'py>(&self, py: Python<'py>, is_there: bool) -> PyResult<Option<Bound<'py, PyAny>>> {
         let all = || observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>());
         is_there.then(all).transpose()
@@ -46,15 +46,15 @@ impl Dataset {
 
 #[pymethods]
 impl Dataset {
-    /// Reads a folder of data, in any layout that the command line knows, or what a data source such as
-    /// `pwrfgs.Nerf2Spectrum(root="data/s23")` or `pwrfgs.Simulated(...)` gives.
+    /// Load a data folder in any layout of the command line, or a data source such as
+    /// `pwrfgs.Nerf2Spectrum(root="data/s23")` or `pwrfgs.Simulated(...)`.
     #[staticmethod]
     fn load(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let path: Result<PathBuf, _> = source.extract();
         let (text, reader): (String, Plugin<dyn DataSource>) = if let Ok(path) = path {
             let there = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
             if !there.is_dir() {
-                let what = "there is no such folder; a data source such as pwrfgs.Arrays(root=..) is given as a value";
+                let what = "no such folder; pass a data source such as pwrfgs.Arrays(root=..) as a value";
                 return Err(crate::border::raised(py, Error::input(&path, what)));
             }
             let Some(reader) = recognise(&there) else {
@@ -73,18 +73,19 @@ impl Dataset {
         Ok(Self::new(data, Some(text)))
     }
 
-    /// A data set of one's own arrays. Give one of the three:
+    /// Create a data set from arrays. Give one of the three:
     ///
     /// * `spectra` [M, H, W]: spatial spectra from 0 to 1 (or bytes of 0 to 255) at one receiver; rows are elevations,
     ///   columns azimuths that go once around.
-    /// * `rssi` [M, R]: received powers in dBm; NaN where a receiver received nothing. Every row and column has a power.
-    /// * `csi` [M, A, F]: channels at one receiver with A antennas, whose places its `Receiver(antennas=..)` has, and F
+    /// * `rssi` [M, R]: received powers in dBm; NaN for a missing link. Every row and column needs a power.
+    /// * `csi` [M, A, F]: channels at one receiver with A antennas, whose positions are in `Receiver(antennas=..)`, and
+    /// F
     ///   subcarriers of `frequencies_hz` [F].
     ///
-    /// `tx` [M, 3] are the transmitters' positions in metres. `receivers` is a list of `Receiver`, or of positions [R, 3];
-    /// one at the origin where it is left out. `points` [P, 3] are surface points of the room. `elevation_deg` are the
-    /// elevations where the top row of spectra begins and the bottom row ends, (0, 90) where it is left out. Say
-    /// `simulated=True` of what was not measured.
+    /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R,
+    /// 3]; without it, one receiver at the origin. `points` [P, 3] are surface points of the room. `elevation_deg` are
+    /// the elevations of the upper edge of the top row and the lower edge of the bottom row of spectra, (0, 90) by
+    /// default. Set `simulated=True` for data that were not measured.
     #[staticmethod]
     #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
@@ -109,8 +110,8 @@ impl Dataset {
         let alone: Vec<Sample> = txs.iter().enumerate().map(sample).collect();
         let (samples, observations) = match (spectra, rssi, csi) {
             (Some(_), None, None) | (None, None, Some(_)) if receivers.len() != 1 => {
-                let what = "spectra and csi are those of one receiver";
-                return Err(wrong(py, &format!("{what}, and there are {}; make a data set of each", receivers.len())));
+                let what = format!("spectra and csi need one receiver, but there are {}", receivers.len());
+                return Err(wrong(py, &format!("{what}; create one data set per receiver")));
             }
             (Some(spectra), None, None) => (alone, Observations::from(given::pictures(spectra, txs.len())?)),
             (None, Some(rssi), None) => given::heard(rssi, &txs, receivers.len())?,
@@ -122,7 +123,7 @@ impl Dataset {
             ("frequencies_hz", frequencies_hz.is_some(), csi.is_some(), "csi"),
         ] {
             if is_given && !is_used {
-                return Err(wrong(py, &format!("{name}: only {kind} have it; leave it out")));
+                return Err(wrong(py, &format!("{name}: only valid for {kind}; remove it")));
             }
         }
         let elevation = elevation_deg.map_or(Elevation::UPPER, |[first, last]| Elevation { first, last });
@@ -145,8 +146,8 @@ impl Dataset {
         Ok(Self::new(data, None))
     }
 
-    /// Writes a new folder that `Dataset.load` and the command line read: spectra as arrays, powers and channels in the
-    /// layouts of NeRF2's BLE set and of `pwrfgs simulate`. A folder that holds anything is not touched.
+    /// Write a new folder for `Dataset.load` and the command line: spectra as arrays, powers and channels in the
+    /// layouts of NeRF2's BLE set and of `pwrfgs simulate`. A folder that is not empty is an error.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let out: PathBuf = py.import("os.path")?.call_method1("abspath", (&path,))?.extract()?;
         let text =
@@ -155,7 +156,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// What a pipeline reads it by, as RON: where it was loaded from, or saved to.
+    /// Data source as RON, from which it was loaded or to which it was saved.
     #[getter]
     fn _source(&self) -> Option<String> {
         self.source.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -177,37 +178,37 @@ impl Dataset {
         )
     }
 
-    /// What the data call themselves.
+    /// Title of the data set.
     #[getter]
     fn title(&self) -> &str {
         &self.data.title
     }
 
-    /// "spectrum", "power" or "channel".
+    /// Kind of observation: "spectrum", "power" or "channel".
     #[getter]
     fn kind(&self) -> &'static str {
         self.data.task().name
     }
 
-    /// Whether they were computed, not measured.
+    /// Whether the data are simulated.
     #[getter]
     fn simulated(&self) -> bool {
         self.data.is_simulated()
     }
 
-    /// Where the transmitter of each link stood, [L, 3] float64, metres.
+    /// Transmitter position of each link, [L, 3] float64, metres.
     #[getter]
     fn tx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         array(py, self.data.samples().flat_map(|s| s.tx).collect(), &[self.data.len(), 3])
     }
 
-    /// The number that the data give the transmitter of each link, [L].
+    /// Transmitter id of each link, [L].
     #[getter]
     fn ids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<u32>>> {
         array(py, self.data.samples().map(|s| s.id).collect(), &[self.data.len()])
     }
 
-    /// Which receiver heard each link, [L]: places in `receivers`.
+    /// Receiver index of each link, [L], into `receivers`.
     #[getter]
     fn receiver<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<i64>>> {
         array(py, self.data.samples().map(|s| s.receiver as i64).collect(), &[self.data.len()])
@@ -225,25 +226,25 @@ impl Dataset {
         PyList::new(py, self.data.scene.receivers.iter().map(one).collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// Spatial spectra [L, H, W], float32 from 0 to 1; None where something else was observed.
+    /// Spatial spectra [L, H, W], float32 from 0 to 1; None for other observations.
     #[getter]
     fn spectra<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.all_if(py, self.data.observations.spectra().is_some())
     }
 
-    /// Received powers [L], dBm; None where something else was observed.
+    /// Received powers [L], dBm; None for other observations.
     #[getter]
     fn rssi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.all_if(py, self.data.observations.powers().is_some())
     }
 
-    /// Channels [L, A, F], complex64; None where something else was observed.
+    /// Channels [L, A, F], complex64; None for other observations.
     #[getter]
     fn csi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.all_if(py, self.data.observations.channels().is_some())
     }
 
-    /// Frequencies of the subcarriers of channels [F], Hz; None where something else was observed.
+    /// Subcarrier frequencies of channels [F], Hz; None for other observations.
     #[getter]
     fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         let Some(channels) = self.data.observations.channels() else { return Ok(None) };
@@ -252,19 +253,19 @@ impl Dataset {
         array(py, all, &[count]).map(Some)
     }
 
-    /// What was observed of these links: a picture [H, W], a power or a channel [A, F] each.
+    /// Observations of these links: a spectrum [H, W], a power or a channel [A, F] each.
     fn observations<'py>(&self, py: Python<'py>, links: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         observed(py, &self.data, &self.indices("links", links)?)
     }
 
-    /// What stands where the transmitter's position stands elsewhere, [L, width]; None where it is the position.
+    /// Link features that replace the transmitter position, [L, width]; None without features.
     #[getter]
     fn features<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<Real>>>> {
         let features = self.data.features.as_ref();
         features.map(|own| array(py, own.values.clone(), &[self.data.len(), own.width])).transpose()
     }
 
-    /// Surface points of the room [P, 3], metres; P is 0 where none are known.
+    /// Surface points of the room [P, 3], metres; P is 0 if none are known.
     #[getter]
     fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let scene = &self.data.scene;
@@ -272,14 +273,16 @@ impl Dataset {
         array(py, all, &[scene.points.len(), 3])
     }
 
-    /// Degrees of the rows and of the columns of a spectrum: (elevations [H], azimuths [W]); None of anything else.
+    /// Angles of the rows and columns of a spectrum, degrees: (elevations [H], azimuths [W]); None for other
+    /// observations.
     #[getter]
     fn angles_deg<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
         angles(py, &self.data.plane())
     }
 
-    /// Divides the links: a named tuple (train, validation, test) of sorted places, disjoint. `how` is a split such as
-    /// `pwrfgs.Voxel(size_m=0.2)`, or its name with settings: `split("voxel", size_m=0.2)`; left out, the data's own.
+    /// Split the links: a named tuple (train, validation, test) of sorted, disjoint link indices. `how` is a split such
+    /// as `pwrfgs.Voxel(size_m=0.2)`, or its name with settings: `split("voxel", size_m=0.2)`; without it, the split of
+    /// the data.
     #[pyo3(signature = (how=None, *, seed=0, **settings))]
     fn split<'py>(
         &self,
@@ -292,7 +295,7 @@ impl Dataset {
         let text = match how {
             Some(how) => text_of("Split", how, settings)?,
             None if settings.is_some_and(|settings| !settings.is_empty()) => {
-                let what = "split: settings without a split; name the split that they belong to";
+                let what = "split: settings need a split name";
                 return Err(wrong(py, &format!("{what}, such as split(\"random\", test=0.2)")));
             }
             None => "Official()".into(),
@@ -304,7 +307,7 @@ impl Dataset {
 }
 
 impl Dataset {
-    /// Places of links that a user names, each of which is there.
+    /// Reads valid link indices given by a user.
     pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
         let count = self.data.len();
         if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
@@ -315,19 +318,19 @@ impl Dataset {
         let wanted: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
         wanted.ok_or_else(|| {
             let bad = all.iter().find(|i| fits(**i).is_none()).copied().unwrap_or_default();
-            wrong(links.py(), &format!("{what}: there is no link {bad}; there are {count}, counted from 0"))
+            wrong(links.py(), &format!("{what}: invalid link index {bad} (expected 0 to below {count})"))
         })
     }
 }
 
-/// A partition as the named tuple `Split`.
+/// Converts a partition to the named tuple `Split`.
 fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
     let list = |part: &[usize]| array(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>(), &[part.len()]);
     let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
     py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
-/// Degrees of rows and columns.
+/// Angles of rows and columns, degrees.
 pub(crate) fn angles<'py>(py: Python<'py>, plane: &pwrfgs_core::ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
     let Some((azimuth, elevation)) = plane.angles else { return Ok(None) };
     let degrees = |axis: pwrfgs_core::Axis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();

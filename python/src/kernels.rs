@@ -1,4 +1,4 @@
-//! `project` and `rasterize`: the differentiable kernels, for methods of one's own.
+//! `project` and `rasterize`: differentiable kernels for custom methods.
 
 use crate::arrays::{array, axes, given, numbers, room};
 use crate::border::{free, plugin, text_of, wrong};
@@ -6,7 +6,7 @@ use numpy::PyUntypedArrayMethods as _;
 use pwrfgs_core::{Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
-/// Gaussians from Python, drawn: the picture, and the way back.
+/// Forward pass of the rasterizer, kept for the backward pass.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Drawing {
     view: View,
@@ -17,7 +17,7 @@ pub(crate) struct Drawing {
     render: Render,
 }
 
-/// What draws, from where, on what.
+/// Projector, rasterizer, pose and image plane.
 struct View {
     projector: Plugin<dyn Projector>,
     rasterizer: Plugin<dyn Rasterizer>,
@@ -45,7 +45,7 @@ impl View {
     ) -> PyResult<Self> {
         let py = pose.py();
         if height == 0 || width == 0 || height.saturating_mul(width) > 1 << 28 {
-            return Err(wrong(py, &format!("a picture of {height} by {width} pixels cannot be drawn")));
+            return Err(wrong(py, &format!("an image of {height} by {width} pixels cannot be rendered")));
         }
         let projector = plugin::<dyn Projector>(py, &text_of("Projector", projector, None)?)?;
         let rasterizer = plugin::<dyn Rasterizer>(py, &text_of("Rasterizer", rasterizer, None)?)?;
@@ -60,7 +60,7 @@ impl View {
     }
 }
 
-/// Columns as NumPy has them; rotations are brought to unit length.
+/// Reads columns from NumPy; rotations are normalised.
 fn primitives(
     means: &Bound<'_, PyAny>,
     quats: &Bound<'_, PyAny>,
@@ -82,7 +82,7 @@ fn primitives(
         return Err(wrong(py, &format!("scales[{}] holds {}; give metres above 0", i / 3, scales[i])));
     }
     if let Some(o) = opacities.iter().find(|o| !(0.0..1.0).contains(*o)) {
-        return Err(wrong(py, &format!("opacities: {o} is outside 0 to 1; 1 itself would hide all behind it")));
+        return Err(wrong(py, &format!("opacities: {o} is outside the range from 0 to below 1")));
     }
     let given = Primitives {
         means: means.as_chunks().0.to_vec(),
@@ -100,13 +100,13 @@ fn length(q: [Real; 4]) -> Real {
     q.iter().map(|v| v * v).sum::<Real>().sqrt()
 }
 
-/// The same with unit rotations.
+/// Normalises rotations.
 fn unit(given: &Primitives) -> Primitives {
     let quats = given.quats.iter().map(|q| q.map(|v| v / length(*q))).collect();
     Primitives { quats, ..given.clone() }
 }
 
-/// The derivative of [`unit`]: what is along the rotation itself goes.
+/// Vector-Jacobian product of [`unit`]: removes the component along the rotation.
 fn unit_vjp(given: &Primitives, d: &mut Primitives) {
     for (q, d) in given.quats.iter().zip(&mut d.quats) {
         let size = length(*q);
@@ -116,12 +116,12 @@ fn unit_vjp(given: &Primitives, d: &mut Primitives) {
     }
 }
 
-/// Gaussians in space as ellipses on a picture of the receiver's sky; the named tuple `Splats`: means2d [N, 2] (column, row,
-/// px), conics [N, 3] (inverse covariances, px⁻²), depths [N] (metres), radii [N] (px; 0 where it does not reach the picture)
-/// and opacities [N].
+/// Project Gaussians to ellipses on the image plane of a receiver. Returns the named tuple `Splats`: means2d [N, 2]
+/// (column, row, px), conics [N, 3] (inverse covariances, px⁻²), depths [N] (metres), radii [N] (px; 0 outside the
+/// image) and opacities [N].
 ///
-/// means [N, 3] in metres, quats [N, 4] as w, x, y, z (of any length but 0), scales [N, 3] in metres, opacities [N] below 1;
-/// `pose` is the receiver's (position, orientation as x, y, z, w).
+/// means [N, 3] in metres, quats [N, 4] as w, x, y, z (any non-zero length), scales [N, 3] in metres, opacities [N]
+/// below 1; `pose` is the receiver pose (position, orientation as x, y, z, w).
 #[pyfunction]
 #[pyo3(signature = (means, quats, scales, opacities, pose, height, width, projector, elevation_deg))]
 #[allow(clippy::too_many_arguments)] // columns with names, as Python has them
@@ -152,7 +152,7 @@ pub(crate) fn project<'py>(
     py.import("pwrfgs._types")?.getattr("Splats")?.call1(fields)
 }
 
-/// Draws; see `pwrfgs.rasterize`.
+/// Renders; see `pwrfgs.rasterize`.
 #[pyfunction]
 #[pyo3(signature = (means, quats, scales, opacities, signals, pose, height, width, projector, rasterizer, elevation_deg))]
 #[allow(clippy::too_many_arguments)] // as above
@@ -204,7 +204,7 @@ impl Drawing {
         array(py, self.render.pixels.clone(), &[self.channels, height, width]).map(Bound::into_any)
     }
 
-    /// What is left behind the last splat [H, W]; None where nothing hides anything.
+    /// Transmittance behind the last splat [H, W]; None without occlusion.
     #[getter]
     fn transmittance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let ImagePlane { width, height, .. } = self.view.plane;
@@ -212,7 +212,7 @@ impl Drawing {
         (!left.is_empty()).then(|| array(py, left.clone(), &[height, width]).map(Bound::into_any)).transpose()
     }
 
-    /// Derivatives of a number in (means, quats, scales, opacities, signals), given its derivative `d_image` in the image.
+    /// Gradients for (means, quats, scales, opacities, signals), given the gradient `d_image` of the image.
     fn backward<'py>(&self, py: Python<'py>, d_image: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let View { projector, rasterizer, pose, plane } = &self.view;
         let shape = [Some(self.channels), Some(plane.height), Some(plane.width)];

@@ -1,8 +1,8 @@
-//! The Python package's compiled half: `pwrfgs._pwrfgs`. What Python sees is in `python/pwrfgs`; here are the classes and
-//! functions that it wraps, a file each.
+//! Compiled part of the Python package: `pwrfgs._pwrfgs`. The public interface is in `python/pwrfgs`; this crate has
+//! the classes and functions that it wraps, one file each.
 //!
-//! Three rules hold at the border: work runs without the interpreter's lock (`border::free`), errors become exceptions with
-//! the same text, and nothing panics across it.
+//! Three rules: work runs without the interpreter lock (`border::free`), errors become exceptions with the same text,
+//! and panics never cross into Python.
 
 #![allow(clippy::needless_pass_by_value)] // arguments come out of Python by value
 #![allow(clippy::doc_markdown)] // comments on what Python sees are its docstrings

@@ -1,4 +1,4 @@
-//! `Trainer`: the training loop in one's own hands.
+//! `Trainer`: custom training loops.
 
 use crate::arrays::numbers;
 use crate::border::{free, free_once_there, wrong};
@@ -25,16 +25,16 @@ self_cell!(
     }
 );
 
-/// A training under way, step by step; see the Python class of that name.
+/// Training in progress, step by step; see the Python class of that name.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Trainer {
     held: Mutex<Held>,
-    /// A step that failed may have changed something before it did.
+    /// Whether a step failed, which may leave the state inconsistent.
     failed: AtomicBool,
 }
 
 impl Trainer {
-    /// Looks at the training when nobody else does.
+    /// Calls `look` with exclusive access to the training.
     fn with<T: Send>(&self, py: Python<'_>, look: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
         let mut look = Some(look);
         free_once_there(py, || {
@@ -66,7 +66,7 @@ impl Trainer {
 
     fn step<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         if self.failed.load(Ordering::Relaxed) {
-            return Err(wrong(py, "a step of this trainer has failed, half done; make a new one"));
+            return Err(wrong(py, "a step of this trainer has failed; create a new trainer"));
         }
         let mut begun = false;
         let report = self.with(py, |inner| {
@@ -113,10 +113,10 @@ impl Trainer {
         self.with(py, |inner| Ok(inner.model())).map(|model| Model::new(Ensemble::of(model)))
     }
 
-    /// The bytes of a checkpoint, written whole or not at all.
+    /// Write a checkpoint file, complete or not at all.
     fn save_checkpoint(&self, py: Python<'_>, path: std::path::PathBuf) -> PyResult<()> {
         if path.as_path() == Path::new("") {
-            return Err(wrong(py, "give the path of a file"));
+            return Err(wrong(py, "path is not a file path"));
         }
         self.with(py, |inner| {
             check_file_place(&path)?;

@@ -1,4 +1,4 @@
-//! `Model`: a trained model, or several that predict together.
+//! `Model`: a trained model or an ensemble.
 
 use crate::arrays::{Gain, array, axes, numbers, observations, place, places, room};
 use crate::border::{LOOK, carried, free, wrong};
@@ -16,11 +16,11 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-/// Links of one call of the library: as many as its own groups hold, so that what they gave is still in cache.
+/// Number of links per library call: one group of the library, so that results stay in cache.
 const CHUNK: usize = 16;
 
 self_cell!(
-    /// Models, and what they worked out once.
+    /// Models with their cached results.
     struct Ready {
         owner: Arc<Ensemble>,
         #[covariant]
@@ -28,21 +28,21 @@ self_cell!(
     }
 );
 
-/// A trained model: predicts what is observed of a transmitter anywhere. Load one with `Model.load(path)`.
+/// Trained model: predicts the observation for a transmitter at any position. Load one with `Model.load(path)`.
 ///
-/// Several models of one scene predict as an ensemble: the mean of what they say. Two threads may predict at once.
+/// Several models of one scene predict as an ensemble: the mean of their predictions. Prediction is thread-safe.
 #[pyclass(frozen, module = "pwrfgs")]
 pub(crate) struct Model {
     ensemble: Arc<Ensemble>,
     ready: OnceLock<Ready>,
 }
 
-/// Which links a call is about.
+/// Links of a call.
 struct Links {
     txs: Vec<[f64; 3]>,
     features: Vec<Real>,
     receivers: Vec<usize>,
-    /// The axes before those of an observation.
+    /// Leading axes, before those of an observation.
     lead: Vec<usize>,
 }
 
@@ -68,7 +68,7 @@ impl Model {
         &self.ensemble.members()[0].stages
     }
 
-    /// What a call asks for.
+    /// Creates the links of a call.
     fn links(
         &self,
         py: Python<'_>,
@@ -90,12 +90,9 @@ impl Model {
                 let all = numbers::<Real>("features", features, shape)?;
                 (vec![[0.0; 3]; all.len() / inputs], all, one)
             }
-            _ if inputs == 3 => return Err(wrong(py, "give tx, positions [B, 3] in metres")),
+            _ if inputs == 3 => return Err(wrong(py, "tx is missing; pass positions [B, 3] in metres")),
             _ => {
-                return Err(wrong(
-                    py,
-                    &format!("this model knows transmitters by features; give features=[B, {inputs}]"),
-                ));
+                return Err(wrong(py, &format!("this model uses link features; pass features=[B, {inputs}]")));
             }
         };
         let mut lead = if one { vec![] } else { vec![txs.len()] };
@@ -110,23 +107,23 @@ impl Model {
         Ok(Links { txs, features, receivers, lead })
     }
 
-    /// A receiver by its name or its place.
+    /// Finds a receiver by name or index.
     fn find(&self, receiver: &Bound<'_, PyAny>) -> PyResult<usize> {
         let (py, there) = (receiver.py(), &self.stages().frame.receivers);
         if let Ok(name) = receiver.extract::<String>() {
             return there.iter().position(|own| own.name == name).ok_or_else(|| {
                 let hint = pwrfgs_core::did_you_mean(&name, there.iter().map(|own| own.name.as_str()));
-                wrong(py, &format!("there is no receiver `{name}`{hint}"))
+                wrong(py, &format!("unknown receiver `{name}`{hint}"))
             });
         }
         let place: usize = receiver.extract()?;
         if place < there.len() {
             return Ok(place);
         }
-        Err(wrong(py, &format!("there is no receiver {place}; there are {}, counted from 0", there.len())))
+        Err(wrong(py, &format!("invalid receiver index {place} (expected 0 to below {})", there.len())))
     }
 
-    /// An array of the kind that the model predicts; `work` fills the numbers of a chunk, one observation after the other.
+    /// Array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in order.
     fn observed<'py>(
         &self,
         py: Python<'py>,
@@ -146,7 +143,7 @@ impl Model {
         observations(py, *task, size, lead, all)
     }
 
-    /// `all` in chunks, and what is not finite refused.
+    /// Processes `all` in chunks, and returns an error for values that are not finite.
     fn fill(&self, links: &Links, all: &mut [Real], work: impl Fn(&[Query<'_>], &mut [Real])) -> Result<()> {
         let of_each = self.stages().plane.width * self.stages().plane.height;
         let mut looked = Instant::now();
@@ -159,7 +156,7 @@ impl Model {
                 Python::attach(|py| py.check_signals()).map_err(carried)?;
                 looked = Instant::now();
             }
-            // Without a way out in its middle the loop is done by vectors.
+            // Without an early exit the loop is vectorised.
             let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
             if let Some(k) = numbers.par_chunks_exact(of_each).position_first(|own| !finite(own)) {
                 return Err(Error::Config(format!(
@@ -175,7 +172,7 @@ impl Model {
 
 #[pymethods]
 impl Model {
-    /// Reads a model file, or a run folder; several together are an ensemble.
+    /// Load a model file or a run folder; several form an ensemble.
     #[staticmethod]
     #[pyo3(signature = (*paths))]
     fn load(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Self> {
@@ -197,15 +194,16 @@ impl Model {
             Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
         };
         if paths.is_empty() {
-            return Err(wrong(py, "give the path of a model or of a run folder"));
+            return Err(wrong(py, "path is missing; pass a model file or a run folder"));
         }
         free(py, read).map(Self::new)
     }
 
-    /// What is observed of transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not clamped; of an
-    /// ensemble the mean of pictures clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F] (complex64). The axis B
-    /// is there where `tx` has it, and R where the model knows several receivers and none is named by `receiver`, a name or
-    /// a place. A model that knows transmitters by features wants `features` [B, width] in place of `tx`.
+    /// Predict the observations for transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not
+    /// clamped; for an ensemble the mean of spectra clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F]
+    /// (complex64). The axis B is present if `tx` has it. The axis R is present if the model has several receivers and
+    /// `receiver`, a name or an index, is not given. Models of link features need `features` [B, width] in place of
+    /// `tx`.
     #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
     fn predict<'py>(
         &self,
@@ -215,15 +213,15 @@ impl Model {
         features: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.links(py, tx, receiver, features)?;
-        // One alone as the command line does it, many in groups that share their work: the same bits.
+        // A single link as on the command line, many in groups that share work: bit-identical.
         self.observed(py, &links, |queries, numbers| match queries {
             [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
             queries => self.prepared().predict_into(queries, numbers),
         })
     }
 
-    /// How far the members of an ensemble differ there: the standard deviation of every number, in the shape of
-    /// `predict`; 0 for one model alone. Do not trust a prediction where it is large.
+    /// Standard deviation between ensemble members, in the shape of `predict`; 0 for a single model. Large values mark
+    /// unreliable predictions.
     #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
     fn spread<'py>(
         &self,
@@ -241,8 +239,8 @@ impl Model {
         })
     }
 
-    /// The Gaussians in space, a named tuple of arrays: means [N, 3] (metres), quats [N, 4] (w, x, y, z), scales [N, 3]
-    /// (metres), opacities [N], signals [N] (complex64). Of the base parameters, or as they are for a transmitter at `tx`.
+    /// Gaussians in space, a named tuple of arrays: means [N, 3] (metres), quats [N, 4] (w, x, y, z), scales [N, 3]
+    /// (metres), opacities [N], signals [N] (complex64). Base parameters, or deformed for a transmitter at `tx`.
     #[pyo3(signature = (tx=None, member=0))]
     fn gaussians<'py>(
         &self,
@@ -252,7 +250,7 @@ impl Model {
     ) -> PyResult<Bound<'py, PyAny>> {
         let count = self.ensemble.members().len();
         let Some(model) = self.ensemble.members().get(member) else {
-            return Err(wrong(py, &format!("there is no member {member}; there are {count}, counted from 0")));
+            return Err(wrong(py, &format!("invalid member index {member} (expected 0 to below {count})")));
         };
         let tx = tx.map(|tx| place("tx", tx)).transpose()?;
         let Activated { primitives, signals, .. } = free(py, || Ok(model.gaussians(tx)))?;
@@ -271,8 +269,8 @@ impl Model {
         py.import("pwrfgs._types")?.getattr("Gaussians")?.call1(fields)
     }
 
-    /// Writes the model file, whole or not at all, in the place of one that is there; with `half` the networks in 16-bit
-    /// numbers, which halves it.
+    /// Write the model file, complete or not at all; replaces an existing file. `half` stores the networks in 16-bit
+    /// numbers, at half the size.
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
         free(py, || {
@@ -284,7 +282,7 @@ impl Model {
         })
     }
 
-    /// Writes the Gaussians as a PLY file that splat viewers open, as they are for a transmitter at `tx`.
+    /// Write the Gaussians as a PLY file for splat viewers, deformed for a transmitter at `tx`.
     #[pyo3(signature = (path, tx=None))]
     fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
         free(py, || {
@@ -293,25 +291,25 @@ impl Model {
         })
     }
 
-    /// "spectrum", "power" or "channel".
+    /// Kind of observation: "spectrum", "power" or "channel".
     #[getter]
     fn kind(&self) -> &'static str {
         self.stages().task.name
     }
 
-    /// Gaussians, of all members together.
+    /// Number of Gaussians, of all members together.
     #[getter]
     fn n(&self) -> usize {
         self.ensemble.gaussians()
     }
 
-    /// Bytes of the model file's numbers.
+    /// Size of the numbers in the model file, bytes.
     #[getter]
     fn bytes(&self) -> usize {
         self.ensemble.gaussian_bytes() + self.ensemble.network_bytes()
     }
 
-    /// What the members are called, of an ensemble.
+    /// Names of the ensemble members.
     #[getter]
     fn members(&self) -> Vec<String> {
         self.ensemble.names().to_vec()
@@ -323,7 +321,7 @@ impl Model {
         PyList::new(py, self.stages().frame.receivers.iter().map(|receiver| receiver.name.as_str()))
     }
 
-    /// Frequencies of the subcarriers [F], Hz; empty but for channels.
+    /// Subcarrier frequencies [F], Hz; empty unless the model predicts channels.
     #[getter]
     fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let all = self.stages().frame.frequencies_hz.clone();
@@ -331,7 +329,8 @@ impl Model {
         array(py, all, &[count])
     }
 
-    /// Degrees of the rows and of the columns of a spectrum: (elevations [H], azimuths [W]); None of anything else.
+    /// Angles of the rows and columns of a spectrum, degrees: (elevations [H], azimuths [W]); None for other
+    /// observations.
     #[getter]
     fn angles_deg<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
         angles(py, &self.stages().plane)

@@ -1,4 +1,4 @@
-//! `run`, `simulate`, `sweep` and `report`, as the command line has them; the events of a run are told to Python.
+//! `run`, `simulate`, `sweep` and `report`, as on the command line; events of a run are passed to Python.
 
 use crate::border::{raised, waited, wrong};
 use crate::settings::Pipeline;
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::SyncSender;
 
-/// What happens in a run.
+/// Event of a run.
 enum Event {
     Stage(String, usize, usize),
     Start { title: String, samples: [usize; 3], done: u64, steps: u64 },
@@ -24,7 +24,7 @@ enum Event {
     Message(String),
 }
 
-/// Hands events over.
+/// Observer that sends events to a channel.
 struct Teller(SyncSender<Event>);
 
 impl Teller {
@@ -56,7 +56,7 @@ impl Observer for Teller {
     }
 }
 
-/// An event as a dict with a `what`.
+/// Converts an event to a dict with the key `what`.
 fn told<'py>(py: Python<'py>, event: Event) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     match event {
@@ -92,7 +92,7 @@ fn told<'py>(py: Python<'py>, event: Event) -> PyResult<Bound<'py, PyDict>> {
     Ok(dict)
 }
 
-/// The fields of a step.
+/// Adds the fields of a step.
 pub(crate) fn step(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()> {
     dict.set_item("step", report.step)?;
     dict.set_item("phase", report.phase.name())?;
@@ -101,7 +101,7 @@ pub(crate) fn step(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()
     dict.set_item("gaussians", report.gaussians)
 }
 
-/// Runs a pipeline in `out`; `hear` is called with every event. Gives whether there was anything left to do.
+/// Runs a pipeline in `out`; `hear` is called with every event. Returns whether the run was not finished before.
 #[pyfunction]
 pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, hear: &Bound<'_, PyAny>) -> PyResult<bool> {
     crate::strategies::forget();
@@ -115,7 +115,7 @@ pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, hear: &Boun
     }
 }
 
-/// A table of scores as Python has it: `{predictor: {metric: {statistic: number}}}`.
+/// Converts a score table for Python: `{predictor: {metric: {statistic: number}}}`.
 pub(crate) fn scores<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound<'py, PyDict>> {
     let all = PyDict::new(py);
     for (p, name) in table.predictors.iter().enumerate() {
@@ -139,14 +139,15 @@ pub(crate) fn scores<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound
     Ok(all)
 }
 
-/// What `run.json` of a folder says: (facts as JSON text, scores, the scores as text), the latter none before they are known.
+/// Content of `run.json` of a folder: (facts as JSON text, scores, scores as text); scores are `None` before the
+/// evaluation.
 #[pyfunction]
 pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option<Py<PyDict>>, Option<String>)> {
     let read = || -> Result<_> {
         let path = folder.join(pwrfgs::experiment::folder::FACTS);
         let text = pwrfgs_core::files::read_text(&path)?;
         let facts: pwrfgs::experiment::Facts =
-            serde_json::from_str(&text).map_err(|e| Error::input(&path, format!("is no run.json: {e}")))?;
+            serde_json::from_str(&text).map_err(|e| Error::input(&path, format!("is not a valid run.json: {e}")))?;
         Ok((text, facts.scores))
     };
     let (text, table) = read().map_err(|error| raised(py, error))?;
@@ -156,7 +157,7 @@ pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option
     }
 }
 
-/// See `pwrfgs.simulate`.
+/// Simulates a scene; see `pwrfgs.simulate`.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // settings with names, as Python has them
 pub(crate) fn simulate(
@@ -173,11 +174,11 @@ pub(crate) fn simulate(
     hear: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
     if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
-        let what = "snr_db is for channels: say layout=\"channels\", or set the `noise` of the scene for spectra";
+        let what = "snr_db is only for channels; set layout=\"channels\", or set the `noise` of the scene for spectra";
         return Err(wrong(py, what));
     }
     if noise_db.is_some() && layout != "rssi" {
-        return Err(wrong(py, "noise_db is for powers: say layout=\"rssi\""));
+        return Err(wrong(py, "noise_db is only for powers; set layout=\"rssi\""));
     }
     let (observe, layout) = match layout {
         "spectra" => (Observe::Spectrum, Layout::Pictures),
@@ -188,7 +189,7 @@ pub(crate) fn simulate(
         other => {
             let all = ["spectra", "arrays", "rssi", "channels", "csi"];
             let hint = pwrfgs_core::did_you_mean(other, all);
-            return Err(wrong(py, &format!("layout: there is no `{other}`{hint} (there are {})", all.join(", "))));
+            return Err(wrong(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", "))));
         }
     };
     let recipe = Recipe::read(&scene, samples, seed, points).and_then(|recipe| recipe.observing(observe));
@@ -200,10 +201,10 @@ pub(crate) fn simulate(
     waited(py, work, |(done, total)| hear.call1((done, total)).map(|_| ()))
 }
 
-/// Of every run, and last of the joined model, its folder, and why it failed, if it did.
+/// Folders of every run, followed by the joined model, each with the reason of a failure.
 type Ends = Vec<(PathBuf, Option<String>)>;
 
-/// See `pwrfgs.sweep`: the sweep folder, and of every run its folder and why it failed, if it did.
+/// Performs a sweep, see `pwrfgs.sweep`: returns the sweep folder, and every run folder with the reason of a failure.
 #[pyfunction]
 pub(crate) fn sweep(
     py: Python<'_>,
@@ -230,14 +231,14 @@ pub(crate) fn sweep(
     let failed = |end: Result<Outcome>| match end {
         Err(error) => Some(error.to_string()),
         Ok(Outcome::Finished { .. }) => None,
-        Ok(Outcome::Interrupted { .. } | Outcome::Unscored) => Some("stopped; the same call goes on".into()),
+        Ok(Outcome::Interrupted { .. } | Outcome::Unscored) => Some("stopped; repeat the call to resume".into()),
     };
     let runs = ends.into_iter().map(|(run, end)| (plan.folder_of(run), failed(end)));
     let joined = joined.map(|end| (plan.folder.join(JOINED), failed(Ok(end))));
     Ok((plan.folder.clone(), runs.chain(joined).collect()))
 }
 
-/// See `pwrfgs.report`: the tables as text.
+/// Compares runs, see `pwrfgs.report`: returns the tables as text.
 #[pyfunction]
 pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
     let work = |_: SyncSender<()>, _: &_| {

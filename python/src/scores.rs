@@ -1,4 +1,4 @@
-//! Metrics, baselines and repeatability of any arrays.
+//! Metrics, baselines and repeatability for any arrays.
 
 use crate::arrays::{Gain, array, axes, given, observations, places};
 use crate::border::{free, plugin, text_of, waited, wrong};
@@ -13,11 +13,11 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::RangeInclusive;
 
-/// Observations of `task` as the library has them.
+/// Converts observations of `task`.
 fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
     let (py, axes, of_one) = (value.py(), axes(value)?, task.shape((1, 2)).len());
     if axes < of_one {
-        let what = format!("{what} has {axes} axes, and a {} has {of_one}", task.singular);
+        let what = format!("{what} has {axes} axes, but a {} has {of_one}", task.singular);
         return Err(wrong(py, &what));
     }
     let any = vec![None; axes.max(1)]; // a number is an array of one
@@ -35,16 +35,16 @@ fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Imag
         return Ok(rows.into_iter().map(|v| Image { width: 1, height: 1, pixels: vec![v] }).collect());
     };
     if height * width == 0 {
-        return Err(wrong(py, &format!("{what} has no numbers")));
+        return Err(wrong(py, &format!("{what} is empty")));
     }
     let height = if task.is_complex { 2 * height } else { height };
     Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
 }
 
-/// What pixels of a truth may be, but for rounding.
+/// Valid range of true spectra, with tolerance for rounding.
 const AMPLITUDES: RangeInclusive<Real> = -1e-6..=1.000_001;
 
-/// Predictions and truths by a metric: for each of its measurements (key, unit, numbers a sample or the one number).
+/// Scores predictions by a metric: (key, unit, per-sample values or one value) per measurement.
 #[pyfunction]
 pub(crate) fn measure<'py>(
     py: Python<'py>,
@@ -56,7 +56,7 @@ pub(crate) fn measure<'py>(
 ) -> PyResult<Bound<'py, PyList>> {
     crate::strategies::forget();
     let metric = plugin::<dyn Metric>(py, &text_of("Metric", metric, None)?)?;
-    let task = Task::named(kind).ok_or_else(|| wrong(py, &format!("there is no task `{kind}`")))?;
+    let task = Task::named(kind).ok_or_else(|| wrong(py, &format!("unknown task `{kind}`")))?;
     let (predictions, truths) = (images("prediction", predictions, task)?, images("truth", truths, task)?);
     let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
@@ -65,11 +65,11 @@ pub(crate) fn measure<'py>(
         let what = format!("prediction and truth differ in shape: {} and {}", said(&predictions), said(&truths));
         return Err(wrong(py, &what));
     }
-    let Some((height, width)) = size(&truths) else { return Err(wrong(py, "there is nothing to compare")) };
+    let Some((height, width)) = size(&truths) else { return Err(wrong(py, "prediction and truth are empty")) };
     let plane = task.plane((width, height), Elevation { first: elevation_deg[0], last: elevation_deg[1] });
     let mut pixels = truths.iter().flat_map(|truth| &truth.pixels);
     if let Some(bad) = pixels.find(|v| task.has_pixels && !AMPLITUDES.contains(*v)) {
-        return Err(wrong(py, &format!("truth holds {bad}; spectra go from 0 to 1 (divide bytes by 255)")));
+        return Err(wrong(py, &format!("truth holds {bad}, expected 0 to 1 (divide bytes by 255)")));
     }
     let scene = empty_scene(vec![]);
     let found = free(py, || {
@@ -79,7 +79,7 @@ pub(crate) fn measure<'py>(
     measurements(py, found)
 }
 
-/// Pictures without links and without a model, on a plane.
+/// Evaluation of images without links and model, on a plane.
 fn evaluation<'a>(
     (predictions, truths): (&'a [Image], &'a [Image]),
     plane: &'a ImagePlane,
@@ -113,13 +113,13 @@ fn measurements(py: Python<'_>, found: Vec<pwrfgs_core::Measurement>) -> PyResul
     Ok(all)
 }
 
-/// The Chamfer distance of two sets of points [.., 3], m².
+/// Chamfer distance of two point sets [.., 3], m².
 #[pyfunction]
 pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'_, PyAny>) -> PyResult<f64> {
     let local = |places: Vec<[f64; 3]>| places.into_iter().map(|p| p.map(|v| v as Real)).collect::<Vec<_>>();
     let (means, points) = (local(places("first", first)?), local(places("second", second)?));
     if means.is_empty() || points.is_empty() {
-        return Err(wrong(py, "one of the two sets holds no point"));
+        return Err(wrong(py, "one of the two point sets is empty"));
     }
     let metric = plugin::<dyn Metric>(py, "Chamfer()")?;
     let scene = empty_scene(points);
@@ -130,11 +130,11 @@ pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'
     })?;
     match found.first().map(|one| &one.values) {
         Some(Values::Whole(value)) => Ok(*value),
-        _ => Err(wrong(py, "the distance is not defined here")),
+        _ => Err(wrong(py, "the distance is undefined for these points")),
     }
 }
 
-/// What a baseline that learned from the links `train` predicts for the links `at` of the same data, or at places `tx` for
+/// Predicts with a baseline fitted to the links `train`, for the links `at` of the same data, or for positions `tx` at
 /// the receiver `receiver`.
 #[pyfunction]
 #[pyo3(signature = (baseline, dataset, train, tx, receiver))]
@@ -150,14 +150,15 @@ pub(crate) fn predict_baseline<'py>(
     let baseline: Plugin<dyn Baseline> = plugin(py, &text_of("Baseline", baseline, None)?)?;
     let train = dataset.indices("train", train)?;
     if train.is_empty() {
-        return Err(wrong(py, "train: there is nothing to learn from"));
+        return Err(wrong(py, "train: no training links"));
     }
     let data = &dataset.data;
     if data.features.is_some() {
-        return Err(wrong(py, "these data know transmitters by features, and a baseline here goes by positions"));
+        return Err(wrong(py, "these data use link features, but baselines here need positions"));
     }
     if receiver >= data.scene.receivers.len() {
-        return Err(wrong(py, &format!("there is no receiver {receiver}; there are {}", data.scene.receivers.len())));
+        let count = data.scene.receivers.len();
+        return Err(wrong(py, &format!("invalid receiver index {receiver} (expected 0 to below {count})")));
     }
     let txs = places("tx", tx)?;
     let found: Vec<Image> = free(py, || {
@@ -169,7 +170,7 @@ pub(crate) fn predict_baseline<'py>(
     observations(py, data.task(), (data.width, data.height), &[count], rows)
 }
 
-/// See `pwrfgs.repeatability`.
+/// Estimates the repeatability; see `pwrfgs.repeatability`.
 #[pyfunction]
 pub(crate) fn repeatability<'py>(
     py: Python<'py>,

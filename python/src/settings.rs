@@ -15,11 +15,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// A pipeline and its text; what the Python class `Pipeline` is about.
+/// Pipeline with its text; wrapped by the Python class `Pipeline`.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Pipeline {
     inner: Mutex<Inner>,
-    /// The folder of its relative paths.
+    /// Base folder of its relative paths.
     base: PathBuf,
 }
 
@@ -32,7 +32,7 @@ impl Pipeline {
         &self.base
     }
 
-    /// Changes it, all or nothing. Checks may ask strategies of Python.
+    /// Changes the pipeline completely or not at all. Checks may call Python strategies.
     fn change(&self, py: Python<'_>, by: impl FnOnce(&mut Inner) -> Result<()> + Send) -> PyResult<()> {
         let mut changed = self.now();
         let changed = free(py, || by(&mut changed).map(|()| changed))?;
@@ -43,14 +43,14 @@ impl Pipeline {
 
 #[pymethods]
 impl Pipeline {
-    /// From RON text; `path` is what messages call it, and `folder` where its relative paths begin.
+    /// Parses RON text; `path` is used in messages, and relative paths start at `folder`.
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str, path: PathBuf, folder: PathBuf) -> PyResult<Self> {
         let inner = free(py, || Inner::parse(text, &path))?;
         Ok(Self { inner: Mutex::new(inner), base: folder })
     }
 
-    /// All of it as RON, every default written out.
+    /// Whole pipeline as RON, with every default written out.
     fn text(&self) -> String {
         self.now().to_ron()
     }
@@ -60,18 +60,18 @@ impl Pipeline {
         self.base.clone()
     }
 
-    /// Sets values by their path, RON text each; all or none.
+    /// Sets values by path from RON texts; all or none.
     fn set(&self, py: Python<'_>, values: Vec<(String, String)>) -> PyResult<()> {
         let changes: Vec<Change> = values.iter().map(|(path, value)| Change::new(path, value)).collect();
         self.change(py, |inner| inner.change(&changes))
     }
 
-    /// The same with arguments of `--set`.
+    /// Same as `set`, with arguments of `--set`.
     fn set_arguments(&self, py: Python<'_>, arguments: Vec<String>) -> PyResult<()> {
         self.change(py, |inner| inner.set_all(&arguments))
     }
 
-    /// A new file of it, whose relative paths mean what they mean here.
+    /// Writes a new pipeline file with adapted relative paths.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         free(py, || {
             check_new_file(&path)?;
@@ -83,7 +83,7 @@ impl Pipeline {
         Self { inner: Mutex::new(self.now()), base: self.base.clone() }
     }
 
-    /// The data, loaded.
+    /// Loads the data.
     fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
         let (data, source) = free(py, || {
             let source = rebased(&self.now(), &self.base)?.data;
@@ -93,7 +93,8 @@ impl Pipeline {
     }
 }
 
-/// RON text as nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items", name, [value]).
+/// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items",
+/// name, [value]).
 #[pyfunction]
 pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
     let tree = Tree::parse(text).map_err(|why| wrong(py, &why))?;
@@ -122,16 +123,16 @@ fn parts<'py>(py: Python<'py>, tree: &Tree, text: &str) -> PyResult<Bound<'py, P
     })
 }
 
-/// A plugin of this kind with every default written out.
+/// Plugin of this kind as text, with every default written out.
 #[pyfunction]
 pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<String> {
     let Some(family) = Family::find(kind) else {
-        return Err(wrong(py, &format!("there is no kind of plugins called `{kind}`")));
+        return Err(wrong(py, &format!("unknown plugin kind `{kind}`")));
     };
     free(py, || (family.complete)(text).map_err(unplaced))
 }
 
-/// Every plugin that is linked, kind by kind.
+/// All linked plugins, by kind.
 #[pyfunction]
 pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let all = PyList::empty(py);
@@ -162,7 +163,7 @@ fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::Field]) -> PyResult
     Ok(list)
 }
 
-/// The plain structs and enums that a pipeline is made of, by name: their docs, fields or variants.
+/// Structs and enums of a pipeline by name: docs, and fields or variants.
 #[pyfunction]
 pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let mut found: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();

@@ -1,9 +1,9 @@
-//! Strategies that are written in Python: the host that makes them, and each as the trait that a run knows.
+//! Strategies written in Python: the host that creates them, and an adapter for each trait.
 //!
-//! An exception has no place in the signatures of those traits; where there is none it unwinds to the border, and the run
-//! ends as by any other failed step, its checkpoint kept.
+//! Most methods of those traits cannot return an exception; it then unwinds to the Python bridge, and the run ends as
+//! after any failed step, with its checkpoint.
 
-/// What typetag asks of every plugin; a strategy is never written as text.
+/// Methods that typetag requires of every plugin; a strategy is never written as text.
 macro_rules! named_python {
     () => {
         fn typetag_name(&self) -> &'static str {
@@ -29,7 +29,7 @@ use pyo3::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Numbers of a column that a Gaussian may have.
+/// Largest number of values per Gaussian in a column.
 const WIDEST: usize = 4096;
 
 /// Registers the host.
@@ -37,30 +37,30 @@ pub(crate) fn begin() {
     set_host(Box::new(Interpreter));
 }
 
-/// Makes objects of Python.
+/// Host that creates Python objects.
 struct Interpreter;
 
-/// The objects of what goes on, each made once.
+/// Objects of the current run, each created once.
 static MADE: Mutex<BTreeMap<(&'static str, Named), Arc<Object>>> = Mutex::new(BTreeMap::new());
 
-/// Begins something that has objects of its own: what others remember outside of columns and state is not there.
+/// Starts a run with new objects: state outside of columns is lost.
 pub(crate) fn forget() {
     if !asked() {
         MADE.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
 
-/// An object of a user's class.
+/// Object of a user class.
 #[derive(Debug)]
 struct Object {
     own: Py<PyAny>,
-    /// The methods that its class has beside what every strategy has: the others are not called.
+    /// Methods that its class implements in addition to the required ones: others are not called.
     has: BTreeSet<String>,
-    /// Of a pruner, what it asks for.
+    /// Columns that a pruner requests.
     columns: Vec<ColumnSpec>,
 }
 
-/// The object of a strategy that goes on, made where it is not there yet.
+/// Object of a strategy in the current run, created if needed.
 fn object(kind: &'static str, which: &Named) -> Result<Arc<Object>> {
     let key = (kind, which.clone());
     if let Some(object) = MADE.lock().unwrap_or_else(PoisonError::into_inner).get(&key) {
@@ -109,7 +109,7 @@ impl Object {
     }
 }
 
-/// What a pruner asks for, as `Column`s.
+/// Columns that a pruner requests, from `Column` objects.
 fn columns(asked: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
     let one = |column: Bound<'_, PyAny>| {
         Ok(ColumnSpec {
@@ -129,31 +129,31 @@ fn columns(asked: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
     }
 }
 
-/// What is wrong with a column; `others` come before it.
+/// Problem of a column; `others` precede it.
 fn fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
     let is_name = spec.name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && spec.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if !is_name {
-        return Some("is no name; take letters, digits and underscores");
+        return Some("is not a valid name; use letters, digits and underscores");
     }
     if GaussianCloud::zeros(0).columns().any(|(own, ..)| own == spec.name) {
-        return Some("is a column that every Gaussian has; take another name");
+        return Some("is a built-in column; use another name");
     }
     if others.iter().any(|other| other.name == spec.name) {
-        return Some("is there twice");
+        return Some("is repeated");
     }
     if !(1..=WIDEST).contains(&spec.width) {
-        return Some("has a width that is not from 1 to 4096");
+        return Some("has a width outside 1 to 4096");
     }
     if !spec.init.is_finite() {
-        return Some("begins with a number that is not finite");
+        return Some("has an initial value that is not finite");
     }
     let positive = |rate: Real| rate.is_finite() && rate > 0.0;
     (!spec.learning_rate.is_none_or(positive))
-        .then_some("has a learning rate that is no positive number; None is for columns that do not learn")
+        .then_some("has a learning rate that is not positive; use None for columns that do not learn")
 }
 
-/// A name that lasts as long as the process; each once.
+/// Name with static lifetime, allocated once.
 fn lasting(name: String) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
@@ -165,7 +165,7 @@ fn lasting(name: String) -> &'static str {
     name
 }
 
-/// A strategy in use. It is never written as text: what a pipeline holds is [`Named`].
+/// Strategy in use. It is never written as text: a pipeline contains [`Named`].
 #[derive(Debug, JsonSchema)]
 #[schemars(with = "Named")]
 struct Strategy {
@@ -174,12 +174,12 @@ struct Strategy {
 }
 
 impl Strategy {
-    /// Does `work` with the object; an exception unwinds.
+    /// Calls `work` with the object; exceptions unwind.
     fn with<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> T {
         self.ask(work).unwrap_or_else(|error| throw(error))
     }
 
-    /// The same where an exception is an error.
+    /// Calls `work` with the object; exceptions are returned as errors.
     fn try_with<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> Result<T> {
         self.ask(work).map_err(carried)
     }
@@ -189,7 +189,7 @@ impl Strategy {
     }
 }
 
-// What a pipeline holds is `Named`; these two are never written or read.
+// Pipelines contain `Named`; these two are never written or read.
 impl pwrfgs::prelude::Serialize for Strategy {
     fn serialize<S: serde::Serializer>(&self, s: S) -> std::result::Result<S::Ok, S::Error> {
         self.named.serialize(s)

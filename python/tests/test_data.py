@@ -64,13 +64,13 @@ def test_powers_and_channels(tmp_path):
         (dict(spectra=np.zeros((30, 18, 36), np.uint8)), "such as elevation_deg=(-90, 90) for a full sphere"),
         (dict(rssi=np.where(np.arange(30) == 3, np.nan, -60.0)), "rssi[3] is NaN throughout"),
         (dict(rssi=np.tile([-60.0, np.nan], (30, 1)), receivers=[[0, 0, 2], [4, 4, 2]]), "rssi[:, 1] is NaN throughout"),
-        (dict(rssi=np.full(30, -60.0), elevation_deg=(0, 90)), "only spectra have it"),
-        (dict(rssi=np.full(30, -60.0), frequencies_hz=[1e9]), "only csi have it"),
-        (dict(rssi=np.full(30, -100.0)), "stands for nothing received"),
+        (dict(rssi=np.full(30, -60.0), elevation_deg=(0, 90)), "only valid for spectra"),
+        (dict(rssi=np.full(30, -60.0), frequencies_hz=[1e9]), "only valid for csi"),
+        (dict(rssi=np.full(30, -100.0)), "marks a missing link"),
         (dict(rssi=np.full(30, 1e6)), "no power in dBm"),
         (dict(rssi=np.full(30, -60.0), receivers=[pwrfgs.Receiver('a"b')]), "1 to 100 characters"),
         (dict(rssi=np.zeros((30, 3))), "rssi has shape [30, 3]"),
-        (dict(csi=np.zeros((30, 1, 4), complex)), "wants frequencies_hz"),
+        (dict(csi=np.zeros((30, 1, 4), complex)), "needs frequencies_hz"),
         (dict(spectra=spectra(), receivers=[[0, 0]]), "a receiver has shape [2]"),
         (dict(spectra=spectra(), receivers=[pwrfgs.Receiver(orientation=(0, 0, 0, 2.0))]), "has length 2"),
         (dict(spectra=spectra(), points=[[0, 0, np.inf]]), "points[0]"),
@@ -95,7 +95,7 @@ def test_splits(dataset):
     for wrong, settings in [(None, dict(test_size=0.2)), ("Random(test: 0.2)", dict(test=0.3)), (pwrfgs.Voxel(), dict(size_m=0.2))]:
         with pytest.raises(pwrfgs.InputError, match="settings"):
             dataset.split(wrong, **settings)
-    with pytest.raises(pwrfgs.InputError, match="there is no link 900"):
+    with pytest.raises(pwrfgs.InputError, match="invalid link index 900"):
         dataset.observations([900])
 
 
@@ -127,7 +127,7 @@ def test_links_are_places_or_a_mask():
 
 
 def test_settings_of_a_simulation_that_would_do_nothing_are_refused(tmp_path):
-    for settings, said in [(dict(snr_db=3.0), "snr_db is for channels"), (dict(noise_db=3.0), "noise_db is for powers"), (dict(layout="rsssi"), "did you mean `rssi`")]:
+    for settings, said in [(dict(snr_db=3.0), "snr_db is only for channels"), (dict(noise_db=3.0), "noise_db is only for powers"), (dict(layout="rsssi"), "did you mean `rssi`")]:
         with pytest.raises(pwrfgs.InputError, match=said):
             pwrfgs.simulate(tmp_path / "none.ron", tmp_path / "s", progress=False, **settings)
     with pytest.raises(pwrfgs.InputError):

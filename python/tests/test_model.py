@@ -43,18 +43,18 @@ def test_arrays_as_they_come(model):
 @pytest.mark.parametrize(
     ("tx", "said"),
     [
-        ([1.0, 2.0], "tx has shape [2], and [3] is wanted"),
+        ([1.0, 2.0], "tx has shape [2], expected [3]"),
         (np.zeros((2, 4)), "tx has shape [2, 4]"),
         (np.zeros((2, 2, 3)), "tx has shape [2, 2, 3]"),
-        (1.0, "is wanted"),
-        ("here", "is wanted"),
+        (1.0, "expected"),
+        ("here", "expected"),
         ([[1.0, 2.0, float("nan")]], "tx[0] is [1.0, 2.0, NaN]; give finite numbers"),
         ([0.0, float("inf"), 0.0], "give finite numbers"),
         (np.zeros((2, 3), complex), "tx holds complex128"),
-        (np.array([["a", "b", "c"]]), "is wanted"),
+        (np.array([["a", "b", "c"]]), "expected"),
         ([[object()] * 3], "tx holds object"),
-        ([[1.0, 2.0, 3.0], [1.0]], "is no array"),
-        (None, "give tx"),
+        ([[1.0, 2.0, 3.0], [1.0]], "is not an array"),
+        (None, "tx is missing"),
     ],
 )
 def test_what_is_no_position_is_refused(model, tx, said):
@@ -101,7 +101,7 @@ def test_gaussians_and_files(model, tmp_path):
     assert (tmp_path / "half.safetensors").stat().st_size < (tmp_path / "m.safetensors").stat().st_size
     model.to_ply(tmp_path / "m.ply")
     assert (tmp_path / "m.ply").read_bytes().startswith(b"ply\n")
-    with pytest.raises(pwrfgs.InputError, match="there is no member 3"):
+    with pytest.raises(pwrfgs.InputError, match="invalid member index 3"):
         model.gaussians(member=3)
     with pytest.raises(pwrfgs.Error, match="none.safetensors"):
         pwrfgs.Model.load(tmp_path / "none.safetensors")

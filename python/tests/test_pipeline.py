@@ -132,7 +132,7 @@ def test_lists_of_a_pipeline_change_it(pipeline):
     held = pipeline.pruners[0]
     pipeline.pruners = [pwrfgs.OpacityThreshold()]
     for change in (lambda: setattr(held, "lambda_", 0.9), lambda: pruners.clear()):
-        with pytest.raises(pwrfgs.InputError, match="take it anew"):
+        with pytest.raises(pwrfgs.InputError, match="read it again"):
             change()
     assert len(pipeline.pruners) == 1
 

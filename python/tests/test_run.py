@@ -38,7 +38,7 @@ def test_what_a_run_holds(run):
     assert {row["split"] for row in run.samples()} >= {"train", "test"} and run.validation["step"].tolist() == [20, 40, 60]
     again = pwrfgs.run(pwrfgs.Pipeline(SMALL), out=run.folder, progress=False)
     assert again.scores == run.scores
-    with pytest.raises(pwrfgs.InputError, match="no run folder"):
+    with pytest.raises(pwrfgs.InputError, match="not a run folder"):
         pwrfgs.Run("/nowhere")
 
 

@@ -1,5 +1,5 @@
-//! One target under libFuzzer; `fuzz/coverage.sh` builds and starts it. `PWRFGS_FUZZ_FILE` names the target's file,
-//! `PWRFGS_FUZZ_CORPUS` the folder that gets its seeds.
+//! Runs one target under libFuzzer; `fuzz/coverage.sh` builds and starts it. `PWRFGS_FUZZ_FILE` is the target's file,
+//! `PWRFGS_FUZZ_CORPUS` the folder for its seeds.
 
 #![no_main]
 #![allow(unsafe_code, missing_docs)] // libFuzzer's entry points have no mangled names

@@ -1,4 +1,4 @@
-//! What a user gives for a data set: receivers, spectra, powers, channels, each checked.
+//! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
 use crate::arrays::{Gain, axes, given, numbers};
 use crate::border::wrong;
@@ -10,7 +10,7 @@ use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Pose, Real, Re
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 
-/// What a user says of receivers.
+/// Reads the receivers.
 pub(super) fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
     let Some(given) = given else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
     let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
@@ -38,14 +38,14 @@ fn listed<'py>(given: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     given.try_iter().map_err(|error| wrong(given.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
-/// Warns of data that can be used, but are probably not what was meant.
+/// Warns about valid but implausible data.
 pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
     data_warnings(data, None).into_iter().try_for_each(warn)
 }
 
-/// Spectra as they are given: bytes stay bytes.
+/// Reads spectra; bytes stay bytes.
 pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResult<Spectra> {
     let py = given_spectra.py();
     let shape = [Some(count), None, None];
@@ -66,7 +66,7 @@ pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResu
     Spectra::float(size, pixels).map_err(said)
 }
 
-/// Columns and rows of a stack of pictures.
+/// Columns and rows of a stack of spectra.
 trait ShapeOf {
     fn shape_of(&self) -> (usize, usize);
 }
@@ -78,7 +78,7 @@ impl<T: numpy::Element> ShapeOf for PyReadonlyArrayDyn<'_, T> {
     }
 }
 
-/// Links of whoever was heard, and their powers.
+/// Received links and their powers.
 pub(super) fn heard(
     rssi: &Bound<'_, PyAny>,
     txs: &[[f64; 3]],
@@ -87,7 +87,7 @@ pub(super) fn heard(
     let flat = axes(rssi)? == 1;
     let shape: &[Option<usize>] = if flat { &[Some(txs.len())] } else { &[Some(txs.len()), Some(receivers)] };
     if flat && receivers != 1 {
-        return Err(wrong(rssi.py(), &format!("rssi has one axis, and there are {receivers} receivers; give [M, R]")));
+        return Err(wrong(rssi.py(), &format!("rssi has one axis, but there are {receivers} receivers; give [M, R]")));
     }
     let all = numbers::<f64>("rssi", rssi, shape)?;
     let (mut samples, mut powers) = (Vec::new(), Vec::new());
@@ -110,7 +110,7 @@ pub(super) fn heard(
     Err(wrong(rssi.py(), &silent))
 }
 
-/// Channels with their subcarriers.
+/// Reads channels with their subcarriers.
 pub(super) fn gains(
     csi: &Bound<'_, PyAny>,
     count: usize,
@@ -118,10 +118,10 @@ pub(super) fn gains(
 ) -> PyResult<Observations> {
     let py = csi.py();
     let frequencies_hz =
-        frequencies_hz.ok_or_else(|| wrong(py, "csi wants frequencies_hz, those of its subcarriers"))?;
+        frequencies_hz.ok_or_else(|| wrong(py, "csi needs frequencies_hz, the subcarrier frequencies"))?;
     let frequencies_hz = numbers::<f64>("frequencies_hz", frequencies_hz, &[None])?;
     if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
-        return Err(wrong(py, "frequencies_hz: give Hz above 0, one a subcarrier"));
+        return Err(wrong(py, "frequencies_hz: give one frequency above 0 Hz per subcarrier"));
     }
     let all = given::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
     let antennas = {

@@ -1,4 +1,4 @@
-//! Classes of Python's as a split, as a baseline and as a metric: by what a model is judged.
+//! Python classes as splits, baselines and metrics.
 
 use super::Strategy;
 use super::objects::{generator, links_object};
@@ -20,7 +20,10 @@ impl Split for Strategy {
             let lists = found.try_iter()?.map(|part| part_of(&part?, count)).collect::<PyResult<Vec<_>>>()?;
             match lists.len() {
                 2 | 3 => Ok(lists),
-                n => Err(wrong(py, &format!("split gave {n} parts; give (train, test) or (train, validation, test)"))),
+                n => {
+                    let form = "(train, test) or (train, validation, test)";
+                    Err(wrong(py, &format!("split returned {n} parts, expected {form}")))
+                }
             }
         })?;
         let mut lists = lists.into_iter();
@@ -34,13 +37,13 @@ impl Split for Strategy {
         all.sort_unstable();
         let twice = all.windows(2).find_map(|pair| (pair[0] == pair[1]).then(|| pair[0]));
         if let Some(twice) = twice {
-            return Err(Error::Config(format!("split: link {twice} is in two parts")));
+            return Err(Error::Config(format!("split: link {twice} is in two sets")));
         }
         Ok(Partition { train, validation, test })
     }
 }
 
-/// Places of links, sorted, from a mask or from places.
+/// Reads sorted link indices from a mask or from indices.
 fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     if let Ok(mask) = numbers::<bool>("a part", part, &[Some(count)]) {
         return Ok((0..count).filter(|&i| mask[i]).collect());
@@ -48,7 +51,7 @@ fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     let places =
         numbers::<i64>("a part of a split, which is places of links or a mask of all of them,", part, &[None])?;
     if let Some(bad) = places.iter().find(|i| usize::try_from(**i).is_err() || **i as usize >= count) {
-        return Err(wrong(part.py(), &format!("split: there is no link {bad}; there are {count}, counted from 0")));
+        return Err(wrong(part.py(), &format!("split: invalid link index {bad} (expected 0 to below {count})")));
     }
     let mut places: Vec<usize> = places.into_iter().map(|i| i as usize).collect();
     places.sort_unstable();
@@ -76,7 +79,7 @@ impl Baseline for Strategy {
     }
 }
 
-/// What a baseline of Python's predicts with.
+/// Object that predicts for a Python baseline.
 struct Predictor {
     own: Py<PyAny>,
     task: Task,
@@ -89,7 +92,7 @@ impl Predict for Predictor {
         let asked = |py: Python<'_>| {
             let tx = array(py, query.tx.to_vec(), &[3])?;
             let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
-            let what = "what predict gave";
+            let what = "the result of predict";
             let shape: Vec<Option<usize>> = self.task.shape(self.size).into_iter().map(Some).collect();
             let pixels = if self.task.is_complex {
                 let gains = numbers::<Gain>(what, &found, &shape)?;
@@ -120,7 +123,7 @@ impl Metric for Strategy {
             let values = if axes(&found)? == 0 {
                 Values::Whole(found.extract()?)
             } else {
-                Values::PerSample(numbers::<f64>("what evaluate gave", &found, &[Some(evaluation.truths.len())])?)
+                Values::PerSample(numbers::<f64>("the result of evaluate", &found, &[Some(evaluation.truths.len())])?)
             };
             Ok(vec![Measurement {
                 key: text("name", &self.named.class)?,

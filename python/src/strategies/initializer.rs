@@ -1,4 +1,4 @@
-//! A class of Python's as an initialiser.
+//! Python classes as initialisers.
 
 use super::Strategy;
 use super::objects::generator;
@@ -30,13 +30,13 @@ impl Initializer for Strategy {
     }
 }
 
-/// A cloud from means, scales and whatever else is given.
+/// Creates a cloud from means, scales and optional columns.
 fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     let py = found.py();
     let need = |name: &str| {
         found
             .get_item(name)?
-            .ok_or_else(|| wrong(py, &format!("initialize gave no `{name}`; means [N, 3] and scales are needed")))
+            .ok_or_else(|| wrong(py, &format!("initialize returned no `{name}`; means [N, 3] and scales are required")))
     };
     let means = crate::arrays::places("means", &need("means")?)?;
     let n = means.len();

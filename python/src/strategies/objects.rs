@@ -1,4 +1,4 @@
-//! What strategies are given: columns of the toolkit as the records of `pwrfgs._types`.
+//! Arguments of strategies: columns of the toolkit as records of `pwrfgs._types`.
 
 use crate::arrays::{array, axes, given};
 use crate::border::wrong;
@@ -7,13 +7,13 @@ use pwrfgs_core::{CloudStats, Dataset, GaussianCloud, Moment, Real, rng};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Gaussians as the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` may be written to.
+/// Gaussians as the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` are writable.
 pub(crate) fn cloud_object<'py>(py: Python<'py>, cloud: &GaussianCloud, writable: bool) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.columns().map(|(name, _, values)| (name, values.to_vec()));
     columns_object(py, cloud.len(), columns, writable)
 }
 
-/// The same of Gaussians on the tape.
+/// Same as `cloud_object`, for Gaussians on the tape.
 pub(super) fn traced_object<'py>(py: Python<'py>, cloud: &Traced) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.names().map(|name| (name, pwrfgs_core::tape::values(cloud.leaf(name))));
     columns_object(py, cloud.len(), columns, false)
@@ -27,7 +27,7 @@ pub(super) fn columns_object<'py, 'a>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let object = PyDict::new(py);
     for (name, values) in columns {
-        // One number a Gaussian has no second axis.
+        // Columns with one value per Gaussian have no second axis.
         let width = values.len().checked_div(n).unwrap_or(1);
         let shape: &[usize] = if width <= 1 { &[n] } else { &[n, width] };
         let column = array(py, values, shape)?;
@@ -39,7 +39,7 @@ pub(super) fn columns_object<'py, 'a>(
     py.import("pwrfgs._types")?.getattr("Cloud")?.call1((object,))
 }
 
-/// What was seen of the Gaussians, as the Python class `Stats`.
+/// Statistics of the Gaussians, as the Python class `Stats`.
 pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult<Bound<'py, PyAny>> {
     let column = |values: &[Real]| array(py, values.to_vec(), &[values.len()]);
     let found = PyDict::new(py);
@@ -76,7 +76,7 @@ pub(super) fn moment_object<'py>(py: Python<'py>, moment: &Moment) -> PyResult<B
     py.import("pwrfgs._types")?.getattr("Moment")?.call1((step, phase.name(), seed, round, rounds, target))
 }
 
-/// Links without what was observed of them, as the Python class `Links`.
+/// Links without observations, as the Python class `Links`.
 pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let rows: Vec<_> = links.iter().map(|&i| data.sample(i)).collect();
     let fields = (
@@ -87,17 +87,17 @@ pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]
     py.import("pwrfgs._types")?.getattr("Links")?.call1(fields)
 }
 
-/// A generator of NumPy's that follows from the run's own.
+/// NumPy random generator, seeded from the run.
 pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
 }
 
-/// Finite numbers of any shape, `length` in all.
+/// Reads `length` finite numbers of any shape.
 pub(super) fn given_flat(what: &str, values: &Bound<'_, PyAny>, length: usize) -> PyResult<Vec<Real>> {
     let array = given::<Real>(what, values, &vec![None; axes(values)?.max(1)])?; // a number becomes an array of one
     let all = array.as_slice().map_err(|e| wrong(values.py(), &e.to_string()))?;
     if all.len() != length {
-        return Err(wrong(values.py(), &format!("{what} has {} numbers, and {length} are wanted", all.len())));
+        return Err(wrong(values.py(), &format!("{what} has {} numbers, expected {length}", all.len())));
     }
     match all.iter().find(|v| !v.is_finite()) {
         Some(bad) => Err(wrong(values.py(), &format!("{what} holds {bad}; give finite numbers"))),

@@ -1,4 +1,4 @@
-//! A class of Python's as a pruner.
+//! Python classes as pruners.
 
 use super::Strategy;
 use super::objects::{cloud_object, given_flat, moment_object, stats_object, traced_object};
@@ -10,7 +10,7 @@ use pwrfgs_core::{CloudStats, Gate, GaussianCloud, Moment, Needs, Pruner, Pruner
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-/// What a pruner may ask for, by name.
+/// Statistics that a pruner may request, by name.
 const STATISTICS: [(&str, Statistic); 9] = [
     ("weight", Statistic::Weight),
     ("largest_weight", Statistic::LargestWeight),
@@ -23,17 +23,17 @@ const STATISTICS: [(&str, Statistic); 9] = [
     ("elimination", Statistic::Elimination { most: 4_096 }),
 ];
 
-/// What `gate` and `penalty` give: numbers, and their derivatives in the columns that are named.
+/// Result of `gate` and `penalty`: numbers, and their derivatives by column.
 struct Curve<'py> {
     value: Bound<'py, PyAny>,
     columns: Vec<Trace>,
     slopes: Vec<Vec<Real>>,
-    /// A word after the two.
+    /// Optional third entry.
     word: Option<String>,
 }
 
 impl Strategy {
-    /// Asks `method`, which gives a value and its derivatives, or None. `form` is how a manual would write that.
+    /// Calls `method`, which returns a value with derivatives, or None. `form` describes the expected result.
     fn curve<T>(
         &self,
         method: &'static str,
@@ -49,7 +49,7 @@ impl Strategy {
             if found.is_none() {
                 return Ok(None);
             }
-            let wants = |what: &str| wrong(py, &format!("{method} gave {what}; give {form}, or None"));
+            let wants = |what: &str| wrong(py, &format!("{method} returned {what}, expected {form}, or None"));
             let Ok(parts) = found.cast::<PyTuple>() else { return Err(wants(&kind_of(&found))) };
             if !(2..=3).contains(&parts.len()) {
                 return Err(wants(&format!("{} things", parts.len())));
@@ -64,7 +64,7 @@ impl Strategy {
         })
     }
 
-    /// The columns that a dict names, and what it has for them.
+    /// Columns in a dict, with their values.
     fn slopes(
         &self,
         given: &Bound<'_, PyDict>,
@@ -77,23 +77,23 @@ impl Strategy {
             let refuse = |what: &str| Err(wrong(given.py(), &format!("{method}: {what}")));
             if !cloud.names().any(|own| own == name) {
                 let hint = pwrfgs_core::did_you_mean(&name, cloud.names());
-                return refuse(&format!("there is no column `{name}`{hint}"));
+                return refuse(&format!("unknown column `{name}`{hint}"));
             }
             if self.object.columns.iter().any(|own| own.name == name && own.learning_rate.is_none()) {
-                return refuse(&format!("the column `{name}` has no learning_rate, so that no derivative moves it"));
+                return refuse(&format!("column `{name}` has no learning_rate, so its derivative has no effect"));
             }
             let length = pwrfgs_core::tape::values(cloud.leaf(&name)).len();
             slopes.push(given_flat(&format!("{method}: the derivative in `{name}`"), &values, length)?);
             columns.push(cloud.column(&name));
         }
         if columns.is_empty() {
-            return Err(wrong(given.py(), &format!("{method}: give the derivative in one column at least")));
+            return Err(wrong(given.py(), &format!("{method}: expected the derivative in at least one column")));
         }
         Ok((columns, slopes))
     }
 }
 
-/// The name of its class.
+/// Name of its class.
 fn kind_of(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "something else".into(), |name| format!("a value of {name}"))
 }
@@ -105,7 +105,7 @@ impl Pruner for Strategy {
         self.with(|py, own| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, moment_object(py, moment)?);
             let keep = own.call_method1("keep", arguments)?;
-            numbers::<bool>("what keep gave", &keep, &[Some(cloud.len())])
+            numbers::<bool>("the result of keep", &keep, &[Some(cloud.len())])
         })
     }
 
@@ -121,7 +121,8 @@ impl Pruner for Strategy {
                 let Some((_, statistic)) = STATISTICS.iter().find(|(own, _)| *own == name) else {
                     let names = STATISTICS.map(|(own, _)| own);
                     let hint = pwrfgs_core::did_you_mean(&name, names);
-                    let what = format!("needs: there is no statistic `{name}`{hint} (there are {})", names.join(", "));
+                    let what =
+                        format!("needs: unknown statistic `{name}`{hint} (expected one of {})", names.join(", "));
                     return Err(wrong(py, &what));
                 };
                 needs.statistics.push(*statistic);
@@ -154,7 +155,7 @@ impl Pruner for Strategy {
                 None => Ok(Gate::Whole(gate)),
                 Some("presence") => Ok(Gate::Presence(gate)),
                 Some(other) => {
-                    Err(wrong(value.py(), &format!("gate: {other:?} is unknown; the third may be \"presence\"")))
+                    Err(wrong(value.py(), &format!("gate: unknown third entry {other:?} (expected \"presence\")")))
                 }
             }
         })

@@ -188,7 +188,7 @@ fn what_no_folder_can_hold_is_refused_with_what_to_do() {
     };
     for (said, words) in [
         (named(&["a", "b"], &[-60.0]), "receiver `b` received no transmitter; leave it out"),
-        (named(&["a"], &[-60.0, -100.0]), "powers[1] is -100 dBm, which stands for nothing received"),
+        (named(&["a"], &[-60.0, -100.0]), "powers[1] is -100 dBm, which marks a missing link"),
         (named(&["a"], &[-301.0]), "powers[0] is -301, no power in dBm"),
         (named(&["a\"b"], &[-60.0]), "give it a name of 1 to 100 characters"),
         (spectra((12, 36), 0.5).unwrap_err().to_string(), "save s.transpose(0, 2, 1)"),
