@@ -6,7 +6,7 @@
 //! ```no_run
 //! use pwrfgs::prelude::*;
 //! # fn main() -> Result<()> {
-//! let text = std::fs::read_to_string("pipelines/quickstart.ron").expect("stand in the checkout");
+//! let text = std::fs::read_to_string("pipelines/quickstart.ron").expect("run in the checkout");
 //! let pipeline = Pipeline::parse(&text, "pipelines/quickstart.ron".as_ref())?;
 //! let stop = std::sync::atomic::AtomicBool::new(false);
 //! let outcome = pwrfgs::run(&pipeline, "pipelines".as_ref(), "runs/first".as_ref(), &mut Silent, &stop)?;

@@ -78,7 +78,7 @@ fn drive(first: u64, cases: u64) -> Result<usize> {
     let faults: Vec<Result<Vec<String>>> = std::thread::scope(|scope| {
         let all: Vec<_> =
             (0..workers).map(|w| scope.spawn(move || all_of(first + w, workers, first + cases))).collect();
-        all.into_iter().map(|worker| worker.join().expect("a worker that fails says so")).collect()
+        all.into_iter().map(|worker| worker.join().expect("a failed worker reports its fault")).collect()
     });
     let faults = faults.into_iter().collect::<Result<Vec<_>>>()?.concat();
     faults.iter().take(50).for_each(|fault| println!("{fault}"));

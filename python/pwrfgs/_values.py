@@ -286,7 +286,7 @@ def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> st
         wanted = value.replace("_", "").lower()
         found = [name for name in names if name.lower() == wanted]
         if not found:
-            raise InputError(unknown(f"{kind}", value, names).replace("has no field", "has none called"))
+            raise InputError(unknown(f"{kind}", value, names).replace("has no field", "has no plugin"))
         value = CLASSES[found[0]](**(settings or {}))
     elif settings:
         raise InputError("settings need a plugin name; an object has its own settings")

@@ -249,7 +249,7 @@ pub(crate) fn unplaced(error: Error) -> Error {
 
 /// Forwards warnings to Python's `logging` under the name "pwrfgs"; by default they are printed on the error stream.
 pub(crate) fn log_warnings() {
-    _ = tracing::subscriber::set_global_default(Logger); // whoever was there first stays
+    _ = tracing::subscriber::set_global_default(Logger); // an earlier logger is kept
 }
 
 /// Forwards warnings and ignores spans.

@@ -29,7 +29,7 @@ struct Teller(SyncSender<Event>);
 
 impl Teller {
     fn tell(&self, event: Event) {
-        _ = self.0.send(event); // who does not listen any more has been interrupted
+        _ = self.0.send(event); // a closed channel means that the listener was interrupted
     }
 }
 

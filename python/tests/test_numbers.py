@@ -42,7 +42,7 @@ def test_ssim_is_that_of_scikit_image():
 
 
 def test_metrics_refuse_what_does_not_fit():
-    for given, said in [((P, T[:2]), "differ in shape"), ((P[:, :3], T), "differ in shape"), ((P[0, 0], T[0, 0]), "a spectrum has 2"), ((P[:0], T[:0]), "nothing")]:
+    for given, said in [((P, T[:2]), "differ in shape"), ((P[:, :3], T), "differ in shape"), ((P[0, 0], T[0, 0]), "a spectrum has 2"), ((P[:0], T[:0]), "empty")]:
         with pytest.raises(pwrfgs.InputError) as told:
             pwrfgs.metrics.ssim(*given)
         assert said in str(told.value)
@@ -84,7 +84,7 @@ def test_drawing():
     array = pwrfgs.rasterize(**{**given, "signals": given["signals"] @ [1, 1j]}, pose=POSE, height=24, width=96, rasterizer=pwrfgs.ArrayResponse())
     assert np.iscomplexobj(array) and np.abs(array).max() > 0
     for change, said in [
-        (dict(means=np.zeros((N, 2))), "means has shape"), (dict(opacities=np.ones(N)), "outside 0 to 1"),
+        (dict(means=np.zeros((N, 2))), "means has shape"), (dict(opacities=np.ones(N)), "outside the range from 0 to below 1"),
         (dict(quats=np.zeros((N, 4))), "quats[0] is zero"), (dict(scales=np.full((N, 3), np.nan)), "scales holds NaN"),
         (dict(signals=np.zeros((N + 1, 2))), "signals has shape"),
     ]:

@@ -86,7 +86,7 @@ pub fn shape_fault(elevation: Elevation, stated: bool, (width, height): (usize, 
         (true, _) => "rows are elevations and columns are azimuths: save s.transpose(0, 2, 1)".into(),
         (false, true) => "correct `elevation`, or resample the spectra".into(),
         (false, false) => {
-            format!("say where the top row begins and the bottom row ends, such as {say}")
+            format!("set the elevations of the top and bottom edge, such as {say}")
         }
     };
     Some(format!("{what}; {advice}"))

@@ -60,7 +60,7 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
             }
             word if LEFT_OUT.split(' ').any(|left_out| left_out == word) => {}
             word => {
-                let what = "is no statement for vertices and faces; export triangles from the modelling program";
+                let what = "is not a vertex or face statement; export triangles from the modelling program";
                 return Err(Error::at(path, line, keyword.column, format!("{} {what}", quoted(word))));
             }
         }
@@ -77,7 +77,7 @@ fn corner(path: &Path, line: usize, field: Field<'_>, so_far: usize) -> Result<i
     let is_whole = parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || part.parse::<i64>().is_ok());
     let index = index.filter(|_| is_whole);
     let index = index.ok_or_else(|| {
-        let what = "is no vertex, which are counted from 1 or, backwards, from -1; correct the index";
+        let what = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
         Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
     })?;
     Ok(if index > 0 { index - 1 } else { index.saturating_add_unsigned(so_far as u64) })
@@ -205,7 +205,7 @@ mod obj_tests {
     #[test]
     fn mistakes_are_told_with_their_place() {
         let v = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
-        let index = "is no vertex, which are counted from 1 or, backwards, from -1; correct the index";
+        let index = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
         let range =
             |found: &str| format!("a.obj:4:1: a face names vertex {found}, counted from 0, of 3; correct the index");
         let cases = [
@@ -226,7 +226,7 @@ mod obj_tests {
             ),
             (
                 "<html>\n".into(),
-                "a.obj:1:1: `<html>` is no statement for vertices and faces; export triangles from the modelling program"
+                "a.obj:1:1: `<html>` is not a vertex or face statement; export triangles from the modelling program"
                     .into(),
             ),
         ];

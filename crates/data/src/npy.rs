@@ -22,7 +22,7 @@ pub(crate) fn spectra(header: &Header, path: &Path) -> Result<(Number, [usize; 3
         return Err(Error::input(path, format!("holds numbers of type `{}`; {what}", header.descr)));
     };
     let Ok(shape) = <[usize; 3]>::try_from(header.shape.as_slice()) else {
-        let what = "spectra are [M, H, W]: M pictures of H rows (elevation) and W columns (azimuth); use a.reshape";
+        let what = "spectra are [M, H, W]: M spectra of H rows (elevation) and W columns (azimuth); use a.reshape";
         return Err(Error::input(path, format!("has shape {}; {what}", header.shape_text())));
     };
     if header.fortran {
@@ -46,7 +46,7 @@ pub(crate) fn positions(header: &Header, path: &Path, file: &mut dyn Read, left:
         return refuse(format!("has shape {}; {what}", header.shape_text()));
     };
     if header.bytes(number) != Some(left) || left > MAX_BYTES {
-        return refuse(format!("{count} positions do not fit its length; it is cut short or damaged: copy it anew"));
+        return refuse(format!("{count} positions do not fit its length; it is cut short or damaged: copy it again"));
     }
     let mut bytes = vec![0; left as usize];
     file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
@@ -117,7 +117,7 @@ fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: 
     }
     let of_one = if double { 16_u64 } else { 8 };
     if header.shape.iter().try_fold(of_one, |all, n| all.checked_mul(*n as u64)) != Some(left) {
-        let what = "do not fit its length; it is cut short or damaged: copy it anew";
+        let what = "do not fit its length; it is cut short or damaged: copy it again";
         return Err(refuse(format!("numbers of shape {} {what}", header.shape_text())));
     }
     if left > MAX_BYTES {

@@ -14,7 +14,7 @@ use header::{Element, Encoding, Header, Kind, Scalar};
 use pwrfgs_core::{Error, Result, words::quoted};
 use std::path::Path;
 
-const ANEW: &str = "the file is cut short: copy it anew";
+const ANEW: &str = "the file is cut short: copy it again";
 const INDEX_ADVICE: &str = "correct the index of the vertex";
 
 /// Reads the positions of all vertices.

@@ -161,7 +161,7 @@ pub(crate) fn power(path: &Path, line: usize, row: &[Field<'_>], (column, name):
     let advice = "give the power in dBm, or -100 if the gateway received no signal";
     let field = cell(path, line, row, (column, name), advice)?;
     let dbm = number(path, line, field, advice)?;
-    let stored = dbm as Real as f64; // rounding may make it the number that stands for nothing received
+    let stored = dbm as Real as f64; // rounding may give the marker of a missing link
     if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
         let what = format!("{} is not a power in dBm; {advice}", quoted(field.text));
         return Err(Error::at(path, line, field.column, what));

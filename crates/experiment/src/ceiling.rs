@@ -125,7 +125,7 @@ mod tests {
         assert_eq!(far, Lapse::Far);
         assert_eq!(why, "since 70 % of the test samples have no known one within 30 ids");
         let anywhere = data(|id| f64::from(id * 149 % 400));
-        assert_eq!(of(&anywhere, &partition(|i| i % 5 == 0)).0, Lapse::Far, "ids say nothing of time");
+        assert_eq!(of(&anywhere, &partition(|i| i % 5 == 0)).0, Lapse::Far, "ids carry no time information");
     }
 
     #[test]

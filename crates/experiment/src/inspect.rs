@@ -179,7 +179,7 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let order = if in_order(data) {
         "ids follow a trajectory: a random split leaves near neighbours in training"
     } else {
-        "ids follow no trajectory: a block of ids is no block of space"
+        "ids do not follow a trajectory: a block of ids is not a block of space"
     };
     let steps = format!("{middle} from an id to the next (median; {low} to {high}, 5 % to 95 %); {order}");
     vec![("transmitters", text), ("steps", steps)]

@@ -65,7 +65,7 @@ pub(crate) fn conclude(
     facts.scores = Some(scores.table.clone());
     facts.finished = Some(now());
     facts.report = session.page.is_some();
-    facts.note_memory(); // here, so that the page says what run.json says
+    facts.note_memory(); // here, so that report and run.json agree
     let (found, context) = ((&scores, confidence.as_ref()), (data, partition, model));
     write_results(path, (pipeline, facts), context, found, session.page)?;
     facts.seal(path)?;

@@ -108,7 +108,7 @@ impl Draft {
     }
 
     fn tree(&self) -> Tree {
-        Tree::parse(&self.text).expect("what was written by the program, and edits that were parsed, are values")
+        Tree::parse(&self.text).expect("text written by the program and parsed edits are valid values")
     }
 
     fn edit(&mut self, mut edits: Vec<Edit>) {

@@ -61,7 +61,7 @@ impl<'a> Place<'a> {
             _ => here,
         };
         if names().next().is_none() {
-            return Err(format!("{who} has no fields, and so no `{step}`{}", whole(plugin, &name, step)));
+            return Err(format!("{who} has no fields, so `{step}` is unknown{}", whole(plugin, &name, step)));
         }
         let hint = did_you_mean(step, names());
         let whole = whole(plugin, &name, step);

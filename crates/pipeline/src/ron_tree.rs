@@ -97,8 +97,8 @@ impl Reader<'_> {
 
     fn unexpected(&self, wanted: &str) -> String {
         match self.peek() {
-            Some(found) => format!("expected {wanted} and found `{}`", found.escape_debug()),
-            None => format!("expected {wanted}, but it ends"),
+            Some(found) => format!("expected {wanted}, found `{}`", found.escape_debug()),
+            None => format!("expected {wanted}, but the text ends"),
         }
     }
 

@@ -107,7 +107,7 @@ pub struct Heard {
 pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, Draw<'_>)>) -> f64 {
     let power = mean_power(channel);
     if power.is_nan() {
-        return power; // told by who asks
+        return power; // reported by the caller
     }
     let error = draw.filter(|_| noise_db > 0.0);
     let error = error.map_or(0.0, |(seed, draw)| noise_db * normal_f64(&mut draw.stream(seed, "power reading")));

@@ -64,8 +64,8 @@ pub fn write_as(
     stop: &AtomicBool,
 ) -> Result<()> {
     layout.check(recipe)?;
-    refuse_occupied(out)?; // before the scene is looked at
-    let simulator = Simulator::new(&recipe.scene)?; // what is wrong with the last receiver is told before the first takes its time
+    refuse_occupied(out)?; // before the scene is prepared
+    let simulator = Simulator::new(&recipe.scene)?; // reports errors of all receivers before the first is simulated
     let making = NewFolder::begin(out)?;
     let receivers = recipe.scene.receivers().count();
     if receivers == 1 || layout == Layout::Rssi {

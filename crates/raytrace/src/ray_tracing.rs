@@ -54,7 +54,7 @@ impl RayTracing {
         let what = match (&self.scene, self.is_exact() && knows_scene) {
             (_, true) => {
                 let errors = if self.noise {
-                    "with the phase errors of the antennas, and with noise drawn anew"
+                    "with the phase errors of the antennas, and with new random noise"
                 } else {
                     "without receiver errors"
                 };

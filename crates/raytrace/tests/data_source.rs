@@ -87,7 +87,7 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
         assert!(load() == (truth.clone(), true));
         assert!(load() == (truth.clone(), false));
     }
-    // What a killed program leaves behind is not an entry.
+    // Remains of a killed program are not an entry.
     fs::rename(&entry, root.join(format!(".{}.x.tmp", recipe.folder_name()))).unwrap();
     assert!(load() == (truth.clone(), true));
     // Where nothing can be kept, the data are made all the same.

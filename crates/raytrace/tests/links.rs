@@ -122,7 +122,7 @@ fn at_the_carrier_a_channel_is_that_of_the_spectrum() {
             assert!(alone == array.channel(&paths, center, listener.world_from_receiver(), scene.wavelength()));
             assert!(listener.antennas().iter().all(|place| place.distance(center) < 0.2));
         }
-        // Without subcarriers the power is what stands beside the spectra, errors and all.
+        // Without subcarriers the power equals that of the spectra, including errors.
         let narrow = Simulator::new(&Scene { subcarriers: None, ..scene.clone() }).unwrap();
         let listener = &narrow.listeners()[0];
         let beside = 10.0 * listener.spectrum(tx, Some(5)).spectrum.power.log10();

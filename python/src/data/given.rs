@@ -34,7 +34,7 @@ pub(super) fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> 
 }
 
 fn listed<'py>(given: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
-    let form = "give a list of Receiver, or places [R, 3] in metres";
+    let form = "give a list of Receiver, or positions [R, 3] in metres";
     given.try_iter().map_err(|error| wrong(given.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 

@@ -48,8 +48,7 @@ fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     if let Ok(mask) = numbers::<bool>("a part", part, &[Some(count)]) {
         return Ok((0..count).filter(|&i| mask[i]).collect());
     }
-    let places =
-        numbers::<i64>("a part of a split, which is places of links or a mask of all of them,", part, &[None])?;
+    let places = numbers::<i64>("a set of a split (link indices or a mask)", part, &[None])?;
     if let Some(bad) = places.iter().find(|i| usize::try_from(**i).is_err() || **i as usize >= count) {
         return Err(wrong(part.py(), &format!("split: invalid link index {bad} (expected 0 to below {count})")));
     }

@@ -46,7 +46,7 @@ impl Baseline for LogDistance {
         if data.task().is_scalar && data.placed {
             return Ok(());
         }
-        let holds = if data.placed { data.task().plural } else { "no places of transmitters" };
+        let holds = if data.placed { data.task().plural } else { "no transmitter positions" };
         let what =
             format!("LogDistance() needs received powers and transmitter positions, but {} holds {holds}", data.title);
         Err(Error::Config(format!("{what}; remove it from `baselines`")))

@@ -26,7 +26,7 @@ impl Known<'_> {
     pub(crate) fn find(&self, word: &str) -> Result<(u32, usize), String> {
         let table = self.table;
         let id = match word.parse() {
-            Ok(0) => return Err(format!("there is no id 0; ids count from 1, the first row of {table}")),
+            Ok(0) => return Err(format!("invalid id 0; ids count from 1, the first row of {table}")),
             Ok(id) => id,
             Err(_) => return Err(format!("{} is not a sample id; write one a line, such as 00001", quoted(word))),
         };
@@ -45,9 +45,7 @@ impl Known<'_> {
 pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<(u32, usize), String> {
     match word.parse::<u32>() {
         Ok(id) if (id as usize) < rows => Ok((id, id as usize)),
-        Ok(id) => {
-            Err(format!("there is no row {id} in {table}, which has {rows}; rows count from 0: remove the number"))
-        }
+        Ok(id) => Err(format!("invalid row {id} of {table}, which has {rows} rows counted from 0; remove the number")),
         Err(_) => Err(format!("{} is not a row of {table}; write one a line, counted from 0", quoted(word))),
     }
 }

@@ -26,7 +26,7 @@ pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>
         let path = entry.map_err(|e| Error::read(folder, e))?.path();
         let Some(id) = id_of(&path) else { continue };
         if id == 0 {
-            return Err(Error::input(&path, "there is no id 0; ids count from 1, so number the pictures from 00001"));
+            return Err(Error::input(&path, "invalid id 0; ids count from 1, so number the images from 00001"));
         }
         if let Some(other) = found.insert(id, path.clone()) {
             // The folder order is arbitrary; the message must not depend on it.
@@ -52,7 +52,7 @@ pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
     let mut all = Vec::new();
     let total = bytes.len().saturating_mul(files.len());
     all.try_reserve_exact(total).map_err(|e| {
-        let what = format!("{} pictures of {width} x {height} pixels do not fit into memory ({e})", files.len());
+        let what = format!("{} images of {width} x {height} pixels do not fit into memory ({e})", files.len());
         Error::input(first, format!("{what}; `pwrfgs import` makes one array of them, of which memory holds a part"))
     })?;
     all.extend(bytes);
@@ -97,7 +97,7 @@ impl Picture {
         if (*w, *h) == (width, height) {
             return Ok(());
         }
-        let what = format!("is {w} x {h} pixels, but {name} is {width} x {height}; all pictures must have one size");
+        let what = format!("is {w} x {h} pixels, but {name} is {width} x {height}; all images must have one size");
         Err(Error::input(path, what))
     }
 }
@@ -106,13 +106,13 @@ impl Picture {
 pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, "add the image")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
-        return Err(Error::input(path, "is not a PNG picture; save the spectrum as 8-bit grey PNG"));
+        return Err(Error::input(path, "is not a PNG image; save the spectrum as 8-bit grey PNG"));
     }
     let damaged = |e: ImageError| {
         let words = e.to_string();
         Error::input(
             path,
-            format!("is cut short or damaged ({}); copy it anew", words.lines().next().unwrap_or_default()),
+            format!("is cut short or damaged ({}); copy it again", words.lines().next().unwrap_or_default()),
         )
     };
     let decoder = decoder(file).map_err(damaged)?;
@@ -153,6 +153,6 @@ fn kind(color: ExtendedColorType) -> String {
     match color.channel_count() {
         1 => format!("{bits}-bit grey"),
         2 => format!("{bits}-bit grey with transparency"),
-        _ => format!("a {bits}-bit colour picture"),
+        _ => format!("a {bits}-bit colour image"),
     }
 }

@@ -13,7 +13,7 @@ use std::path::Path;
 const GATEWAY: &str = "expected `gateway1: {position: [x, y, z], orientation: [x, y, z, w]}` (metres; unit quaternion)";
 const GATEWAYS: &str = "expected one gateway a line, such as `g01: [x, y, z]` (metres), or `g01: {position: [x, y, z], \
                         orientation: [x, y, z, w]}`";
-const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), a place for each antenna";
+const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), one position per antenna";
 
 /// Content of `gateway_info.yml`: name of the data set, position and orientation of the receiver.
 #[derive(Debug, PartialEq)]

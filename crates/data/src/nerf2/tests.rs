@@ -148,7 +148,7 @@ fn pictures_must_suit_their_angles() {
     assert_eq!(
         said,
         "DIR/s/spectrum/00001.png: is 36 x 18 pixels: over azimuths 0 to 360 and elevations 0 to 90 degrees each would be \
-         10.000 x 5.000 degrees; say where the top row begins and the bottom row ends, such as \
+         10.000 x 5.000 degrees; set the elevations of the top and bottom edge, such as \
          `elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml"
     );
     assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)));
@@ -253,7 +253,7 @@ fn mistakes_in_tx_pos_are_told_with_line_and_column() {
 #[test]
 fn mistakes_in_index_files_are_told_with_line_and_column() {
     let cases = [
-        ("00001\n0\n", "train_index.txt:2:1: there is no id 0; ids count from 1, the first row of tx_pos.csv"),
+        ("00001\n0\n", "train_index.txt:2:1: invalid id 0; ids count from 1, the first row of tx_pos.csv"),
         ("1\n\n 5\n", "train_index.txt:3:2: id 5 has no row in tx_pos.csv, which has 4; add the row or remove the id"),
         ("4\n", "train_index.txt:1:1: id 4 has no image spectrum/00004.png; add the image or remove the id"),
         ("a.png\n", "train_index.txt:1:1: `a.png` is not a sample id; write one a line, such as 00001"),
@@ -292,8 +292,8 @@ fn bad_pictures_are_named_and_described() {
     for (color, kind) in [
         (ColorType::L16, "16-bit grey"),
         (ColorType::La8, "8-bit grey with transparency"),
-        (ColorType::Rgb8, "a 8-bit colour picture"),
-        (ColorType::Rgba16, "a 16-bit colour picture"),
+        (ColorType::Rgb8, "a 8-bit colour image"),
+        (ColorType::Rgba16, "a 16-bit colour image"),
     ] {
         let message = save(&Folder::new(), &vec![0; pixels * usize::from(color.bytes_per_pixel())], color.into());
         assert_eq!(message, format!("DIR/s/spectrum/00002.png: is {kind}; {grey}"));
@@ -302,15 +302,12 @@ fn bad_pictures_are_named_and_described() {
     folder.grey("00002", HEIGHT, WIDTH, 0);
     assert_eq!(
         folder.fault(),
-        "DIR/s/spectrum/00002.png: is 3 x 8 pixels, but 00001.png is 8 x 3; all pictures must have one size"
+        "DIR/s/spectrum/00002.png: is 3 x 8 pixels, but 00001.png is 8 x 3; all images must have one size"
     );
     for text in ["GIF89a", "", "hello, I am text"] {
         let folder = Folder::new();
         folder.write("s/spectrum/00002.png", text);
-        assert_eq!(
-            folder.fault(),
-            "DIR/s/spectrum/00002.png: is not a PNG picture; save the spectrum as 8-bit grey PNG"
-        );
+        assert_eq!(folder.fault(), "DIR/s/spectrum/00002.png: is not a PNG image; save the spectrum as 8-bit grey PNG");
     }
 }
 
@@ -323,7 +320,7 @@ fn a_truncated_or_damaged_picture_is_an_error() {
         folder.write("s/spectrum/00002.png", &whole[..length]);
         let message = folder.fault();
         assert!(message.starts_with("DIR/s/spectrum/00002.png: is cut short or damaged ("), "{length}: {message}");
-        assert!(message.ends_with("; copy it anew"), "{message}");
+        assert!(message.ends_with("; copy it again"), "{message}");
     }
     let mut flipped = whole;
     flipped[end_of_data - 6] ^= 0xff;
@@ -358,7 +355,7 @@ fn ids_of_pictures_are_unique_and_count_from_one() {
     folder.grey("00000", WIDTH, HEIGHT, 0);
     assert_eq!(
         folder.fault(),
-        "DIR/s/spectrum/00000.png: there is no id 0; ids count from 1, so number the pictures from 00001"
+        "DIR/s/spectrum/00000.png: invalid id 0; ids count from 1, so number the images from 00001"
     );
 }
 

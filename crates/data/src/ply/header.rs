@@ -135,7 +135,7 @@ impl Header {
                 (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
                 (1, _) => return Err(Error::at(path, 1, 1, NOT_PLY)),
                 (_, ["format", ..]) if encoding.is_some() => {
-                    return Err(fault(0, "stands here a second time; keep one"));
+                    return Err(fault(0, "is repeated; keep one"));
                 }
                 (_, ["format", name, ..]) => {
                     encoding = Some(Encoding::named(name).ok_or_else(|| fault(1, FORMATS))?);
@@ -143,7 +143,7 @@ impl Header {
                 (_, ["element", name, count]) => {
                     let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
                     if elements.iter().any(|e: &Element| e.name == *name) {
-                        return Err(fault(1, "is an element for the second time; give each a name of its own"));
+                        return Err(fault(1, "is a repeated element; give each element a unique name"));
                     }
                     elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new(), line });
                 }
@@ -151,7 +151,7 @@ impl Header {
                     let element: &mut Element = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
                     let property = property(path, line, &fields)?;
                     if element.properties.iter().any(|p| p.name == property.name) {
-                        let twice = "is a property for the second time; give each a name of its own";
+                        let twice = "is a repeated property; give each property a unique name";
                         return Err(fault(fields.len() - 1, twice));
                     }
                     element.properties.push(property);
@@ -181,12 +181,12 @@ impl Header {
     }
 }
 
-const UNENDED: &str = "the header has no end_header; copy the file anew";
-const UNOWNED: &str = "stands before any element; write an `element` line first";
+const UNENDED: &str = "the header has no end_header; copy the file again";
+const UNOWNED: &str = "precedes any element; write an `element` line first";
 const UNFORMATTED: &str = "has no `format` line; write `format ascii 1.0` or a binary one";
 const NOT_PLY: &str = "is not a PLY file, which begins with the line `ply`; check the file or its extension";
-const FORMATS: &str = "is no format; use ascii, binary_little_endian or binary_big_endian";
-const TYPES: &str = "is no type; use char, uchar, short, ushort, int, uint, float or double";
+const FORMATS: &str = "is not a format; use ascii, binary_little_endian or binary_big_endian";
+const TYPES: &str = "is not a type; use char, uchar, short, ushort, int, uint, float or double";
 
 impl Encoding {
     fn named(name: &str) -> Option<Self> {

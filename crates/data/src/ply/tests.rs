@@ -65,7 +65,7 @@ fn every_truncation_is_an_error() {
     let cut = binary(true);
     assert_eq!(
         read(&cut[..cut.len() - 1]).unwrap_err(),
-        "a.ply: ends after 0 of 1 rows of element `face`; the file is cut short: copy it anew"
+        "a.ply: ends after 0 of 1 rows of element `face`; the file is cut short: copy it again"
     );
 }
 
@@ -88,12 +88,12 @@ fn mistakes_are_told() {
             edit("double z", "real z"),
             format!(
                 "a.ply:8:10: `real` {TYPES}",
-                TYPES = "is no type; use char, uchar, short, ushort, int, uint, float or double"
+                TYPES = "is not a type; use char, uchar, short, ushort, int, uint, float or double"
             ),
         ),
         (
             edit("ascii", "text"),
-            "a.ply:2:8: `text` is no format; use ascii, binary_little_endian or binary_big_endian".into(),
+            "a.ply:2:8: `text` is not a format; use ascii, binary_little_endian or binary_big_endian".into(),
         ),
         (edit("vertex 2", "vertex two"), "a.ply:6:16: `two` is not a count; write a whole number".into()),
         (
@@ -112,7 +112,7 @@ fn mistakes_are_told() {
             "solid cube\n".into(),
             "a.ply:1:1: is not a PLY file, which begins with the line `ply`; check the file or its extension".into(),
         ),
-        ("ply\n".into(), "a.ply: the header has no end_header; copy the file anew".into()),
+        ("ply\n".into(), "a.ply: the header has no end_header; copy the file again".into()),
     ];
     for (text, message) in cases {
         assert_eq!(read(text.as_bytes()).unwrap_err(), message);
@@ -139,7 +139,7 @@ fn a_header_that_promises_too_much_is_an_error_at_once() {
         let message = read(text.as_bytes()).unwrap_err();
         assert_eq!(
             message,
-            format!("a.ply: ends after 0 of {huge} rows of element `vertex`; the file is cut short: copy it anew")
+            format!("a.ply: ends after 0 of {huge} rows of element `vertex`; the file is cut short: copy it again")
         );
     }
 }
@@ -224,7 +224,7 @@ fn mistakes_in_faces_are_told() {
 fn what_the_header_does_not_count_is_refused() {
     let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replacen(from, to, 1);
     let advice = "correct the row or the header";
-    let twice = |what: &str| format!("is {what} for the second time; give each a name of its own");
+    let twice = |what: &str| format!("is a repeated {what}; give each {what} a unique name");
     let cases = [
         (
             edit("3 0 1 2\n", "3 0 1 2\n\n1 2 3\n"),
@@ -236,9 +236,9 @@ fn what_the_header_does_not_count_is_refused() {
                 "a.ply:18:11: `4e0` is not an int, a whole number of 32 bits, as property `vertex_indices` is; {advice}"
             ),
         ),
-        (edit("element face", "element vertex"), format!("a.ply:12:9: `vertex` {}", twice("an element"))),
-        (edit("property float y", "property float x"), format!("a.ply:11:16: `x` {}", twice("a property"))),
-        (edit("comment a room", "format ascii 1.0"), "a.ply:3:1: `format` stands here a second time; keep one".into()),
+        (edit("element face", "element vertex"), format!("a.ply:12:9: `vertex` {}", twice("element"))),
+        (edit("property float y", "property float x"), format!("a.ply:11:16: `x` {}", twice("property"))),
+        (edit("comment a room", "format ascii 1.0"), "a.ply:3:1: `format` is repeated; keep one".into()),
         (
             edit("200 3 0", "300 3 0"),
             format!("a.ply:18:1: `300` is not a uchar, a whole number from 0 to 255, as property `red` is; {advice}"),

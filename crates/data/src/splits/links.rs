@@ -53,7 +53,7 @@ impl Split for LeaveReceiverOut {
                 test.into_iter().partition(|i| data.links[*i].receiver == receiver);
             if self.calibration > 0 && own.len() <= self.calibration {
                 let (name, have) = (quoted(&data.scene.receivers[receiver].name), own.len());
-                let what = format!("{name} has {have} links in all, which leaves none to test; lower `calibration`");
+                let what = format!("{name} has {have} links in all, which leaves no test link; lower `calibration`");
                 return Err(Error::Config(format!("LeaveReceiverOut(calibration: {}): {what}", self.calibration)));
             }
             if self.calibration > 0 {

@@ -67,7 +67,7 @@ fn a_receiver_left_out_is_the_test() {
         (r#"LeaveReceiverOut(receivers: ["a", "b", "c"])"#, "no receiver is left to learn from"),
         (
             r#"LeaveReceiverOut(receivers: ["c"], calibration: 20)"#,
-            "`c` has 20 links in all, which leaves none to test",
+            "`c` has 20 links in all, which leaves no test link",
         ),
     ];
     for (text, message) in refused {
@@ -147,7 +147,7 @@ fn features_stand_where_positions_do() {
     let fault =
         |baseline: &dyn Baseline, data: &Dataset| baseline.fit(data, Known::train(&all)).err().unwrap().to_string();
     assert!(fault(&one, &data).contains("has no transmitter positions"));
-    // What is alike in features is far in number: transmitter t is like 9 - t.
+    // Similar features have distant ids: transmitter t is similar to 9 - t.
     let feature = |i: &usize| {
         let t = data.links[*i].transmitter as pwrfgs_core::Real;
         [(t - 4.5).abs(), 1.0]
@@ -158,7 +158,7 @@ fn features_stand_where_positions_do() {
     let fitted = one.fit(&data, Known::train(&known)).unwrap();
     assert_eq!(fitted.predict(data.query(0)).pixels, [-49.0]);
     assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));
-    assert!(fault(&crate::LogDistance::default(), &data).contains("no places of transmitters"));
+    assert!(fault(&crate::LogDistance::default(), &data).contains("no transmitter positions"));
     assert!(fault(&crate::Zero {}, &data).contains("is a baseline for channels"));
     assert!(fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("holds spectra"));
 }

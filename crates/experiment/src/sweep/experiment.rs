@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 ///     name: "short-or-long",
 ///     base: "../pipelines/quickstart.ron", // relative to this file
 ///     seeds: [0, 1, 2],
-///     set: {"training.batch": 4},          // for all runs; what is not named keeps the value of the base
+///     set: {"training.batch": 4},          // for all runs; other settings keep the value of the base
 ///     axes: [
 ///         Axis(name: "steps", variants: [
 ///             (label: "short", set: {"training.steps": 500}),

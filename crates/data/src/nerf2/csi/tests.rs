@@ -119,7 +119,7 @@ fn mistakes_are_told_with_their_place() {
         ("base-station.yml", "station: 1\n", "DIR/base-station.yml:1:1: missing field `base_station`"),
         ("base-station.yml", "base_station: []", "DIR/base-station.yml: names no antenna"),
         ("tx_pos.csv", "x,y,z\n1,2,3\n", "DIR/tx_pos.csv: holds 1 transmitters, but csidata.npy 3 snapshots"),
-        ("test_index.txt", "3\n", "DIR/test_index.txt:1:1: there is no row 3 in csidata.npy"),
+        ("test_index.txt", "3\n", "DIR/test_index.txt:1:1: invalid row 3 of csidata.npy"),
     ];
     for (name, text, message) in texts {
         let folder = Folder::new();

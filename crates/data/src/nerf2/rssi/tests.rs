@@ -110,7 +110,7 @@ fn mistakes_are_told_with_their_place() {
         (
             "test_index.txt",
             "3\n",
-            "DIR/test_index.txt:1:1: there is no row 3 in tx_pos.csv, which has 3; rows count from 0",
+            "DIR/test_index.txt:1:1: invalid row 3 of tx_pos.csv, which has 3 rows counted from 0",
         ),
         ("test_index.txt", "1\n0\n", "DIR/test_index.txt:2:1: id 0 was already named in train_index.txt, line 2"),
         ("test_index.txt", "-1\n", "DIR/test_index.txt:1:1: `-1` is not a row of tx_pos.csv"),
