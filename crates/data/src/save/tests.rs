@@ -190,7 +190,7 @@ fn what_no_folder_can_hold_is_refused_with_what_to_do() {
         (named(&["a", "b"], &[-60.0]), "receiver `b` received no transmitter; leave it out"),
         (named(&["a"], &[-60.0, -100.0]), "powers[1] is -100 dBm, which marks a missing link"),
         (named(&["a"], &[-301.0]), "powers[0] is -301, no power in dBm"),
-        (named(&["a\"b"], &[-60.0]), "give it a name of 1 to 100 characters"),
+        (named(&["a\"b"], &[-60.0]), "is invalid; use 1 to 100 characters"),
         (spectra((12, 36), 0.5).unwrap_err().to_string(), "save s.transpose(0, 2, 1)"),
         (spectra((36, 12), 1.5).unwrap_err().to_string(), "spectra[0, 0, 0] is 1.5; spectra are linear, from 0 to 1"),
     ] {
