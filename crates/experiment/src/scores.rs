@@ -391,7 +391,7 @@ mod tests {
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
         let links = ScoreTable { task: Task::Power, ..table.clone() }.to_text();
-        assert!(links.contains("a tenth of the links are") && !links.contains("validation spectra"), "{links}");
+        assert!(links.contains("10 % of the links have") && !links.contains("validation spectra"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
         assert_eq!(notes[0], "note: bad tail: 10 % of the spectra have this value or a worse one", "{text}");
         assert_eq!(notes[1..], ["note: k, far has seen the test spectra"], "{text}");
