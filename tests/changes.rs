@@ -41,7 +41,7 @@ fn changes_are_checked_once_after_all_of_them() {
     assert_eq!(changed(&[both[1], both[0]]), lines);
     let said = refused(&["training.batch=3", "training.densify_until=500"]);
     assert!(
-        said.starts_with("--set training.batch=3 and --set training.densify_until=500: `prune_until` comes before"),
+        said.starts_with("--set training.batch=3 and --set training.densify_until=500: `prune_until` is below"),
         "{said}"
     );
     let said = refused(&["training.prune_until=30", "training.densify_until=35"]);

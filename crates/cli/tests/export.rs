@@ -219,7 +219,7 @@ fn mistakes_are_named_and_nothing_is_written_or_overwritten() {
     wrong(&[MODEL, "--ply", MODEL], &["exists; choose another name"]);
     wrong(&[MODEL, "--ply", "r"], &["r exists"]);
     assert_eq!(std::fs::read(here.join("thesis.npz")).unwrap(), b"years of work");
-    wrong(&[MODEL, "--ply", "no/folder.ply"], &["no/folder.ply: the folder `no` does not exist; make it"]);
+    wrong(&[MODEL, "--ply", "no/folder.ply"], &["no/folder.ply: the folder `no` does not exist; create it"]);
     let mut left: Vec<String> =
         std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
     left.sort();

@@ -203,6 +203,6 @@ fn waves_may_be_absent_from_an_old_file_and_must_not_be_others() {
     assert_eq!(file::to_bytes(&old), file::to_bytes(&model), "drawn again from the seed");
     tensors.put("constants.tx_encoding", vec![9, 3], waves.iter().map(|k| k + 0.01).collect());
     write(&here.join("other.safetensors"), tensors.to_bytes());
-    let words = ["other.safetensors", "`constants.tx_encoding` holds other numbers"];
+    let words = ["other.safetensors", "`constants.tx_encoding` differs from"];
     refuse(here, &["predict", "other.safetensors", "--tx=0,0,1", "--out", "o"], 2, &words);
 }

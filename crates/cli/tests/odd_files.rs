@@ -122,7 +122,7 @@ fn rejects_output_paths_that_cannot_be_made() {
                 here,
                 &[command, &["missing/file"][..]].concat(),
                 2,
-                &["the folder `missing` does not exist; make it"],
+                &["the folder `missing` does not exist; create it"],
             );
         }
     }

@@ -222,7 +222,7 @@ fn values_for_all_runs_are_checked_together_with_those_of_the_axes() {
         here,
         &["sweep", "e.ron", "--dry-run"],
         2,
-        &["e.ron:2:7: set: pruners: `TopK` keeps at most training.target"],
+        &["e.ron:2:7: set: pruners: `TopK` needs training.target"],
     );
     let set = ["--set", "pruners=[TopK(score: Opacity)]"];
     refuse(
