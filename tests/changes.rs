@@ -91,7 +91,7 @@ fn what_cannot_be_is_told_with_what_can() {
         ("readout=MinMx", &["did you mean `MinMax`?"]),
         ("training=(stepz: 5)", &["did you mean `steps`?"]),
         ("training=Training(stepz: 5)", &["did you mean `steps`?"]),
-        ("training.steps=((", &["is no value"]),
+        ("training.steps=((", &["is not a value"]),
         ("training.steps=many", &["integer", "it takes a whole number"]),
         ("initializer.count=-5", &["it takes a whole number"]),
         ("training.optimizer.network=0.001", &["`0.001` found, expected a name; it takes a Schedule"]),

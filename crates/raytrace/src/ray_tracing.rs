@@ -58,7 +58,7 @@ impl RayTracing {
                 } else {
                     "without receiver errors"
                 };
-                format!("the generator of these simulated {things} , {errors}: an oracle baseline and upper bound")
+                format!("the generator of these simulated {things}, {errors}: an oracle baseline and upper bound")
             }
             (scene, false) => {
                 let scene = scene

@@ -114,7 +114,7 @@ fn an_array_holds_what_the_pictures_hold() {
     // Names have five digits; an array has no names.
     let many = Recipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
     let said = write(&many, Layout::Pictures, false, &folder.path().join("many")).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("write one array, with --npy"), "{said}");
+    assert!(said.is_input() && said.to_string().contains("write one array with --npy"), "{said}");
 }
 
 #[test]

@@ -79,7 +79,7 @@ fn ray_tracing_is_the_generator_of_every_kind() {
     {
         let data = load(folder.path(), observe).unwrap();
         let (exact, note) = fit(&data, "RayTracing()").unwrap();
-        assert!(note.contains(&format!("the generator of these simulated {things} itself")), "{note}");
+        assert!(note.contains(&format!("the generator of these simulated {things}, ")), "{note}");
         let (wrong, _) = fit(&data, "RayTracing(material_error: 0.3, position_error_m: 0.05)").unwrap();
         for (i, exact) in exact.iter().enumerate() {
             let truth = data.image(i);

@@ -219,7 +219,7 @@ fn what_does_not_suit_a_layout_is_refused() {
         error.to_string()
     };
     let (text, channel) = (small_room(CSI), Observe::Channel { snr_db: None });
-    assert!(said(&text, channel, Layout::Rssi).contains("is not the layout"));
+    assert!(said(&text, channel, Layout::Rssi).contains("does not match the observation type"));
     assert!(
         said(&text.replace("rows: 4", "rows: 3"), channel, Layout::Channels).contains("has 8 antennas and `b` has 6")
     );
