@@ -20,6 +20,7 @@ mod maps;
 mod model_format;
 mod my_pruner;
 mod odd_files;
+mod prose;
 mod pruning;
 mod report;
 mod resume;
