@@ -130,7 +130,7 @@ fn a_folder_with_something_else_in_it_is_refused() {
     write(&here.join("thesis/chapter.txt"), "years of work");
     refuse(here, &["run", "small.ron", "--out", "thesis"], 2, &["thesis", "chapter.txt", "--out"]);
     assert_eq!(std::fs::read_dir(here.join("thesis")).unwrap().count(), 1);
-    refuse(here, &["run", "small.ron", "--out", "small.ron"], 2, &["small.ron is no folder"]);
+    refuse(here, &["run", "small.ron", "--out", "small.ron"], 2, &["small.ron is not a folder"]);
     assert_eq!(read(&here.join("small.ron")), SMALL);
 }
 

@@ -54,7 +54,7 @@ fn several_models_predict_as_one_and_show_where_they_differ() {
         here,
         &["predict", models[0], "2/model.safetensors", "--tx", "0,0,1", "--out", "no"],
         2,
-        &["model 2", "pixels"],
+        &["model 2", "image plane"],
     );
     for command in [&["evaluate"][..], &["predict", "--tx", "0,0,1", "--out", "no"]] {
         let twice = [command, &models, &["0/model.safetensors"]].concat();
@@ -183,7 +183,7 @@ fn is_exported_whole(here: &Path, model: &str) {
     let (whole, half) =
         (ensemble.prepare().predict_many(&[[0.2; 3].into()]), half.prepare().predict_many(&[[0.2; 3].into()]));
     assert!(whole[0].pixels.iter().zip(&half[0].pixels).all(|(a, b)| (a - b).abs() < 0.01));
-    assert!(file::read(&here.join(model)).unwrap_err().to_string().contains("holds 2 models"));
+    assert!(file::read(&here.join(model)).unwrap_err().to_string().contains("an ensemble of 2 models"));
 }
 
 #[test]

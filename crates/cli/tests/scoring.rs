@@ -36,7 +36,7 @@ fn unsuitable_baselines_are_refused_before_the_first_step() {
     measured(here);
     let unsuitable: [(&str, &[&str]); 3] = [
         ("RayTracing()", &["baselines: RayTracing", "not simulated from a scene"]),
-        ("Ridge()", &["baselines: Ridge() maps features", "use Kriging()"]),
+        ("Ridge()", &["baselines: Ridge() needs link features", "use Kriging()"]),
         ("RayTracing(scene: \"missing.ron\")", &["baselines: cannot read", "missing.ron"]),
     ];
     for (baseline, words) in unsuitable {
