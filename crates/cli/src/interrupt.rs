@@ -1,7 +1,8 @@
-//! Ctrl-C: once to stop where the same command can go on, twice to stop at once. A command without such a place stops at once.
+//! Ctrl-C: the first stops at the next point from which the command can resume, the second stops immediately. Commands
+//! without such a point stop immediately.
 //!
-//! Work looks at the flag where it can stop; what does not within a second is ended, whatever it is: nothing that is
-//! written is ever half. A training alone may finish its step, which its checkpoint then holds.
+//! Work checks a flag at the points where it can stop. After one second, the process ends: files are always written
+//! completely or not at all. Only a training may finish its step, which its checkpoint then contains.
 
 use crate::output;
 use pwrfgs_core::files::NewFolder;
@@ -12,30 +13,30 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-/// What a shell expects of an interrupted program.
+/// Exit code of an interrupted program, by the convention of shells.
 pub(crate) const INTERRUPTED: u8 = 130;
-const AT_ONCE: &str = "stopped at once; the same command goes on from what is written";
-/// How long anything but a training may take to stop.
+const AT_ONCE: &str = "stopped immediately; repeat the command to resume from the last checkpoint";
+/// Time for work other than training to stop.
 const GRACE: Duration = Duration::from_secs(1);
-/// How often it is looked whether a training goes on.
+/// Interval between checks for running trainings.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Trainings under way.
+/// Number of running trainings.
 static TRAININGS: AtomicUsize = AtomicUsize::new(0);
-/// Set by Ctrl-C, for a command that stops where it can go on.
+/// Flag that Ctrl-C sets, for commands that can resume.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
-/// Whether the program is being ended, and no other end counts.
+/// Whether the process is ending; later errors are then ignored.
 static ENDING: AtomicBool = AtomicBool::new(false);
 
-/// A flag that Ctrl-C (or a request to terminate) sets; the second one ends the program at once. Without the flag, the
-/// first one does.
+/// Returns the flag that the first Ctrl-C (or request to terminate) sets; the second one ends the process. Without this
+/// call, the first one ends the process.
 pub(crate) fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Arc::default))
 }
 
-/// Listens for Ctrl-C, in a thread of its own.
+/// Starts a thread that handles Ctrl-C.
 pub(crate) fn listen() -> Result<()> {
-    let failed = |e: std::io::Error| Error::Config(format!("cannot listen for Ctrl-C: {e}"));
+    let failed = |e: std::io::Error| Error::Config(format!("cannot handle Ctrl-C: {e}"));
     let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(failed)?;
     #[cfg(unix)]
     if !hang_up_is_ignored() {
@@ -47,14 +48,14 @@ pub(crate) fn listen() -> Result<()> {
             if stop.swap(true, Ordering::Relaxed) {
                 end(AT_ONCE);
             }
-            output::note("stopping where the same command can go on; once more to stop at once");
+            output::note("stopping at the next resumable point; press Ctrl-C again to stop immediately");
             std::thread::spawn(end_what_does_not_stop);
         }
     });
     Ok(())
 }
 
-/// A training under way, which stops after its step.
+/// Running training, which stops after its current step.
 #[derive(Debug)]
 pub(crate) struct Training(());
 
@@ -71,14 +72,14 @@ impl Drop for Training {
     }
 }
 
-/// Waits for the end of the program where it is being ended: an error that comes of it is none.
+/// Waits for the end of the process if it is ending, so that resulting errors are not printed.
 pub(crate) fn wait_if_ending() {
     while ENDING.load(Ordering::Relaxed) {
         std::thread::sleep(TICK);
     }
 }
 
-/// Ends the program once nothing has trained for a while.
+/// Ends the process after one second without running trainings.
 fn end_what_does_not_stop() {
     let mut last = Instant::now();
     while last.elapsed() < GRACE {
@@ -97,16 +98,16 @@ fn end(said: &str) -> ! {
     std::process::exit(i32::from(INTERRUPTED))
 }
 
-/// Turns a write beyond the limit on file sizes (`ulimit -f`) into an error of that write; the signal would end the program.
+/// Turns a write beyond the file size limit (`ulimit -f`) into an error of that write instead of a fatal signal.
 pub(crate) fn survive_file_limit() {
     #[cfg(unix)]
     {
-        // Nobody reads the flag. If the handler cannot be installed, the signal ends the program as before.
+        // The flag is unused. If the handler cannot be installed, the signal ends the process as before.
         _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
     }
 }
 
-/// Whether whoever started this program wants it to outlive the terminal, as `nohup` does; told by Linux only.
+/// Whether the process was started to outlive its terminal, as by `nohup`; detected on Linux only.
 #[cfg(unix)]
 fn hang_up_is_ignored() -> bool {
     let status = pwrfgs_core::files::read_string("/proc/self/status").unwrap_or_default();

@@ -1,7 +1,7 @@
-//! The command line of pwrfgs: arguments, progress, exit codes. [`main`] is the whole program, so that a toolkit with
-//! plugins of its own is `use my_plugin as _;` and a call.
+//! Command line of pwrfgs: arguments, progress, exit codes. [`main`] is the whole program: a program with further plugins
+//! is `use my_plugin as _;` and a call.
 //!
-//! Exit codes: 0 done; 1 failed (disk full, numbers not finite); 2 wrong input; 130 interrupted.
+//! Exit codes: 0 done; 1 failed (disk full, numbers not finite); 2 invalid input; 130 interrupted.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -55,7 +55,7 @@ impl Arguments {
     }
 }
 
-/// Reads the command line and does what it says; prints one message on failure.
+/// Parses the command line and runs the command; prints one message on failure.
 pub fn main() -> ExitCode {
     keep_memory();
     if let Err(error) = check_utf8() {
@@ -76,7 +76,7 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Refuses arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
+/// Rejects arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
 fn check_utf8() -> pwrfgs_core::Result<()> {
     let here = std::env::current_dir().unwrap_or_default().into_os_string();
     let mut all = std::env::args_os().skip(1).chain([here]);
@@ -86,7 +86,7 @@ fn check_utf8() -> pwrfgs_core::Result<()> {
     })
 }
 
-/// Sets how many threads everything uses; without `count` the environment decides, or all processors are used.
+/// Sets the number of threads: `count`, the environment variable, or all processors.
 fn set_threads(count: Option<usize>) -> pwrfgs_core::Result<()> {
     let Some(count) = count else { return pwrfgs_core::threads::check_environment() };
     rayon::ThreadPoolBuilder::new()
@@ -95,10 +95,10 @@ fn set_threads(count: Option<usize>) -> pwrfgs_core::Result<()> {
         .map_err(|e| pwrfgs_core::Error::Config(format!("--threads {count}: {e}")))
 }
 
-/// Keeps freed memory for the next step.
+/// Configures the allocator to keep freed memory for the next step.
 ///
-/// A step of 50,000 Gaussians needs some 100 MB for a moment. The C library gives blocks of that size back to the system
-/// each time, and the kernel clears them anew: 15 % of all processor time, measured, and 2 % with this.
+/// A step of 50,000 Gaussians allocates about 100 MB. By default, the C library returns blocks of that size to the system
+/// and the kernel clears them again, which takes 15 % of the processor time (measured); with this setting it takes 2 %.
 fn keep_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

@@ -1,4 +1,4 @@
-//! The program `pwrfgs`. One with plugins of its own is `use my_plugin as _;` and these lines.
+//! The program `pwrfgs`. A program with further plugins is `use my_plugin as _;` and these lines.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! What reaches the terminal: results on stdout, all else on stderr, logs above the progress bar.
+//! Terminal output: results on stdout, all else on stderr, logs above the progress bar.
 
 use indicatif::MultiProgress;
 use pwrfgs_core::{Error, Result, words::plain};
@@ -10,19 +10,19 @@ use tracing::Level;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::prelude::*;
 
-/// How much is said.
+/// Amount of output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub(crate) enum Verbosity {
-    /// Errors and results.
+    /// Only errors and results.
     Quiet,
-    /// Progress too.
+    /// Also progress.
     Normal,
-    /// What happens inside too.
+    /// Also debug output.
     Verbose,
 }
 
 impl Verbosity {
-    /// A line on stderr, unless only errors and results are wanted.
+    /// Prints a line on stderr, unless quiet.
     pub(crate) fn note(self, line: &str) {
         if self != Self::Quiet {
             note(line);
@@ -30,18 +30,18 @@ impl Verbosity {
     }
 }
 
-/// All progress bars, so that lines can be printed above them.
+/// Progress bars of the process; lines are printed above them.
 pub(crate) fn bars() -> &'static MultiProgress {
     static BARS: OnceLock<MultiProgress> = OnceLock::new();
     BARS.get_or_init(MultiProgress::new)
 }
 
-/// A line on stderr, above the progress bar.
+/// Prints a line on stderr, above the progress bars.
 pub(crate) fn note(line: &str) {
     bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", plain(line)));
 }
 
-/// A warning on stderr, once per process however many runs report it.
+/// Prints a warning on stderr, once per process.
 pub(crate) fn warning(text: &str) {
     static SHOWN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     if SHOWN.lock().unwrap_or_else(PoisonError::into_inner).insert(text.to_owned()) {
@@ -49,15 +49,15 @@ pub(crate) fn warning(text: &str) {
     }
 }
 
-/// The one message of a failed command.
+/// Prints the message of a failed command.
 pub(crate) fn error(error: &Error) {
     note(&format!("error: {error}"));
 }
 
-/// A result. A reader that has gone away (`pwrfgs plugins | head`) is no failure.
+/// Prints a result on stdout. A closed pipe (`pwrfgs plugins | head`) is not an error.
 ///
 /// # Errors
-/// Where it cannot be written, on a full disk say.
+/// If the result cannot be written, such as on a full disk.
 pub(crate) fn result(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(plain(text).as_bytes()).and_then(|()| out.flush()) {
@@ -66,7 +66,7 @@ pub(crate) fn result(text: &str) -> Result<()> {
     }
 }
 
-/// Sends the libraries' logs to stderr: warnings, or everything with `-v`; `RUST_LOG` overrides.
+/// Sends the logs of libraries to stderr: warnings, or all with `-v`; `RUST_LOG` overrides this.
 pub(crate) fn start_logging(verbosity: Verbosity) {
     let level = match verbosity {
         Verbosity::Verbose => Targets::new().with_default(Level::INFO).with_target("pwrfgs", Level::DEBUG),
@@ -80,11 +80,11 @@ pub(crate) fn start_logging(verbosity: Verbosity) {
         .with_writer(|| Above);
     let started = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init();
     if let Err(e) = started {
-        note(&format!("warning: no logs: {e}"));
+        note(&format!("warning: cannot start logging: {e}"));
     }
 }
 
-/// Writes to stderr above the bars.
+/// Writer to stderr, above the progress bars.
 struct Above;
 
 impl Write for Above {

@@ -1,4 +1,4 @@
-//! Progress of a run: a bar on a terminal, a plain line every few seconds elsewhere.
+//! Progress of a run: a bar on a terminal, else a plain line every few seconds.
 
 use crate::interrupt::Training;
 use crate::output::{self, Verbosity, bars, note};
@@ -11,33 +11,33 @@ use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 
-/// Between two redraws of the bar.
+/// Interval between two redraws of the bar.
 const REDRAW: Duration = Duration::from_millis(100);
-/// Between two plain lines.
+/// Interval between two plain lines.
 const LINE: Duration = Duration::from_secs(5);
-/// Between two plain lines of one run among several.
+/// Interval between two plain lines of one of several runs.
 const LINE_OF_SEVERAL: Duration = Duration::from_secs(30);
-/// The speed is that of this last stretch.
+/// Period over which the speed is averaged.
 const WINDOW: Duration = Duration::from_secs(20);
 
-/// A stage that ends sooner is not shown.
+/// Shortest stage that is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Draws or prints what a run reports.
+/// Observer that shows the progress of a run.
 #[derive(Debug)]
 pub(crate) struct Progress {
     verbosity: Verbosity,
-    /// The run, where there are several.
+    /// Name of the run, if there are several.
     name: Option<String>,
     bar: Option<ProgressBar>,
     steps: u64,
-    /// When a step was noted, and which.
+    /// Times and numbers of recent steps.
     pace: VecDeque<(Instant, u64)>,
     shown: Instant,
-    /// Running mean of the loss.
+    /// Running mean of the training loss.
     loss: f64,
     validation: Option<Validation>,
-    /// When the stage at hand began.
+    /// Start of the current stage.
     stage: Instant,
     training: Option<Training>,
 }
@@ -59,19 +59,19 @@ impl Progress {
         }
     }
 
-    /// Does `work`, which reports its progress here.
+    /// Runs `work` with an observer.
     pub(crate) fn during<R>(verbosity: Verbosity, work: impl FnOnce(&mut Self) -> R) -> R {
         work(&mut Self::new(verbosity))
     }
 
-    /// Of one run among several, which is called `name`.
+    /// Creates the observer of the run `name`, one of several.
     pub(crate) fn of_run(name: &str, verbosity: Verbosity) -> Self {
         let mut progress = Self::new(verbosity);
         progress.name = Some(name.to_owned());
         progress
     }
 
-    /// Between two plain lines.
+    /// Interval between two plain lines.
     fn pause(&self) -> Duration {
         if self.name.is_some() { LINE_OF_SEVERAL } else { LINE }
     }
@@ -84,7 +84,7 @@ impl Progress {
         }
     }
 
-    /// Draws a bar, where there is a terminal to draw on.
+    /// Draws a bar, if stderr is a terminal.
     fn draw_bar(&mut self, length: u64) {
         self.finish();
         if self.verbosity != Verbosity::Quiet && std::io::stderr().is_terminal() {
@@ -96,7 +96,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(crate) fn finish(&mut self) {
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
@@ -104,14 +104,14 @@ impl Progress {
         }
     }
 
-    /// Steps a second over the last stretch.
+    /// Steps per second over the last period.
     fn speed(&self) -> Option<f64> {
         let ((then, from), (now, to)) = (self.pace.front()?, self.pace.back()?);
         let seconds = (*now - *then).as_secs_f64();
         (seconds > 0.0).then(|| (to - from) as f64 / seconds)
     }
 
-    /// Phase, loss, N, speed, time left.
+    /// Phase, loss, N, speed and remaining time.
     fn words(&self, report: &StepReport) -> String {
         let mut words = format!("{:<8}  loss {:.4}", report.phase.name(), self.loss);
         if report.gaussians > 0 {
@@ -172,7 +172,7 @@ impl Observer for Progress {
             note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
         }
         let on = if start.done > 0 {
-            format!("going on after step {} of", grouped(start.done as i64))
+            format!("resuming after step {} of", grouped(start.done as i64))
         } else {
             "training".into()
         };
@@ -185,10 +185,10 @@ impl Observer for Progress {
         let left = duration(step_seconds * (start.steps - start.done.min(start.steps)) as f64);
         let (memory, pace) = (memory(step_bytes), pace(step_seconds));
         self.say(&match gaussians {
-            0 => format!("a step takes about {pace} and {memory}, the training {left}"),
+            0 => format!("about {pace} and {memory} per step, {left} in total"),
             n => {
                 let n = grouped(n as i64);
-                format!("N = {n}: a step takes about {pace} and {memory}, the training {left} if N stays")
+                format!("N = {n}: about {pace} and {memory} per step, {left} in total at this N")
             }
         });
         self.steps = start.steps;
@@ -203,7 +203,7 @@ impl Observer for Progress {
         let now = Instant::now();
         let every = if self.bar.is_some() { REDRAW } else { self.pause() };
         let first = self.pace.is_empty();
-        // Of several runs the bar or a line now and then is enough.
+        // For several runs, the bar or an occasional line is enough.
         let edge = (first || report.step == self.steps) && self.name.is_none();
         if !edge && now - self.shown < every {
             return;
@@ -234,7 +234,7 @@ impl Observer for Progress {
     }
 
     fn on_message(&mut self, message: &str) {
-        self.training = None; // it is over: what follows is scored
+        self.training = None; // training is over, scoring follows
         if self.verbosity != Verbosity::Quiet && (self.name.is_none() || self.verbosity == Verbosity::Verbose) {
             self.finish();
             self.say(message);
@@ -249,12 +249,12 @@ impl Observer for Progress {
     }
 }
 
-/// `0.41 GB`.
+/// Formats bytes: `0.41 GB`.
 pub(crate) fn memory(bytes: u64) -> String {
     format!("{:.2} GB", bytes as f64 / 1e9)
 }
 
-/// `12 ms` or `26.1 s`.
+/// Formats seconds: `12 ms` or `26.1 s`.
 pub(crate) fn pace(seconds: f64) -> String {
     if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
 }

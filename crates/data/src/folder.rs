@@ -23,7 +23,20 @@ pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) ->
     if root.is_dir() {
         return Ok(root);
     }
-    Err(Error::input(&root, format!("no such folder; set `root` of {plugin} ({layout})")))
+    let advice = how_to_get(plugin);
+    Err(Error::input(&root, format!("no such folder ({layout}); set `root` of {plugin}, or {advice}")))
+}
+
+/// How to get data that the data source called `plugin` reads, as the advice of an error.
+fn how_to_get(plugin: &str) -> &'static str {
+    match plugin {
+        "Nerf2Spectrum" | "Nerf2Rssi" => {
+            "download the measured data: https://github.com/XPengZhao/NeRF2, see docs/data.md#get-measured-data"
+        }
+        "Channels" => "get the channels of NeWRF: https://github.com/LuHaofan/NeWRF, see docs/data.md#get-measured-data",
+        "Nerf2Csi" => "simulate the data with `pwrfgs simulate SCENE --layout csi --out DIR`, see docs/data.md#simulate",
+        _ => "import your spectra with `pwrfgs import`, see docs/data.md#your-own-spectra",
+    }
 }
 
 /// Creates the source with `read`, using the point cloud of `folder` if one of these files exists.

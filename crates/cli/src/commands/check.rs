@@ -1,5 +1,4 @@
-//! `pwrfgs check`: what a pipeline would do and take, without training. `pwrfgs inspect`: a summary of data before
-//! training.
+//! `pwrfgs check`: validates a pipeline and estimates memory and time. `pwrfgs inspect`: summarises data before training.
 
 use super::init::name_of;
 use super::options::{Changes, named};
@@ -41,7 +40,7 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
     output::result(&text(&found))
 }
 
-/// The plan as a table.
+/// Table of the plan.
 fn text(p: &Preview) -> String {
     let (t, n) = (&p.pipeline.training, |count: usize| grouped(count as i64));
     let steps = |count: u64| grouped(count as i64);
@@ -55,7 +54,7 @@ fn text(p: &Preview) -> String {
         phase(t.densify_until, t.prune_until, "prune"),
         phase(t.prune_until, t.steps, "finetune"),
     ];
-    let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} left here", memory(free)));
+    let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} available", memory(free)));
     let seconds = p.estimate.step_seconds;
     let mut rows = vec![
         ("data", format!("{}: {}", p.title, p.observed)),
@@ -66,22 +65,22 @@ fn text(p: &Preview) -> String {
             "Gaussians",
             match p.estimate.gaussians {
                 0 => "none".into(),
-                count => format!("{} at the start", n(count)),
+                count => format!("{} initially", n(count)),
             },
         ),
-        ("network", format!("{} numbers", n(p.weights))),
+        ("network", format!("{} weights", n(p.weights))),
         ("pruners", names(p.pipeline.pruners.iter().map(plugin_name).collect())),
         (
             "steps",
             match t.rays {
                 Rays::All => format!("{} of {} transmitters", steps(t.steps), n(t.batch)),
                 Rays::Same(rays) => format!("{} of {} rays of {} transmitters", steps(t.steps), n(rays), n(t.batch)),
-                Rays::Each(pairs) => format!("{} of {} pairs of a spectrum and a pixel", steps(t.steps), n(pairs)),
+                Rays::Each(pairs) => format!("{} of {} pairs of spectrum and pixel", steps(t.steps), n(pairs)),
             },
         ),
         ("phases", names(phases.into_iter().flatten().collect())),
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.estimate.step_bytes))),
-        ("time", format!("{} a step, about {} in all", pace(seconds), duration(seconds * t.steps as f64))),
+        ("time", format!("{} per step, about {} in total", pace(seconds), duration(seconds * t.steps as f64))),
     ];
     let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
@@ -118,16 +117,17 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     output::result(&text?)
 }
 
-/// The pipeline that `path` names, or one of all defaults for the data in that folder.
+/// Pipeline that `path` names, or one with all defaults for the data in that folder.
 fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
     let Some(source) = recognise(path) else {
         let pipeline = named(path).map_err(|_neither| {
-            let what = "holds neither data (spectra, received powers or channels) nor a run; give a folder of data";
-            Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
+            let what = "neither data (spectra, received powers or channels) nor a run found; name a data folder, a pipeline \
+                        file or a run folder (layouts: docs/data.md)";
+            Error::input(path, what)
         });
         return read_pipeline(&pipeline?.0, set);
     };
-    // Fields that are left out then get the defaults for this kind of data.
+    // Missing fields then get the defaults for this kind of data.
     let data = try_to_ron(&source).map_err(|why| Error::input(path, why))?;
     let text = format!("Pipeline(name: {:?}, data: {data}, initializer: Random())", name_of(path));
     let mut pipeline = Pipeline::parse(&text, path)?;

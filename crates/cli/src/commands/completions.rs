@@ -60,7 +60,7 @@ pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
     pages.iter().try_for_each(|(path, text)| files::write_atomically(path, text))
 }
 
-/// Refuses to replace anything but an earlier version of the same page, whose title names it.
+/// Rejects an existing file unless it is an earlier version of the same page, by its title.
 fn refuse_other_file(path: &Path) -> Result<()> {
     let Ok(found) = path.symlink_metadata() else { return Ok(()) };
     let title = format!(".TH {} ", path.file_stem().unwrap_or_default().display());
@@ -68,5 +68,5 @@ fn refuse_other_file(path: &Path) -> Result<()> {
     if found.is_file() && files::read_string(path).is_ok_and(is_title) {
         return Ok(());
     }
-    Err(Error::input(path, "is no manual page of pwrfgs and is not replaced; choose another --out, or move the file"))
+    Err(Error::input(path, "not a manual page of pwrfgs, and not replaced; choose another --out or move the file"))
 }

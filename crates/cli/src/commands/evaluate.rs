@@ -1,4 +1,4 @@
-//! `pwrfgs evaluate`: scores of a trained model on data of one's choice.
+//! `pwrfgs evaluate`: scores of a trained model on a data set.
 
 use super::options::read_models;
 use crate::output::{self, Verbosity};
@@ -50,7 +50,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     if arguments.pipeline.is_none() && !path.is_file() {
         return Err(Error::input(
             first,
-            format!("there is no {PIPELINE} beside this model; name one with --pipeline FILE"),
+            format!("no {PIPELINE} next to this model; set --pipeline FILE"),
         ));
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
@@ -74,7 +74,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         let rank = number(confidence.rank_correlation());
         _ = writeln!(
             text,
-            "\nmodel: {members} models, the mean of their predictions; rank correlation of their spread and its error {rank}"
+            "\nmodel: mean of {members} models; rank correlation of spread and error {rank}"
         );
     }
     if let Some(out) = &arguments.out {
@@ -95,7 +95,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     output::result(&text)
 }
 
-/// Samples that all models were trained on, as their runs say; 0 if they differ, or nobody knows.
+/// Number of training samples of the models, from their run folders; 0 if unknown or different.
 fn trained_on(models: &[PathBuf]) -> usize {
     let of = |model: &PathBuf| {
         let facts = Facts::read(model.parent().unwrap_or(Path::new(""))).ok().flatten();
@@ -105,24 +105,24 @@ fn trained_on(models: &[PathBuf]) -> usize {
     if models.iter().all(|model| of(model) == first) { first } else { 0 }
 }
 
-/// Whether the pipeline beside a model has the data and the split of `pipeline`.
+/// Whether the pipeline next to a model has the data and split of `pipeline`.
 fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
     let own = read_pipeline(&model.with_file_name(PIPELINE), &[]);
     own.is_ok_and(|own| data_key(&own) == data_key(pipeline))
 }
 
-/// Says which receivers stand elsewhere than the model was trained with, look elsewhere or have other names.
+/// Warns of receivers whose name or pose differs from those of the model.
 fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     let frame = &ensemble.members()[0].stages.frame;
     let (known, listening) = (&frame.receivers, &data.scene.receivers);
     if let ([one], [other]) = (&known[..], &listening[..]) {
         if frame.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
-            output::note("warning: these data have another receiver pose than the model was trained with");
+            output::note("warning: the receiver pose of the data differs from that of the model");
         }
         return;
     }
     if known.len() != listening.len() {
-        return; // refused with words of its own
+        return; // reported as an error elsewhere
     }
     let moved = known.iter().zip(listening).filter(|(own, other)| {
         own.name != other.name || frame.origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose)
@@ -133,7 +133,7 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
             (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
         output::note(&format!(
-            "warning: receivers have another name or pose than the model was trained with: {shown}{more}"
+            "warning: name or pose of receivers differs from that of the model: {shown}{more}"
         ));
     }
 }

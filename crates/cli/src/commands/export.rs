@@ -1,4 +1,4 @@
-//! `pwrfgs export`: a trained model for splat viewers and for Python.
+//! `pwrfgs export`: converts a trained model for splat viewers and Python.
 
 use super::options::{check_positions, position};
 use crate::output::Verbosity;
@@ -9,7 +9,7 @@ use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// A way to turn a model into a file.
+/// Function that converts a model, for an optional transmitter position, into the bytes of a file.
 type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
@@ -58,7 +58,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     names.sort_unstable();
     names.dedup();
     if names.len() < files.len() {
-        return Err(Error::Config("two exports name the same file; give each a name of its own".into()));
+        return Err(Error::Config("two exports have the same file name; set different names".into()));
     }
     files.iter().try_for_each(|(path, _)| check_new_file(path))?;
     let model = file::read_ensemble(&arguments.model)?;
@@ -66,16 +66,16 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         check_positions(&model)?;
     }
     if arguments.ply.is_some() && model.gaussians() == 0 {
-        let what = "this model has no Gaussians, so there is nothing for a viewer of splats; --npz has its numbers";
+        let what = "model without Gaussians cannot be exported as PLY; use --npz";
         return Err(Error::input(&arguments.model, what));
     }
-    // All are made before the first is written: what cannot be exported leaves nothing behind.
+    // All files are made before the first one is written: a failed export writes nothing.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
         verbosity
-            .note(&format!("places in the PLY file count from {x}, {y}, {z}: viewers compute in single precision"));
+            .note(&format!("positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"));
     }
     for ((path, _), bytes) in files.iter().zip(made) {
         write_atomically(path, &bytes)?;
@@ -86,7 +86,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// The same for every way to name a file that does not exist yet, `a.npz` and `./a.npz` say.
+/// Normalises the path of a file that does not exist yet, such as `./a.npz`.
 fn spelt(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())

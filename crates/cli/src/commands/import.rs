@@ -1,4 +1,4 @@
-//! `pwrfgs import`: positions and spectra of other programs become a data folder.
+//! `pwrfgs import`: converts spectra and positions into a data folder.
 
 use super::options::{numbers, position};
 use crate::output::{self, Verbosity};
@@ -92,17 +92,17 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// `first,last` of the command line.
+/// Parses `first,last`.
 fn elevation(text: &str) -> Result<Elevation> {
     let [first, last] = numbers(text).ok_or_else(|| {
-        Error::Config(format!("--elevation {text}: give two numbers in degrees, such as -90,90 for a full sphere"))
+        Error::Config(format!("--elevation {text}: expected two numbers in degrees, such as -90,90 for a full sphere"))
     })?;
     Ok(Elevation { first, last })
 }
 
-/// `x,y,z,w` of the command line.
+/// Parses `x,y,z,w`.
 fn quaternion(text: &str) -> Result<[f64; 4]> {
     numbers(text).ok_or_else(|| {
-        Error::Config(format!("--orientation {text}: give a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"))
+        Error::Config(format!("--orientation {text}: expected a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"))
     })
 }

@@ -1,4 +1,4 @@
-//! `pwrfgs init`: a commented pipeline for the data in a folder.
+//! `pwrfgs init`: writes a commented pipeline for the data in a folder.
 
 use crate::output::{self, Verbosity};
 use crate::progress::Progress;
@@ -36,24 +36,24 @@ pub(crate) struct Init {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Median distance from a test transmitter to the nearest training one, metres, below which training learns fine detail.
+/// Median distance from test transmitters to the nearest training transmitter below which training learns fine detail, metres.
 const CLOSE_M: f64 = 0.03;
 
-/// Edges of cells that are tried for a split that holds out space, metres; the first with enough cells is taken.
+/// Candidate cell edges of a split that holds out space, metres; the first with enough cells is used.
 const EDGES: [f64; 9] = [2.0, 1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01];
-/// Enough cells to hold some out.
+/// Minimum number of cells for such a split.
 const CELLS: usize = 50;
-/// Test transmitters nearer than this to a training one are told of, metres.
+/// Distance of test to training transmitters below which the file has a note, metres.
 const NEAR: f64 = 0.05;
 
-/// Fields of a pipeline that the file shows; the others have their defaults.
+/// Fields of a pipeline in the file; others are shown if they differ from their default.
 const SHOWN: [&str; 9] =
     ["name", "seed", "data", "split", "initializer", "deformation", "readout", "pruners", "training"];
 
-/// Those of them that another method does not read.
+/// Fields among them that only splatting reads.
 const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
 
-/// The shipped pipelines that new ones start from.
+/// Shipped pipelines that new ones start from.
 const FINE_SPECTRA: &str = include_str!("../../../../pipelines/s23-laptop.ron");
 const COARSE_SPECTRA: &str = include_str!("../../../../pipelines/quickstart.ron");
 const POWERS: &str = include_str!("../../../../pipelines/ble.ron");
@@ -62,7 +62,7 @@ const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
 
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
-    let exists = || Error::input(&out, "exists, and nothing is overwritten; name another file with --out");
+    let exists = || Error::input(&out, "file exists and is not overwritten; set another file with --out");
     if out.symlink_metadata().is_ok() {
         return Err(exists());
     }
@@ -79,7 +79,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
 }
 
-/// What is suggested for these data.
+/// Suggests a pipeline for the data.
 fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
     // Paths in a pipeline are relative to its file.
     let beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
@@ -117,7 +117,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
             if survey.nearest < CLOSE_M { FINE_SPECTRA } else { COARSE_SPECTRA }
         }
         _ if survey.data.task().is_scalar => {
-            // Waves from the size of the site to 2 m, or to an eighth of a small one.
+            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site.
             let longest = extent(&survey.data).max(1.0).ceil();
             set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
             set.push(format!("deformation.tx_encoding.shortest_m={:?}", (longest / 8.0).min(2.0)));
@@ -139,7 +139,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
     Ok(pipeline)
 }
 
-/// The text of the file.
+/// Writes the text of the file.
 fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
     let default = example().map_err(Error::Config)?;
     let value = Value::new(to_ron(pipeline)).map_err(Error::Config)?;
@@ -157,36 +157,36 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
     for line in survey.notes() {
         text += &wrapped(&line, ["// "; 2], 100);
     }
-    text += "//\n// What is left out has its default: `pwrfgs plugins` shows everything that could stand here, and \
-             `pwrfgs plugins NAME`\n// a part of it. What a line takes stands in brackets.\n";
+    text += "//\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
+             them,\n// and `pwrfgs plugins NAME` describes them.\n";
     text += &body;
     text.push('\n');
-    // What was written must say what was meant.
+    // The text must parse to the same pipeline.
     let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
     if again.to_ron() != pipeline.to_ron() {
-        return Err(Error::Config("the new pipeline does not read as it was meant; please report this".into()));
+        return Err(Error::Config("the new pipeline does not parse to the intended settings; please report this bug".into()));
     }
     Ok(text)
 }
 
-/// What lies in a folder of data, and which split suits it.
+/// Content of a data folder, with a suitable split.
 struct Survey {
-    /// The plugin that reads the folder.
+    /// Plugin that reads the folder.
     source: Plugin<dyn DataSource>,
     data: Dataset,
-    /// The suggested split, as RON, and what it gives.
+    /// Suggested split, as RON.
     split: String,
     partition: Partition,
-    /// Median distance of a test transmitter to the nearest training one, metres.
+    /// Median distance of test transmitters to the nearest training transmitter, metres.
     nearest: f64,
-    /// Files that hold a point cloud, and how many points.
+    /// Point cloud files, with numbers of points.
     clouds: Vec<(PathBuf, usize)>,
 }
 
 impl Survey {
-    /// Loads the data in `folder`.
+    /// Loads the data in `folder` and suggests a split.
     fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        // What holds nothing known is told by the reader of spectra, which says what it expects.
+        // For an unknown folder, the reader of spectra reports the expected files.
         let spectra = || -> Box<dyn DataSource> {
             Box::new(Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() })
         };
@@ -198,51 +198,51 @@ impl Survey {
         Ok(Self { source, data, split, partition, nearest, clouds: clouds(folder) })
     }
 
-    /// Rows and columns a pixel of training stands for: spectra of a small array are smooth.
+    /// Stride of training pixels: spectra of a small array are smooth.
     fn stride(&self) -> usize {
         let Dataset { width, height, .. } = self.data;
         if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
     }
 
-    /// Transmitters to train on, at most so many.
+    /// Batch size: the number of training transmitters, at most `most`.
     fn batch(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].transmitter);
         train.collect::<BTreeSet<_>>().len().clamp(1, most)
     }
 
-    /// In one line.
+    /// Describes the data in one line.
     fn sentence(&self) -> String {
         let [train, validation, test] = self.partition.sizes();
         let observations = observed(&self.data);
-        format!("{observations}: {train} to train on, {validation} to validate, {test} to test")
+        format!("{observations}: {train} training, {validation} validation, {test} test")
     }
 
-    /// What a reader of the pipeline should know.
+    /// Notes for the head of the pipeline file.
     fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.sentence())];
-        let near = format!("half of the test transmitters stand within {:.3} m of a training one", self.nearest);
+        let near = format!("the median distance from test to training transmitters is {:.3} m", self.nearest);
         notes.push(match (self.data.official.is_some(), self.nearest < NEAR) {
             (true, true) => format!(
-                "The split is that of the data's own index files. With it {near}: copying what the nearest had \
-                 scores high. `split: Voxel()` holds out space and `split: TimeBlock()` time."
+                "The split is from the index files of the data, and {near}: copying the nearest training sample scores \
+                 high. `split: Voxel()` holds out cells of space and `split: TimeBlock()` a block of time."
             ),
-            (true, false) => format!("The split is that of the data's own index files; with it {near}."),
+            (true, false) => format!("The split is from the index files of the data; {near}."),
             (false, _) => format!(
-                "The data bring no index files. The split holds out whole parts, so that no test transmitter stands beside a \
-                 training one by chance; with it {near}."
+                "The data have no index files. The split holds out whole regions, so that test transmitters are not next to \
+                 training transmitters; {near}."
             ),
         });
         if plugin_name(&self.source) == "Nerf2Csi" {
             notes.push(
-                "The files do not say the frequencies: correct `carrier_hz` and `spacing_hz` of the data.".into(),
+                "The files do not contain the frequencies: correct `carrier_hz` and `spacing_hz` of the data.".into(),
             );
         }
         notes.extend(self.data.task().has_pixels.then(|| match &self.clouds[..] {
-            [] => "There is no point cloud of the room in the folder: Gaussians start on a grid over the sky.".into(),
+            [] => "The folder has no point cloud of the room: Gaussians start on a grid of directions.".into(),
             [(name, points), others @ ..] => {
                 let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();
                 let more =
-                    if others.is_empty() { String::new() } else { format!(" Also there: {}.", others.join(", ")) };
+                    if others.is_empty() { String::new() } else { format!(" Other point clouds: {}.", others.join(", ")) };
                 format!("Gaussians start on {} ({points} points).{more}", name.display())
             }
         }));
@@ -250,7 +250,7 @@ impl Survey {
     }
 }
 
-/// The longest side of the box of positions, metres.
+/// Longest side of the bounding box of the positions, metres.
 fn extent(data: &Dataset) -> f64 {
     let ends = |k: usize| {
         let all = data.samples().map(move |sample| sample.tx[k]);
@@ -259,7 +259,7 @@ fn extent(data: &Dataset) -> f64 {
     (0..3).map(ends).fold(0.0, f64::max)
 }
 
-/// A split that does not leak, as RON, and what it gives: the data's own, else cells of space, else a block of time.
+/// Split without leakage, as RON and applied: index files of the data, else cells of space, else a block of time.
 fn suggested(data: &Dataset) -> Result<(String, Partition)> {
     let try_out = |text: &str| -> Result<Partition> {
         let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;
@@ -283,7 +283,7 @@ fn suggested(data: &Dataset) -> Result<(String, Partition)> {
     Ok(("Random()".into(), try_out("Random()")?))
 }
 
-/// Files in the folder that are point clouds and can be read, by name.
+/// Readable point clouds in the folder, by name.
 fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
     let is_cloud = |path: &PathBuf| {
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
@@ -300,7 +300,7 @@ fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
     paths.into_iter().filter_map(read).collect()
 }
 
-/// The folder's own name, as a pipeline may be called.
+/// Name of the folder, as a valid name of a pipeline.
 pub(super) fn name_of(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());

@@ -1,4 +1,4 @@
-//! `pwrfgs map`: what a model predicts everywhere on a plane, as pictures and arrays.
+//! `pwrfgs map`: radio maps of a model over a plane, as images and arrays.
 
 mod layers;
 mod plane;
@@ -19,7 +19,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Width of a picture in print.
+/// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
 const HEADER: &str = "array,picture,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
                       step_m,plane,smallest,largest\n";
@@ -83,7 +83,7 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
     if bounds.is_none() && ensemble.gaussians() == 0 {
-        let what = "the model has no Gaussians that would say where the room is; give --bounds";
+        let what = "--bounds: required for a model without Gaussians";
         return Err(Error::Config(what.into()));
     }
     let bounds = bounds.unwrap_or_else(|| {
@@ -106,19 +106,19 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     if missing > 0 {
         let missing = grouped(missing as i64);
         verbosity
-            .note(&format!("warning: {missing} values are not finite and grey: numbers of the model overflow there"));
+            .note(&format!("warning: {missing} values are not finite because the model overflows there; the images show them in grey"));
     }
     let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
     let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };
-    verbosity.note(&format!("{maps} of {columns} by {rows} places in {}", arguments.out.display()));
+    verbosity.note(&format!("{maps} of {columns} x {rows} positions in {}", arguments.out.display()));
     Ok(())
 }
 
-/// What is mapped where nobody says.
+/// Describes the default bounds.
 fn said(plane: Plane, Bounds([across, up]): Bounds) -> String {
     let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
-        "{a} from {} to {} m, {b} from {} to {} m: the middle nine tenths of the Gaussians, and the receivers; --bounds changes it",
+        "{a} from {} to {} m, {b} from {} to {} m (central 90 % of the Gaussians, and all receivers); set --bounds to change this",
         short(across[0]),
         short(across[1]),
         short(up[0]),
@@ -126,7 +126,7 @@ fn said(plane: Plane, Bounds([across, up]): Bounds) -> String {
     )
 }
 
-/// Writes everything into `folder`; `poses` are the receivers' in the user's frame.
+/// Writes all files into `folder`; `poses` are those of the receivers in the world frame.
 fn write(
     folder: &Path,
     grid: &Grid,
@@ -153,7 +153,7 @@ fn write(
     std::fs::write(&path, list).map_err(|e| Error::write(&path, e))
 }
 
-/// A name of letters, digits, points and dashes that no other layer has, upper and lower case being the same.
+/// Unique file name of letters, digits, points and dashes; case is ignored.
 fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let own = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
@@ -162,7 +162,7 @@ fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) 
     numbered.into_iter().find(|name| taken.insert(name.to_lowercase())).unwrap_or(name)
 }
 
-/// `[rows, columns]` of 32-bit numbers, the lowest row first.
+/// NPY bytes of `values`, float32 `[rows, columns]`, lowest row first.
 fn array(grid: &Grid, values: &[f32]) -> Vec<u8> {
     let mut npy = npy_header(Number::F32, &[grid.rows, grid.columns]);
     npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));

@@ -1,4 +1,4 @@
-//! What several commands are told alike: pipelines and changes, counts, positions, models and their receivers.
+//! Arguments that several commands share: pipelines and changes, counts, positions, models and receivers.
 
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
@@ -10,7 +10,7 @@ use pwrfgs_core::{Error, Receiver, Result, did_you_mean, files};
 use pwrfgs_core::{coordinate_fault, place_fault};
 use std::path::{Path, PathBuf};
 
-/// Most names that an error lists.
+/// Maximum number of names in an error.
 const LISTED: usize = 12;
 
 #[derive(Debug, Args)]
@@ -32,14 +32,14 @@ pub(crate) struct Changes {
 }
 
 impl Changes {
-    /// All of them as `--set` takes them.
+    /// All changes in the form of `--set`.
     pub(super) fn all(&self) -> Vec<String> {
         let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
         self.set.iter().cloned().chain(scale).collect()
     }
 }
 
-/// The pipeline file that `path` names, and the run folder where it is one.
+/// Pipeline file that `path` names, and the run folder if it is one.
 pub(super) fn named(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
     if !path.is_dir() {
         return Ok((path.into(), None));
@@ -51,52 +51,52 @@ pub(super) fn named(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
     if path.join(LISTING).is_file() {
         return Err(Error::input(
             path,
-            "is the folder of a sweep; repeat `pwrfgs sweep` with its file, or give the folder of a run in it",
+            "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or name one of its run folders",
         ));
     }
-    let why = format!("is a folder without {PIPELINE}, so no run folder; give a pipeline file, or the folder of a run");
+    let why = format!("not a run folder: no {PIPELINE}; name a pipeline file or a run folder");
     Err(Error::input(path, why))
 }
 
-/// A number of threads or jobs.
+/// Parses a number of threads or jobs.
 pub(crate) fn count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if COUNTS.contains(&count) => Ok(count),
-        _ => Err(format!("give a number from {} to {}", COUNTS.start(), COUNTS.end())),
+        _ => Err(format!("expected a number from {} to {}", COUNTS.start(), COUNTS.end())),
     }
 }
 
-/// `a,b,c`: as many numbers as are wanted.
+/// Parses `N` numbers separated by commas.
 pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     numbers?.try_into().ok()
 }
 
-/// `x,y,z` of the command line, the value of `option`.
+/// Parses `x,y,z`, the value of `option`.
 pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong = || {
         Error::Config(format!(
-            "{option} {text}: give three finite numbers of at most 1e8 in metres, such as 3.5,2.2,1.2"
+            "{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"
         ))
     };
     numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
 }
 
-/// Columns x, y, z of a CSV file.
+/// Reads columns x, y, z of a CSV file.
 pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
     let text = files::read_at_most(path, files::MAX_TEXT).map_err(|e| Error::read(path, e))?;
     let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
     let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
     let broken = |e: csv::Error| {
         let line = e.position().map_or(1, csv::Position::line) as usize;
-        Error::at(path, line, 1, format!("this is not CSV text: {e}"))
+        Error::at(path, line, 1, format!("not CSV text: {e}"))
     };
     let headers = reader.headers().map_err(broken)?.clone();
     let mut columns = [0; 3];
     for (column, name) in columns.iter_mut().zip(["x", "y", "z"]) {
         *column = headers.iter().position(|h| h.eq_ignore_ascii_case(name)).ok_or_else(|| {
             let found = headers.iter().collect::<Vec<_>>().join(",");
-            Error::at(path, 1, 1, format!("no column `{name}` in `{found}`; the first line must name x, y and z"))
+            Error::at(path, 1, 1, format!("no column `{name}` (found `{found}`); the first line must name x, y and z"))
         })?;
     }
     let mut txs = Vec::new();
@@ -107,23 +107,23 @@ pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
         for (value, &column) in tx.iter_mut().zip(&columns) {
             let field = record.get(column).ok_or_else(|| {
                 let (has, needs) = (record.len(), headers.len());
-                Error::at(path, line, 1, format!("this row has {has} fields and the first line names {needs}"))
+                Error::at(path, line, 1, format!("row has {has} fields, expected {needs} as in the first line"))
             })?;
             *value = field.parse().ok().filter(|v| coordinate_fault(*v).is_none()).ok_or_else(|| {
                 let what =
-                    format!("`{field}` in column `{}` is no finite number of metres, 1e8 at most", &headers[column]);
+                    format!("column `{}`: expected metres, at most 1e8, found `{field}`", &headers[column]);
                 Error::at(path, line, column + 1, what)
             })?;
         }
         txs.push(tx);
     }
     if txs.is_empty() {
-        return Err(Error::input(path, "there is no row; give one position a line"));
+        return Err(Error::input(path, "no positions; write one per line"));
     }
     Ok(txs)
 }
 
-/// All models as one; a file may hold several. Those of several files are called by their numbers.
+/// Reads all models as one ensemble; a file may contain several. Members of several files get numbers as names.
 pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
     if let [path] = paths {
         return file::read_ensemble(path);
@@ -133,7 +133,7 @@ pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
     Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }
 
-/// The receivers of these names, in the model's order; all of them where nothing or `all` is said.
+/// Indices of the named receivers, in the order of the model; all for no name or `all`.
 pub(super) fn chosen(known: &[Receiver], names: &[String]) -> Result<Vec<usize>> {
     let place = |name: &str| known.iter().position(|receiver| receiver.name == name);
     if names.iter().all(|name| name == "all" && place(name).is_none()) {
@@ -154,18 +154,18 @@ fn unknown(known: &[Receiver], name: &str) -> Error {
     let more = known.len().saturating_sub(LISTED);
     let list = if more > 0 { format!("{list} and {more} more") } else { list };
     Error::Config(format!(
-        "--receiver {}: the model knows no receiver of this name{near}; it knows {list}",
+        "--receiver {}: no such receiver in the model{near} (receivers: {list})",
         clean(name)
     ))
 }
 
-/// Refuses models that are not asked by position.
+/// Rejects models whose input is not a position.
 pub(super) fn check_positions(model: &Ensemble) -> Result<()> {
     match model.members().iter().map(|member| member.stages.method.traits().inputs).find(|inputs| *inputs != 3) {
         None => Ok(()),
         Some(inputs) => Err(Error::Config(format!(
-            "this model is told {inputs} numbers in place of a transmitter's position, so that there is nothing to ask of \
-             a position; `pwrfgs evaluate` scores it on data that have them"
+            "this model takes {inputs} numbers instead of a transmitter position; score it with `pwrfgs evaluate` on data that \
+             have them"
         ))),
     }
 }
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn receivers_are_found_by_name_and_the_nearest_is_told() {
+    fn finds_receivers_by_name_and_suggests_the_nearest() {
         let known: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
         let chosen = |names: &[&str]| chosen(&known, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
         assert_eq!(chosen(&["g03", "g01", "g03"]).unwrap(), [0, 2]);

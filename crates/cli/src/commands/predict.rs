@@ -1,4 +1,4 @@
-//! `pwrfgs predict`: what is observed of transmitter positions, from the model file alone.
+//! `pwrfgs predict`: predictions at transmitter positions, from the model file alone.
 
 mod writers;
 
@@ -14,7 +14,7 @@ use pwrfgs_core::{Error, Query, Result, Task};
 use std::path::PathBuf;
 use writers::{Drawn, Folder, Row, writer};
 
-/// Predictions held in memory at once.
+/// Number of predictions in memory at a time.
 const CHUNK: usize = 64;
 
 #[derive(Debug, Args)]
@@ -63,7 +63,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let txs = match (&arguments.tx, &arguments.tx_csv) {
         (Some(text), _) => vec![position("--tx", text)?],
         (_, Some(path)) => positions(path)?,
-        _ => return Err(Error::Config("give --tx x,y,z or --tx-csv FILE".into())),
+        _ => return Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     };
     let ensemble = read_models(&arguments.models)?;
     check_positions(&ensemble)?;
@@ -72,7 +72,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let listening = chosen(model.receivers(), &arguments.receiver)?;
     let count = txs.len() * listening.len();
     if arguments.stacked && task.is_scalar {
-        let why = "--stacked: a received power is one number, and predictions.csv has them all; leave --stacked out";
+        let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
         return Err(Error::Config(why.into()));
     }
     let made = NewFolder::begin(&arguments.out)?;
@@ -99,7 +99,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Observations, one after another: the time of a prediction is that of a program that has nothing else to do.
+/// Predicts one row after another, so that each latency is measured without other load.
 fn draw(model: &Prepared<'_>, rows: &[Row<'_>]) -> Result<Vec<Drawn>> {
     let alone = model.models().count() == 1;
     let one = |row: &Row<'_>| {
@@ -123,8 +123,8 @@ fn draw(model: &Prepared<'_>, rows: &[Row<'_>]) -> Result<Vec<Drawn>> {
 fn not_finite(task: Task, row: &Row<'_>) -> Error {
     let what = task.singular;
     Error::Config(format!(
-        "row {}: the {what} of a transmitter at {:?} is not finite: numbers of the model overflow there; train it \
-         anew with lower rates, or leave the position out if it is far from all that the model has seen",
+        "row {}: the {what} of a transmitter at {:?} is not finite: the model overflows there; remove the position if it \
+         is far from the training positions, or train again with lower learning rates",
         row.number, row.tx
     ))
 }

@@ -1,4 +1,4 @@
-//! `pwrfgs report`: finished runs become tables and figures.
+//! `pwrfgs report`: compares finished runs in tables and figures.
 
 use crate::output::{self, Verbosity};
 use crate::progress::Progress;
@@ -9,7 +9,7 @@ use pwrfgs::report::{Study, write};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 
-/// Where the report of a sweep lies, below its folder.
+/// Folder of the report, inside the folder of a sweep.
 const FOLDER: &str = "report";
 
 #[derive(Debug, Args)]
@@ -52,16 +52,16 @@ pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<()> {
     compare(&study, arguments.reference.as_deref(), &out, verbosity)
 }
 
-/// The report of a whole sweep, as it is written when its last run has ended.
+/// Writes the report of a sweep after its last run.
 pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
     compare(&Study::read(&[folder.into()])?, None, &folder.join(FOLDER), verbosity)
 }
 
-/// Makes the page of a run again; without its data the tables are worth having still.
+/// Rebuilds the page of a run; without its data, it warns and keeps the old page.
 fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
     match Progress::during(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
         Err(error) if error.is_input() => {
-            output::note(&format!("warning: {} is kept as it is: {error}", run.join(REPORT).display()));
+            output::note(&format!("warning: {} is not rebuilt: {error}", run.join(REPORT).display()));
             Ok(())
         }
         rebuilt => rebuilt,

@@ -1,4 +1,4 @@
-//! `pwrfgs run`: a pipeline becomes a run folder.
+//! `pwrfgs run`: runs a pipeline.
 
 use super::options::{Changes, named};
 use crate::interrupt::{INTERRUPTED, stop_flag};
@@ -44,18 +44,18 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     match outcome? {
         Outcome::Unscored => {
             output::note(&format!(
-                "stopped before the scores were complete; the trained model lies in {}, and the same command scores it",
+                "stopped before scoring was complete; the trained model is in {}; repeat the command to score it",
                 out.display()
             ));
             Ok(ExitCode::from(INTERRUPTED))
         }
         Outcome::Interrupted { step: 0 } => {
-            output::note("stopped before the first step; the same command begins again");
+            output::note("stopped before the first step; repeat the command to start again");
             Ok(ExitCode::from(INTERRUPTED))
         }
         Outcome::Interrupted { step } => {
             output::note(&format!(
-                "stopped after step {step} of {}; the checkpoint lies in {}, and the same command goes on from there",
+                "stopped after step {step} of {}; the checkpoint is in {}; repeat the command to resume",
                 pipeline.training.steps,
                 out.display()
             ));
@@ -63,7 +63,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
         }
         Outcome::Finished { scores, already } => {
             if already {
-                verbosity.note(&format!("{} holds this very run, finished: nothing to do", out.display()));
+                verbosity.note(&format!("{}: this run is already finished; nothing to do", out.display()));
             }
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
             output::result(&(scores.to_text() + &report.unwrap_or_default()))?;

@@ -1,4 +1,4 @@
-//! `pwrfgs simulate`: a scene becomes a data set on disk.
+//! `pwrfgs simulate`: simulates a data set from a scene.
 
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output::{self, Verbosity};
@@ -77,20 +77,20 @@ pub(crate) enum Kind {
 }
 
 impl Simulate {
-    /// What is observed, and the layout of its files.
+    /// Observation and layout of the files.
     fn wanted(&self) -> Result<(Observe, Layout)> {
         let refuse = |what: &str| Err(Error::Config(what.into()));
         let is_channel = matches!(self.layout, Kind::Channels | Kind::Csi);
         if self.npy && self.layout != Kind::Spectra {
-            return refuse("--npy is for spectra; leave it out, or the layout");
+            return refuse("--npy: supported only for spectra; remove --npy or --layout");
         }
         if self.snr_db.is_some() && !is_channel {
             return refuse(
-                "--snr-db is for channels; add --layout channels, or set the `noise` of the scene for spectra",
+                "--snr-db: supported only for channels; add --layout channels, or set `noise` in the scene for spectra",
             );
         }
         if self.noise_db.is_some() && self.layout != Kind::Rssi {
-            return refuse("--noise-db is for powers; add --layout rssi");
+            return refuse("--noise-db: supported only for received powers; add --layout rssi");
         }
         let channel = Observe::Channel { snr_db: self.snr_db };
         Ok(match self.layout {
@@ -115,7 +115,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
         })
     });
     if matches!(written, Err(Error::Stopped)) {
-        output::note("stopped; nothing is left behind, and the same command begins anew");
+        output::note("stopped without output; repeat the command to start again");
         return Ok(ExitCode::from(INTERRUPTED));
     }
     written?;
@@ -123,7 +123,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-/// What was made, and how to train on it.
+/// Describes the data set and the setting to train on it.
 fn told(arguments: &Simulate, recipe: &Recipe, layout: Layout, seconds: f64) -> String {
     let (scene, out) = (&recipe.scene, arguments.out.display());
     let receivers = scene.receivers().count();
@@ -135,7 +135,7 @@ fn told(arguments: &Simulate, recipe: &Recipe, layout: Layout, seconds: f64) -> 
         Layout::Csi => ("channels", "Nerf2Csi"),
     };
     let one = receivers == 1 || layout == Layout::Rssi;
-    // Of several receivers each has a folder; the first stands for all.
+    // Several receivers have a folder each; the first is shown.
     let root = if one { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
     let count = recipe.samples * receivers;
     let at = if receivers == 1 { String::new() } else { format!(" at {receivers} receivers") };
@@ -152,7 +152,7 @@ fn told(arguments: &Simulate, recipe: &Recipe, layout: Layout, seconds: f64) -> 
         _ => format!("{source}(root: \"{}\")", root.display()),
     };
     format!(
-        "{count} simulated {things} of {}{at} in {out} after {seconds:.1} s; to train on them: data: {how}",
+        "{count} simulated {things} of {}{at} in {out} after {seconds:.1} s; in a pipeline: data: {how}",
         scene.name
     )
 }

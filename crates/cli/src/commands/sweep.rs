@@ -1,4 +1,4 @@
-//! `pwrfgs sweep`: an experiment becomes a folder of runs.
+//! `pwrfgs sweep`: runs an experiment.
 
 mod table;
 
@@ -68,19 +68,19 @@ pub(crate) enum Launcher {
     Slurm,
 }
 
-/// The `index`-th of `count` parts, counted from 1.
+/// Part `index` of `count`, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shard {
     pub(crate) index: usize,
     pub(crate) count: usize,
 }
 
-/// `2/5`.
+/// Parses `2/5`.
 fn shard(text: &str) -> Result<Shard, String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     match parts {
         Some((index, count)) if (1..=count).contains(&index) => Ok(Shard { index, count }),
-        _ => Err("write it as i/n with 1 <= i <= n, such as 2/5".into()),
+        _ => Err("expected i/n with 1 <= i <= n, such as 2/5".into()),
     }
 }
 
@@ -94,7 +94,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     let threads_there = rayon::current_num_threads();
     if arguments.jobs > threads_there {
         return Err(Error::Config(format!(
-            "--jobs {}: there are {threads_there} threads, and a run needs one; give at most {threads_there}",
+            "--jobs {}: more than the {threads_there} available threads; set at most {threads_there}",
             arguments.jobs
         )));
     }
@@ -108,7 +108,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     }
 }
 
-/// What Slurm has, where it tells; the folders tell all else without it.
+/// Names of the runs in the Slurm queue, empty with a note if it cannot be read.
 fn queued_or_note(plan: &Plan) -> BTreeSet<String> {
     slurm::queued(plan).unwrap_or_else(|error| {
         output::note(&format!("note: {error}"));
@@ -116,7 +116,7 @@ fn queued_or_note(plan: &Plan) -> BTreeSet<String> {
     })
 }
 
-/// The runs that `--shard` or `--only` name; all without them.
+/// Indices of the runs that `--shard` or `--only` select; all without them.
 fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
         return Ok(vec![plan.find(name)?]);
@@ -125,7 +125,7 @@ fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
 }
 
-/// All runs in this process.
+/// Runs all runs in this process.
 fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let stop = stop_flag();
     let board = Table::new(plan, runs.len(), verbosity);
@@ -137,7 +137,7 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     let SweepEnd { runs: ends, joined } = end?;
     #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
-        let _held = plan.claim()?; // of two processes whose last runs end at once, one writes after the other
+        let _held = plan.claim()?; // if the last runs of two processes end together, one writes after the other
         super::report::of_sweep(&plan.folder, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
@@ -145,25 +145,25 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     if let Some(Outcome::Finished { scores, .. }) = joined {
         let folder = plan.folder.join(JOINED);
         let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
-        let head = format!("\njoined model of {} runs, in {}\n", plan.runs.len(), folder.display());
+        let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
         output::result(&(head + &scores.to_text() + &report.unwrap_or_default()))?;
     }
     if failed > 0 {
         output::note(&format!(
-            "{failed} of {} runs failed; the reasons stand above and in {}; the same command tries them again",
+            "{failed} of {} runs failed; see the errors above and in {}; repeat the command to retry them",
             runs.len(),
             plan.folder.join("failures").display()
         ));
         return Ok(ExitCode::from(1));
     }
     if stop.load(Ordering::Relaxed) {
-        output::note("stopped; the same command goes on");
+        output::note("stopped; repeat the command to resume");
         return Ok(ExitCode::from(INTERRUPTED));
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Lists all runs with the time they would take.
+/// Lists all runs with estimated times.
 fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let pool = pool(jobs)?;
     let seconds = Progress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
@@ -171,36 +171,36 @@ fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Re
     Ok(ExitCode::SUCCESS)
 }
 
-/// Hands the runs to Slurm that are neither done, nor at work, nor in its queue already.
+/// Submits to Slurm the runs that are not finished, running or queued.
 fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
-    let _held = plan.claim()?; // what is asked for here must not be submitted by another process meanwhile
+    let _held = plan.claim()?; // no other process may submit the same runs meanwhile
     let queued = slurm::queued(plan)?;
     let free =
         |run: &usize| !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), State::Running { .. });
     let runs: Vec<usize> = open.iter().copied().filter(free).collect();
     let waiting = open.len() - runs.len();
     if runs.is_empty() {
-        output::result(&format!("nothing to submit: {waiting} runs are with Slurm, the others have finished\n"))?;
+        output::result(&format!("nothing to submit: {waiting} runs are queued or running, the others are finished\n"))?;
         return Ok(ExitCode::SUCCESS);
     }
     let command = task_command(plan, arguments, threads.unwrap_or(plan.slurm.cpus))?;
     let (job, script) = slurm::submit(plan, &runs, &command)?;
     output::result(&format!(
-        "submitted {} runs as job {job} ({})\nhow far they are: the same command with --status in place of --launcher\n",
+        "submitted {} runs as job {job} ({})\nprogress: repeat the command with --status instead of --launcher\n",
         runs.len(),
         script.display()
     ))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// What a task calls; the name of its run comes last.
+/// Command line of a task; the name of its run comes last.
 fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
     let text = |path: &std::path::Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
-    let program = std::env::current_exe().map_err(|e| Error::Config(format!("where is this program? {e}")))?;
-    let here = std::env::current_dir().map_err(|e| Error::Config(format!("where are we? {e}")))?;
-    // Paths in --set are relative to where one stands, also in a task.
+    let program = std::env::current_exe().map_err(|e| Error::Config(format!("cannot find the path of this program: {e}")))?;
+    let here = std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
+    // Paths in --set are relative to the current directory, also in a task.
     let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];
     words.extend([text(&arguments.experiment)?, "--out".into(), text(&plan.folder)?]);
     words.extend(arguments.changes.all().into_iter().flat_map(|set| ["--set".into(), set]));

@@ -1,4 +1,4 @@
-//! `pwrfgs view`: a page where the transmitter can be dragged.
+//! `pwrfgs view`: a page of predictions for a transmitter that the user moves.
 
 use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
@@ -42,11 +42,11 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     let sides = Progress::during(verbosity, |progress| open(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
-        // Whoever pipes it wants the address alone.
+        // Only the address on stdout, for pipes.
         _ = output::result(&format!("{address}\n"));
-        verbosity.note("open this address in a browser; Ctrl-C, or closing the page, ends it");
+        verbosity.note("open this address in a browser; stop with Ctrl-C or by closing the page");
         if arguments.open && !opened(address) {
-            output::note("no browser could be started here; open the address yourself");
+            output::note("cannot start a browser; open the address yourself");
         }
     };
     show(sides, ready, &stop)
@@ -63,7 +63,7 @@ fn open(named: &[String], progress: &mut Progress) -> Result<Vec<Side>> {
     Ok(vec![first, second])
 }
 
-/// The surfaces of the room that simulated data come from.
+/// Adds the surfaces of the room to simulated data.
 #[cfg(feature = "raytrace")]
 fn show_walls(side: &mut Side) -> Result<()> {
     let Some(text) = side.scene() else { return Ok(()) };
@@ -73,24 +73,23 @@ fn show_walls(side: &mut Side) -> Result<()> {
 }
 
 #[cfg(not(feature = "raytrace"))]
-#[allow(clippy::unnecessary_wraps)] // as the other
+#[allow(clippy::unnecessary_wraps)] // same signature as above
 fn show_walls(_side: &mut Side) -> Result<()> {
     Ok(())
 }
 
-/// A baseline by its RON text, or its name.
+/// Parses a baseline from its RON text or name.
 fn floor(text: &str) -> Result<Plugin<dyn Baseline>> {
     let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
     Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {
         Error::Config(format!(
-            "{}: there is no such file or folder, and it is no floor either: {why}; a floor is written as \
-             NearestNeighbours(k: 5)",
+            "{}: neither a file, a folder nor a baseline: {why}; write a baseline as NearestNeighbours(k: 5)",
             clean(text)
         ))
     })
 }
 
-/// Asks the desktop for a browser.
+/// Opens `address` in the default browser; returns whether that succeeded.
 fn opened(address: &str) -> bool {
     let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let mut browser = Command::new(program);

@@ -1,4 +1,4 @@
-//! What is mapped of an observation, and the arrays of it.
+//! Quantities of a map and their arrays.
 
 use super::plane::Grid;
 use clap::ValueEnum;
@@ -6,11 +6,11 @@ use pwrfgs::model::Prepared;
 use pwrfgs_core::{Error, Image, Query, Real, Result, Task, Vec3};
 use rayon::prelude::*;
 
-/// Queries of one call, and of one step of the progress bar.
+/// Numbers of queries per call and per step of the progress bar.
 const CALL: usize = 64;
 const STEP: usize = 2_048;
 
-/// What may be asked for.
+/// Quantity of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Of {
     /// Received power in dBm, or the mean power of a channel's gains in dB
@@ -23,34 +23,34 @@ pub(crate) enum Of {
     Direction,
 }
 
-/// One array of a map.
+/// Array of a map.
 #[derive(Clone, Debug)]
 pub(super) struct Layer {
-    /// Begins the names of its files.
+    /// Start of the names of its files.
     pub(super) name: &'static str,
-    /// In words.
+    /// Quantity in words.
     pub(super) words: &'static str,
     pub(super) unit: &'static str,
-    /// Which receiver; `None`: the strongest of all that are mapped.
+    /// Index of the receiver; `None`: the strongest of the mapped receivers.
     pub(super) receiver: Option<usize>,
-    /// Row by row, the lowest first.
+    /// Values, row by row, lowest row first.
     pub(super) values: Vec<f32>,
-    /// For each value where it comes from, within the plane; of azimuths alone.
+    /// Direction per value, within the plane; only for azimuths.
     pub(super) arrows: Vec<[f32; 2]>,
 }
 
-/// What is mapped of this kind where nothing, or something, is asked for.
+/// Quantities to map: `of`, or the default of the model.
 pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
     let has_angles = model.plane().angles.is_some();
     let task = model.task();
     let (fitting, names): (&[Of], _) = match (task.has_pixels, has_angles) {
         (true, true) => (&[Of::Direction, Of::Level, Of::Mean], "direction, level or mean"),
-        (true, false) => (&[Of::Level, Of::Mean], "level or mean, because its pixels have no angles"),
+        (true, false) => (&[Of::Level, Of::Mean], "level or mean (its pixels have no angles)"),
         (false, _) => (&[Of::Power], "power"),
     };
     if let Some(wrong) = of.iter().find(|asked| !fitting.contains(asked)) {
         let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-        return Err(Error::Config(format!("--of {name}: this model predicts {}: give {names}", task.plural)));
+        return Err(Error::Config(format!("--of {name}: not available for a model of {}; use {names}", task.plural)));
     }
     let default = if task.has_pixels { &fitting[..fitting.len() - 1] } else { fitting };
     Ok(fitting
@@ -60,7 +60,7 @@ pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
         .collect())
 }
 
-/// Numbers of one observation: level or power, mean, and the pixel of the strongest direction.
+/// Summary of one observation: level or power, mean, and strongest pixel.
 #[derive(Clone, Copy)]
 struct Summary {
     level: f64,
@@ -77,7 +77,7 @@ impl Summary {
     }
 }
 
-/// All arrays of a map; `progress` is told how many places are done.
+/// Computes all arrays of a map; `progress` receives the number of finished positions.
 pub(super) fn layers(
     model: &Prepared<'_>,
     grid: &Grid,
@@ -106,7 +106,7 @@ pub(super) fn layers(
     layers
 }
 
-/// Arrays of a receiver without values.
+/// Empty arrays of a receiver.
 fn empty(task: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
     let layer = |(name, words, unit)| Layer {
         name,
@@ -129,7 +129,7 @@ fn empty(task: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
     of.iter().flat_map(names).map(layer).collect()
 }
 
-/// Adds a place to the arrays of its receiver.
+/// Adds a position to the arrays of its receiver.
 fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, layers: &mut [Layer]) {
     let plane = model.plane();
     let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
@@ -151,7 +151,7 @@ fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, lay
     }
 }
 
-/// The largest power of all receivers at each place, where there are several.
+/// Largest power of all receivers at each position, if there are several.
 fn strongest(task: Task, layers: &[Layer], receivers: usize) -> Option<Layer> {
     let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);

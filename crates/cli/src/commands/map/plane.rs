@@ -1,27 +1,27 @@
-//! The plane of a map: an axis-parallel one, and a grid of places on it.
+//! Axis-parallel plane of a map, and the grid of positions on it.
 
 use crate::commands::options::numbers;
 use pwrfgs_core::{Error, Result, coordinate_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
-/// Most places of a map.
+/// Maximum number of positions of a map.
 const MOST: f64 = 4e6;
 
-/// A plane on which one coordinate stays.
+/// Plane with one fixed coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Plane {
-    /// Which coordinate stays: 0 for x.
+    /// Index of the fixed coordinate: 0 for x.
     pub(super) axis: usize,
-    /// Where, metres.
+    /// Value of the fixed coordinate, metres.
     pub(super) at: f64,
 }
 
 impl Plane {
-    /// `z=1.2`.
+    /// Parses `z=1.2`.
     pub(super) fn parse(text: &str) -> Result<Self> {
         let wrong = || {
             Error::Config(format!(
-                "--plane {text}: give the coordinate that stays and where in metres, such as z=1.2, x=0.5 or y=-3"
+                "--plane {text}: expected a fixed coordinate in metres, such as z=1.2, x=0.5 or y=-3"
             ))
         };
         let (name, at) = text.split_once('=').ok_or_else(wrong)?;
@@ -30,22 +30,22 @@ impl Plane {
         Ok(Self { axis, at })
     }
 
-    /// The two coordinates that do not stay, across first.
+    /// Indices of the two free coordinates, horizontal first.
     pub(super) fn axes(&self) -> [usize; 2] {
         [[1, 2], [0, 2], [0, 1]][self.axis]
     }
 
-    /// Their names.
+    /// Names of the free coordinates.
     pub(super) fn names(&self) -> [&'static str; 2] {
         self.axes().map(|k| AXES[k])
     }
 
-    /// Such as `z = 1.2 m`.
+    /// Description, such as `z = 1.2 m`.
     pub(super) fn words(&self) -> String {
         format!("{} = {} m", AXES[self.axis], self.at)
     }
 
-    /// A place in space on the plane.
+    /// Position in space of a point on the plane.
     fn place(&self, [a, b]: [f64; 2]) -> [f64; 3] {
         let mut place = [self.at; 3];
         let [across, up] = self.axes();
@@ -53,24 +53,23 @@ impl Plane {
         place
     }
 
-    /// The part of a place, or of a vector, that lies in the plane.
+    /// Components of a position or vector within the plane.
     pub(super) fn flat(&self, place: [f64; 3]) -> [f64; 2] {
         self.axes().map(|k| place[k])
     }
 }
 
-/// Ends of both coordinates: low and high across, low and high up.
+/// Extent of a map: low and high of the first and second free coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds(pub(super) [[f64; 2]; 2]);
 
 impl Bounds {
-    /// `x0,x1,y0,y1`.
+    /// Parses `x0,x1,y0,y1`.
     pub(super) fn parse(text: &str, names: [&str; 2]) -> Result<Self> {
         let [a, b] = names;
         let wrong = || {
             Error::Config(format!(
-                "--bounds {text}: give four numbers of metres, {a} from and to, {b} from and to, the smaller first, such as \
-                 0,8,0,6"
+                "--bounds {text}: expected metres as {a}0,{a}1,{b}0,{b}1, the smaller first, such as 0,8,0,6"
             ))
         };
         let fits = |ends: &[f64; 4]| {
@@ -80,14 +79,14 @@ impl Bounds {
         Ok(Self([[x0, x1], [y0, y1]]))
     }
 
-    /// Out to the next multiples of `step`.
+    /// Extends the bounds to multiples of `step`.
     pub(super) fn outwards(self, step: f64) -> Self {
         let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
         let out = self.0.map(rounded);
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// The middle nine tenths of `cloud`, and all `receivers`; a square of two metres where that is a single place.
+    /// Central 90 % of `cloud` and all `receivers`; two metres wide if that is a single position.
     pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|place| place.iter().all(|v| v.is_finite()));
         let of = |k: usize| {
@@ -106,7 +105,7 @@ impl Bounds {
     }
 }
 
-/// Places on a plane, row by row, the lowest first.
+/// Grid of positions on a plane, row by row, lowest row first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
     pub(super) plane: Plane,
@@ -117,28 +116,28 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// From the low ends on, `layers` numbers a place.
+    /// Creates the grid from the low ends of the bounds, with `layers` values per position.
     pub(super) fn new(plane: Plane, Bounds([across, up]): Bounds, step: f64, layers: usize) -> Result<Self> {
         if !(step.is_finite() && step >= 1e-6) {
-            return Err(Error::Config(format!("--step {step}: give metres between two places, such as 0.1")));
+            return Err(Error::Config(format!("--step {step}: expected a grid spacing in metres, at least 1e-6, such as 0.1")));
         }
         let count = |[low, high]: [f64; 2]| ((high - low) / step + 1e-6).floor() + 1.0;
         let (columns, rows) = (count(across), count(up));
         if columns * rows > MOST || columns * rows * layers as f64 > 16.0 * MOST {
             return Err(Error::Config(format!(
-                "a map of {columns} by {rows} places and {layers} receivers is too large; raise --step, narrow --bounds, or \
-                 name a --receiver"
+                "map of {columns} x {rows} positions and {layers} receivers is too large; increase --step, reduce --bounds or set \
+                 --receiver"
             )));
         }
         Ok(Self { plane, first: [across[0], up[0]], step, columns: columns as usize, rows: rows as usize })
     }
 
-    /// Places.
+    /// Number of positions.
     pub(super) fn len(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// Place `k` in space.
+    /// Position `k` in space.
     pub(super) fn place(&self, k: usize) -> [f64; 3] {
         let far = |n: usize, k: usize| self.first[k] + self.step * n as f64;
         self.plane.place([far(k % self.columns, 0), far(k / self.columns, 1)])

@@ -1,4 +1,4 @@
-//! What is written of spectra, received powers and channels: arrays, pictures and the lines of `predictions.csv`.
+//! Output files of predictions: arrays, images and the lines of `predictions.csv`.
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs::data::{npy_header, npy_header_as};
@@ -11,24 +11,24 @@ use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
-/// What NumPy calls pairs of 32-bit numbers.
+/// NumPy type of pairs of 32-bit floats.
 const COMPLEX: &str = "<c8";
-/// What the pictures of an ensemble's disagreement are called besides their row.
+/// Suffix of files with the standard deviation of an ensemble.
 const SPREAD: &str = "-spread";
 
-/// A row of `predictions.csv`: who sends, and who listens.
+/// Row of `predictions.csv`: transmitter and receiver.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row<'a> {
-    /// From 1.
+    /// Number of the row, from 1.
     pub(super) number: usize,
     pub(super) tx: [f64; 3],
     pub(super) receiver: usize,
-    /// The receiver's name; nothing of spectra at the only one.
+    /// Name of the receiver; none for spectra at a single receiver.
     pub(super) name: Option<&'a str>,
 }
 
 impl Row<'_> {
-    /// The first columns.
+    /// First columns of the row.
     fn begin(&self) -> String {
         let ([x, y, z], number) = (self.tx, self.number);
         self.name
@@ -36,27 +36,27 @@ impl Row<'_> {
     }
 }
 
-/// A prediction.
+/// Prediction of one row.
 pub(super) struct Drawn {
     pub(super) image: Image,
-    /// How far members differ, where there are several.
+    /// Standard deviation over the members of an ensemble.
     pub(super) spread: Option<Image>,
     pub(super) milliseconds: f64,
 }
 
-/// Writes predictions as their kind wants them.
+/// Writer of predictions of one task.
 pub(super) trait Writer {
-    /// The first line of `predictions.csv`.
+    /// First line of `predictions.csv`.
     fn header(&self) -> String;
 
-    /// Takes the next rows and adds their lines to the list.
+    /// Writes the next rows and adds their lines to the list.
     fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()>;
 
-    /// Everything is there but the list.
+    /// Completes all files except the list.
     fn finish(self: Box<Self>) -> Result<()>;
 }
 
-/// The writer of what `model` predicts, `count` rows.
+/// Creates the writer for `count` predictions of `model`.
 pub(super) fn writer<'a>(
     folder: &Folder<'_>,
     model: &Prepared<'a>,
@@ -73,7 +73,7 @@ pub(super) fn writer<'a>(
     })
 }
 
-/// Spectra under way.
+/// Writer of spectra.
 struct Spectra<'a> {
     plane: &'a ImagePlane,
     has_names: bool,
@@ -124,7 +124,7 @@ impl Writer for Spectra<'_> {
     }
 }
 
-/// A row of `predictions.csv`; without angles where the model's plane has none.
+/// Line of `predictions.csv`; without angles if the image plane has none.
 fn line(plane: &ImagePlane, row: &Row<'_>, image: &Image, milliseconds: f64) -> String {
     let strongest = image.argmax();
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
@@ -133,9 +133,9 @@ fn line(plane: &ImagePlane, row: &Row<'_>, image: &Image, milliseconds: f64) -> 
     format!("{},{angles},{},{milliseconds:.3}\n", row.begin(), image.pixels[strongest])
 }
 
-/// Powers under way.
+/// Writer of received powers.
 struct Powers {
-    /// Whether several models say how far they differ.
+    /// Whether there is a column with the standard deviation of an ensemble.
     has_spread: bool,
 }
 
@@ -157,7 +157,7 @@ impl Writer for Powers {
     }
 }
 
-/// Channels under way.
+/// Writer of channels.
 struct Channels {
     task: Task,
     stacks: Vec<Stack>,
@@ -206,34 +206,34 @@ impl Writer for Channels {
     }
 }
 
-/// How far complex gains are apart, from the standard deviations of their two parts.
+/// Standard deviations of complex gains, from those of their real and imaginary parts.
 fn lengths(parts: &Image) -> Image {
     let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
     Image { width: parts.width, height: parts.height / 2, pixels }
 }
 
-/// A folder that is being filled.
+/// Output folder.
 pub(super) struct Folder<'a> {
     pub(super) path: &'a Path,
     pub(super) has_png: bool,
 }
 
 impl Folder<'_> {
-    /// `NAME.npy` (as it is), where it is not stacked.
+    /// Writes `NAME.npy`.
     fn array(&self, name: &str, image: &Image) -> Result<()> {
         let mut npy = npy_header(Number::F32, &[image.height, image.width]);
         npy.extend(floats(image));
         self.put(&format!("{name}.npy"), &npy)
     }
 
-    /// `NAME.npy` of complex gains `[A, F]`.
+    /// Writes complex gains as `NAME.npy`, `[A, F]`.
     fn gains(&self, name: &str, shape: [usize; 2], gains: &[[Real; 2]]) -> Result<()> {
         let mut npy = npy_header_as(COMPLEX, &shape);
         npy.extend(pairs(gains));
         self.put(&format!("{name}.npy"), &npy)
     }
 
-    /// `NAME.png` (times `gain`, clamped to [0, 1]), where pictures are wanted.
+    /// Writes `NAME.png` (times `gain`, clamped to [0, 1]), unless images are disabled.
     fn picture(&self, name: &str, image: &Image, gain: Real) -> Result<()> {
         if !self.has_png {
             return Ok(());
@@ -257,19 +257,19 @@ fn name(row: usize) -> String {
     format!("{row:05}")
 }
 
-/// One array `[M, height, width]` of 32-bit or complex numbers, written row by row: it may be larger than memory.
+/// Array `[M, height, width]` of 32-bit or complex numbers, written row by row; may exceed memory.
 struct Stack {
     path: PathBuf,
     file: BufWriter<File>,
 }
 
 impl Stack {
-    /// Of pictures.
+    /// Creates an array of floats.
     fn floats(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
         Self::create(folder, name, &npy_header(Number::F32, &shape))
     }
 
-    /// Of channels.
+    /// Creates an array of complex numbers.
     fn complex(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
         Self::create(folder, name, &npy_header_as(COMPLEX, &shape))
     }
@@ -282,17 +282,17 @@ impl Stack {
         Ok(stack)
     }
 
-    /// The next picture.
+    /// Appends an image.
     fn push_floats(&mut self, image: &Image) -> Result<()> {
         self.write(&floats(image).collect::<Vec<u8>>())
     }
 
-    /// The next channel.
+    /// Appends a channel.
     fn push_complex(&mut self, gains: &[[Real; 2]]) -> Result<()> {
         self.write(&pairs(gains).collect::<Vec<u8>>())
     }
 
-    /// All is there.
+    /// Flushes the file.
     fn finish(mut self) -> Result<()> {
         self.file.flush().map_err(|e| Error::write(&self.path, e))
     }
@@ -302,12 +302,12 @@ impl Stack {
     }
 }
 
-/// The pixels as 32-bit numbers.
+/// Bytes of the pixels as 32-bit floats.
 fn floats(image: &Image) -> impl Iterator<Item = u8> {
     image.pixels.iter().flat_map(|p| (*p as f32).to_le_bytes())
 }
 
-/// Complex numbers of 32 bits a part.
+/// Bytes of complex numbers with 32-bit parts.
 fn pairs(gains: &[[Real; 2]]) -> impl Iterator<Item = u8> {
     gains.as_flattened().iter().flat_map(|v| (*v as f32).to_le_bytes())
 }

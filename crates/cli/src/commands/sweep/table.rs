@@ -1,4 +1,4 @@
-//! The runs of a sweep on a terminal: live, a line for each run at work and one for all of them, and as aligned text.
+//! Runs of a sweep on a terminal: live lines per run and in total, and an aligned table.
 
 use crate::output::{Verbosity, bars, note};
 use crate::progress::Progress;
@@ -11,11 +11,11 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::time::Instant;
 
-/// Draws what the runs of a plan report.
+/// Observer that shows the progress of a sweep.
 pub(super) struct Table<'a> {
     plan: &'a Plan,
     verbosity: Verbosity,
-    /// All runs.
+    /// Bar over all runs.
     bar: ProgressBar,
     begun: Instant,
 }
@@ -26,7 +26,7 @@ impl<'a> Table<'a> {
             .unwrap_or_else(|_| ProgressStyle::default_bar())
             .progress_chars("━╸─");
         let bar = ProgressBar::new(runs as u64).with_style(style);
-        // The bar is hidden by itself where there is no terminal.
+        // Without a terminal, the bar hides itself.
         let bar = if verbosity == Verbosity::Quiet { ProgressBar::hidden() } else { bars().add(bar) };
         bar.tick();
         Self { plan, verbosity, bar, begun: Instant::now() }
@@ -36,11 +36,11 @@ impl<'a> Table<'a> {
         self.bar.finish_and_clear();
     }
 
-    /// One line about the end of a run.
+    /// Line about the end of a run.
     fn line(&self, run: usize, end: &Result<Outcome>) -> String {
         let name = &self.plan.runs[run].folder;
         match end {
-            Ok(Outcome::Finished { already: true, .. }) => format!("{name}: finished before"),
+            Ok(Outcome::Finished { already: true, .. }) => format!("{name}: already finished"),
             Ok(Outcome::Finished { scores, .. }) => {
                 let score = |key| scores.of_model(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.plan.state(run) {
@@ -54,8 +54,8 @@ impl<'a> Table<'a> {
                 format!("{name}: done{words}{time}")
             }
             Ok(Outcome::Interrupted { step }) => format!("{name}: stopped after step {step}"),
-            Ok(Outcome::Unscored) => format!("{name}: stopped before it was scored"),
-            Err(Error::Busy(_)) => format!("{name}: another process is at work on it; left to that one"),
+            Ok(Outcome::Unscored) => format!("{name}: stopped before scoring"),
+            Err(Error::Busy(_)) => format!("{name}: skipped, another process is working on it"),
             Err(error) => format!("{name}: failed: {error}"),
         }
     }
@@ -78,7 +78,7 @@ impl Board for Table<'_> {
     }
 }
 
-/// How far each of `runs` is; `queued` names those that a scheduler has.
+/// Table of the progress of `runs`; `queued` names the runs in the queue of a scheduler.
 pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> String {
     let states: Vec<State> = runs.iter().map(|&run| plan.state(run)).collect();
     let ends = states.iter().filter_map(|state| if let State::Finished(end) = state { Some(end) } else { None });
@@ -111,13 +111,13 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
     }
     let head = format!("{}: {finished} of {} runs finished, in {}\n", plan.name, runs.len(), plan.folder.display());
     let joined = plan.joined.as_ref().map_or("", |_| match Facts::finished(&plan.folder.join(JOINED)) {
-        Ok(Some(_)) => "their joined model is finished, in joined\n",
-        _ => "their models are joined after the last run\n",
+        Ok(Some(_)) => "ensemble finished, in joined\n",
+        _ => "the ensemble is made after the last run\n",
     });
     head + joined + &aligned(&lines, 2)
 }
 
-/// All runs with the seconds each would take.
+/// Table of all runs with estimated seconds.
 pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
@@ -131,8 +131,8 @@ pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) ->
     let all = seconds.iter().sum::<f64>() / jobs as f64;
     _ = writeln!(
         text,
-        "about {} in all on this machine with --jobs {jobs}, by the first steps of each combination; pruning makes later \
-         steps faster, densification slower",
+        "about {} in total on this machine with --jobs {jobs}, estimated from the first steps of each combination; pruning \
+         shortens later steps, densification lengthens them",
         duration(all)
     );
     text
