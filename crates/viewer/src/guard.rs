@@ -1,16 +1,16 @@
-//! Who is let in: whoever knows the token, and says where from.
+//! Access control: requests need the token and must come from the page itself.
 //!
-//! The page listens on the loopback alone, but so does every other page of the browser: a name that resolves to 127.0.0.1
-//! (DNS rebinding), a form or a script of another origin. So `Host` must be ours, `Origin` ours where it is said, and the path
-//! begins with the token, which is in the address that the terminal shows and nowhere else.
+//! The server listens on the loopback interface only, but other pages in the browser can also send requests to it: by a name
+//! that resolves to 127.0.0.1 (DNS rebinding), or by a form or script of another origin. Therefore `Host` and, if present,
+//! `Origin` must be those of the server, and the path must begin with the token. Only the printed address has the token.
 
 use hyper::header::{CONTENT_LENGTH, HOST, HeaderMap, HeaderName, ORIGIN, TRANSFER_ENCODING};
 use hyper::{Method, StatusCode, Uri};
 
-/// Longest address that is read, bytes.
+/// Maximum length of path and query, bytes.
 const LONGEST: usize = 2_000;
 
-/// The lock of a page.
+/// Access control of a page.
 #[derive(Clone, Debug)]
 pub(crate) struct Guard {
     token: String,
@@ -18,7 +18,7 @@ pub(crate) struct Guard {
 }
 
 impl Guard {
-    /// A random token for a page on `port`.
+    /// Creates a random token for a page on `port`.
     pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
         let mut bytes = [0u8; 16];
         getrandom::fill(&mut bytes)?;
@@ -26,15 +26,15 @@ impl Guard {
         Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
     }
 
-    /// The address of the page.
+    /// Address of the page, with the token.
     pub(crate) fn address(&self) -> String {
         format!("http://{}/{}/", self.hosts[0], self.token)
     }
 
-    /// The part of the path behind the token.
+    /// Checks a request and returns the part of its path after the token.
     ///
     /// # Errors
-    /// Why somebody is not let in.
+    /// Status for a rejected request.
     pub(crate) fn admit<'a>(&self, method: &Method, uri: &'a Uri, headers: &HeaderMap) -> Result<&'a str, StatusCode> {
         let ours = |text: &str| self.hosts.iter().any(|host| host == text);
         if !only(headers, &HOST).is_some_and(ours) {
@@ -62,14 +62,14 @@ impl Guard {
     }
 }
 
-/// The value of a header that is said once.
+/// Value of a header that occurs exactly once.
 fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
     let first = all.next()?.to_str().ok()?;
     all.next().is_none().then_some(first)
 }
 
-/// Whether they are equal; takes as long wherever they differ.
+/// Compares in constant time.
 fn same(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |all, (a, b)| all | (a ^ b)) == 0
 }
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_knows_the_token_and_comes_from_here_is_let_in() {
+    fn admits_requests_with_token_from_own_origin() {
         let guard = Guard::new(4711).unwrap();
         let path = format!("/{}/predict?tx=1,2,3", guard.token);
         let host = ("host", "127.0.0.1:4711");
@@ -98,15 +98,15 @@ mod tests {
             "predict"
         );
         assert_eq!(asked(&guard, &path, &[host, ("sec-fetch-site", "same-origin")]).unwrap(), "predict");
-        assert_ne!(Guard::new(4711).unwrap().token, guard.token, "a token is drawn anew");
+        assert_ne!(Guard::new(4711).unwrap().token, guard.token, "tokens differ");
         assert_eq!(guard.token.len(), 32);
     }
 
-    /// Path, headers, and what is said to them.
+    /// Path, headers, and expected status.
     type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], u16);
 
     #[test]
-    fn everybody_else_is_told_to_go() {
+    fn rejects_requests_without_token_or_from_other_origins() {
         let guard = Guard::new(4711).unwrap();
         let path = format!("/{}/predict", guard.token);
         let host = ("host", "127.0.0.1:4711");

@@ -1,7 +1,7 @@
-//! `pwrfgs view`: a page behind which a model predicts while a transmitter is dragged.
+//! Server of `pwrfgs view`: a page on which the user moves a transmitter and sees predictions.
 //!
-//! The page is that of `pwrfgs_report::live`; here are what it asks for (`routes`), who may ask (`guard`), and what is shown
-//! (`Side`). It listens on the loopback alone and writes nothing.
+//! `pwrfgs_report::live` contains the page. This crate answers its requests (`routes`), checks their origin (`guard`) and
+//! holds the models (`Side`). The server listens on the loopback interface only and writes no files.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod guard;
@@ -14,10 +14,10 @@ use side::House;
 pub use side::Side;
 use std::sync::atomic::AtomicBool;
 
-/// Shows `sides` beside each other until `stop` is set, or the last page is closed; `ready` is told the address.
+/// Serves `sides` next to each other until `stop` is set or the last page is closed; `ready` receives the address.
 ///
 /// # Errors
-/// Sides that do not go together, or a system that gives no port.
+/// If the sides differ in task, receivers or size of the image plane, or if the system provides no port.
 pub fn view(sides: Vec<Side>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
     if let Some((first, others)) = sides.split_first() {
         others.iter().try_for_each(|other| other.check_beside(first))?;

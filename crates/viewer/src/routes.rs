@@ -1,4 +1,4 @@
-//! What the page asks for, and what it is given: files of the page, arrays, and news for as long as somebody looks.
+//! Answers to the page: its files, arrays, and a stream of events.
 
 mod packs;
 
@@ -21,14 +21,14 @@ use tokio::sync::broadcast::error::RecvError;
 
 pub(crate) type Body = BoxBody<Bytes, Infallible>;
 
-/// A status and a sentence.
+/// Status and message of a rejected request.
 pub(crate) type Refusal = (StatusCode, String);
 
-/// Nothing but our own scripts, style and data; `blob:` and `data:` are pictures that the page makes.
+/// Content security policy: only own scripts, style and data; `blob:` and `data:` are images that the page makes.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: \
     blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// The answer to `path`, behind the token.
+/// Answers a request for `path`, the part after the token.
 pub(crate) async fn answer(path: &str, query: &str, house: &Arc<House>) -> Result<Response<Body>, Refusal> {
     if let Some((_, text)) = FILES.iter().find(|(name, _)| *name == path) {
         return Ok(text_of("text/javascript", text));
@@ -47,12 +47,12 @@ pub(crate) async fn answer(path: &str, query: &str, house: &Arc<House>) -> Resul
     Ok(response(StatusCode::OK, "application/octet-stream", pack.to_bytes()))
 }
 
-/// What went wrong inside, in a line.
+/// Refusal for an internal error.
 fn internal(why: &dyn std::fmt::Display) -> (StatusCode, String) {
     (StatusCode::INTERNAL_SERVER_ERROR, why.to_string())
 }
 
-/// A sentence.
+/// Response of plain text.
 pub(crate) fn plain(status: StatusCode, text: &str) -> Response<Body> {
     response(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
 }
@@ -70,7 +70,7 @@ fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<Body> {
     response
 }
 
-/// What every answer says: nobody else may load, frame or keep it.
+/// Adds headers to a response: no other page may load, frame or store it.
 pub(crate) fn sealed(mut response: Response<Body>) -> Response<Body> {
     let all = [
         (CONTENT_SECURITY_POLICY, POLICY),
@@ -86,10 +86,10 @@ pub(crate) fn sealed(mut response: Response<Body>) -> Response<Body> {
     response
 }
 
-/// Style of the page around the stage.
+/// Style sheet of the page around the stage.
 const PAGE_STYLE: &str = include_str!("view.css");
 
-/// The page itself: the stage with our scripts beside it.
+/// HTML of the page: the stage and its scripts.
 fn html(house: &House) -> String {
     let names: Vec<String> = house.sides.iter().map(|side| xml(&side.name)).collect();
     format!(
@@ -102,33 +102,33 @@ fn html(house: &House) -> String {
     )
 }
 
-/// Everything that may be asked with.
+/// Query parameters of a request.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Asked {
     pub(super) side: usize,
     pub(super) receiver: usize,
-    /// A position in metres, world frame.
+    /// Transmitter position in metres, world frame.
     pub(super) tx: Option<[f64; 3]>,
-    /// A link of the data.
+    /// Index of a link of the data.
     pub(super) link: Option<usize>,
-    /// A snapshot of the training.
+    /// Index of a snapshot of the training.
     pub(super) moment: Option<usize>,
-    /// Height of a plane, metres, world frame.
+    /// Height of the map plane in metres, world frame.
     pub(super) z: Option<f64>,
-    /// What is wanted besides, such as `contribution`.
+    /// Additional array, such as `contribution`.
     pub(super) with: String,
 }
 
 impl Asked {
-    /// Reads `side=0&tx=1,2,3`.
+    /// Parses `side=0&tx=1,2,3`.
     ///
     /// # Errors
-    /// The field that is wrong.
+    /// If a parameter is unknown or invalid; the message names it.
     pub(super) fn parse(query: &str) -> Result<Self, String> {
         let mut asked = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
-            let (name, value) = pair.split_once('=').ok_or_else(|| format!("`{pair}` has no value"))?;
-            let index = || value.parse::<usize>().map_err(|e| format!("`{name}`: {e}"));
+            let (name, value) = pair.split_once('=').ok_or_else(|| format!("query parameter `{pair}`: no value"))?;
+            let index = || value.parse::<usize>().map_err(|e| format!("query parameter `{name}`: {e}"));
             match name {
                 "side" => asked.side = index()?,
                 "receiver" => asked.receiver = index()?,
@@ -139,29 +139,29 @@ impl Asked {
                     let all: Vec<f64> = value.split(',').map(|v| metres(name, v)).collect::<Result<_, _>>()?;
                     asked.tx = Some(
                         all.try_into()
-                            .map_err(|all: Vec<f64>| format!("`tx` wants x,y,z, not {} numbers", all.len()))?,
+                            .map_err(|all: Vec<f64>| format!("query parameter `tx`: expected x,y,z, found {} numbers", all.len()))?,
                     );
                 }
                 "with" => value.clone_into(&mut asked.with),
-                _ => return Err(format!("`{name}` means nothing here")),
+                _ => return Err(format!("unknown query parameter `{name}`")),
             }
         }
         Ok(asked)
     }
 }
 
-/// A number within what arithmetic in single precision bears.
+/// Parses metres, within the range of single precision.
 fn metres(name: &str, value: &str) -> Result<f64, String> {
     let number = value.parse::<f64>().ok().filter(|v| v.abs() < 1e9);
-    number.ok_or_else(|| format!("`{name}` wants metres"))
+    number.ok_or_else(|| format!("query parameter `{name}`: expected metres"))
 }
 
-/// How often something is said, whether there is news or not: so a closed page is found out.
+/// Interval of events; an empty event detects a closed page.
 const BEAT: Duration = Duration::from_secs(1);
 
 type Next = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
 
-/// News as they come.
+/// Stream of events.
 struct Stream {
     next: Next,
     _watcher: Watcher,
@@ -197,7 +197,7 @@ fn next(mut receiver: Receiver<String>) -> Next {
     })
 }
 
-/// The stream of a page that was opened.
+/// Response with the event stream of an opened page.
 fn events(house: &Arc<House>) -> Response<Body> {
     let (receiver, watcher) = house.watch();
     let stream = Stream { next: next(receiver), _watcher: watcher };
@@ -212,7 +212,7 @@ mod tests {
     use super::Asked;
 
     #[test]
-    fn what_is_asked_is_read_or_refused() {
+    fn parses_queries_and_rejects_invalid_ones() {
         let asked = Asked::parse("side=1&tx=1,-2.5,3e0&with=strength").unwrap();
         assert_eq!((asked.side, asked.tx, asked.with.as_str()), (1, Some([1.0, -2.5, 3.0]), "strength"));
         assert_eq!(Asked::parse("").unwrap(), Asked::default());

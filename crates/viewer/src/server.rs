@@ -1,4 +1,4 @@
-//! The server: one page, on the loopback, for as long as somebody looks at it.
+//! HTTP server of one page, on the loopback interface, until the last page is closed.
 
 use crate::guard::Guard;
 use crate::routes::{self, Body};
@@ -22,24 +22,24 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::{AbortHandle, LocalSet};
 
-/// Connections with the token at once; a page needs a few.
+/// Maximum number of simultaneous connections with the token; a page needs a few.
 const ADMITTED: usize = 64;
-/// Connections at once that have not sent the token; if more come, the oldest is closed.
+/// Maximum number of simultaneous connections without the token; then the oldest is closed.
 const STRANGERS: usize = 64;
-/// Time in which a request must be said.
+/// Time limit for the head of a request.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Largest head of a request, bytes.
 const HEAD: usize = 16 << 10;
-/// How often it looks whether it shall stop.
+/// Interval between checks of the stop flag.
 const TICK: Duration = Duration::from_millis(100);
-/// How long nobody may look once somebody has, such as while a page is loaded again.
+/// Time without an open page after which the server stops; a reload takes less.
 const UNWATCHED: Duration = Duration::from_secs(4);
 
-/// Serves `house` on a free port of the loopback until `stop` is set, or the last page is closed. `ready` is told the
-/// address, in which the token is.
+/// Serves `house` on a free loopback port until `stop` is set or the last page is closed. `ready` receives the address
+/// with the token.
 ///
 /// # Errors
-/// Where the system gives no port or no random numbers.
+/// If the system provides no port or no random numbers.
 pub(crate) fn serve(house: &Arc<House>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
     let failed = |what: &str, e: &dyn std::fmt::Display| Error::Config(format!("cannot {what}: {e}"));
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -51,7 +51,7 @@ pub(crate) fn serve(house: &Arc<House>, ready: impl FnOnce(&str), stop: &AtomicB
         let listener =
             TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.map_err(|e| failed("listen on 127.0.0.1", &e))?;
         let port = listener.local_addr().map_err(|e| failed("listen on 127.0.0.1", &e))?.port();
-        let guard = Guard::new(port).map_err(|e| failed("draw a token", &e))?;
+        let guard = Guard::new(port).map_err(|e| failed("create a random token", &e))?;
         ready(&guard.address());
         let accepting = tokio::task::spawn_local(accept(listener, Arc::new(guard), Arc::clone(house)));
         wait(house, stop).await;
@@ -60,7 +60,7 @@ pub(crate) fn serve(house: &Arc<House>, ready: impl FnOnce(&str), stop: &AtomicB
     })
 }
 
-/// Until it shall stop, or nobody looks any more.
+/// Waits until `stop` is set or the last page is closed.
 async fn wait(house: &House, stop: &AtomicBool) {
     let mut unwatched = Duration::ZERO;
     while !stop.load(Ordering::Relaxed) && unwatched < UNWATCHED {
@@ -71,7 +71,7 @@ async fn wait(house: &House, stop: &AtomicBool) {
     }
 }
 
-/// A place among the admitted connections, taken by the first request with the token.
+/// Slot among the admitted connections, acquired by the first request with the token.
 struct Entry {
     places: Arc<Semaphore>,
     place: RefCell<Option<OwnedSemaphorePermit>>,
@@ -82,10 +82,10 @@ impl Entry {
         self.place.borrow().is_some()
     }
 
-    /// Takes a place.
+    /// Acquires a slot.
     ///
     /// # Errors
-    /// If there is none left.
+    /// If no slot is free.
     fn admit(&self) -> Result<(), StatusCode> {
         if !self.is_admitted() {
             let place =
@@ -101,7 +101,7 @@ async fn accept(listener: TcpListener, guard: Arc<Guard>, house: Arc<House>) {
     let mut strangers: VecDeque<(Rc<Entry>, AbortHandle)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of file descriptors, say: those of others are given back in a while.
+            // Such as no free file descriptors: other connections release theirs.
             tokio::time::sleep(TICK).await;
             continue;
         };
@@ -118,7 +118,7 @@ async fn accept(listener: TcpListener, guard: Arc<Guard>, house: Arc<House>) {
     }
 }
 
-/// One connection, for as many requests as it brings. What goes wrong ends it, and nothing else.
+/// Serves all requests of one connection. An error ends only this connection.
 async fn talk(stream: TcpStream, entry: &Entry, guard: &Guard, house: &Arc<House>) {
     _ = stream.set_nodelay(true);
     let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, entry, guard, house).await));

@@ -1,5 +1,4 @@
-//! `Side`: what a page shows in one half: a model, a run under way, or a floor; and `House`: the sides of a page, who looks at it,
-//! and what happens meanwhile.
+//! `Side`: one half of the page, with a model, a run in progress or a baseline; `House`: state of the server.
 
 use pwrfgs_core::{Baseline, Dataset, Error, Frame, Image, Partition, Plugin, Predict, Query, Result, files};
 use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, SCORES};
@@ -18,7 +17,7 @@ use std::time::{Duration, Instant, SystemTime};
 use tokio::sync::broadcast;
 
 self_cell!(
-    /// Models, and what they worked out once.
+    /// Models with values that are computed once.
     pub(crate) struct Ready {
         owner: Arc<Ensemble>,
         #[covariant]
@@ -29,7 +28,7 @@ self_cell!(
 type Learned<'a> = Box<dyn Predict + 'a>;
 
 self_cell!(
-    /// A floor, and the data that it learned from.
+    /// Baseline with the data that it was fitted to.
     pub(crate) struct Fitted {
         owner: Arc<Dataset>,
         #[covariant]
@@ -37,25 +36,25 @@ self_cell!(
     }
 );
 
-/// What predicts.
+/// Model or baseline that predicts.
 pub(crate) enum Predictor {
-    /// A model, or several that predict together.
+    /// Model or ensemble.
     Model(Ready),
-    /// A baseline.
+    /// Fitted baseline.
     Floor(Fitted),
 }
 
-/// What was predicted.
+/// Prediction.
 pub(crate) struct Predicted {
     pub(crate) image: Image,
-    /// Standard deviation of the members, of an ensemble.
+    /// Standard deviation over the members of an ensemble.
     pub(crate) deviation: Option<Image>,
-    /// Milliseconds of the prediction alone.
+    /// Latency of the prediction, milliseconds.
     pub(crate) ms: f64,
 }
 
 impl Predictor {
-    /// The models, where it is one.
+    /// Models, unless it is a baseline.
     pub(crate) fn ensemble(&self) -> Option<&Arc<Ensemble>> {
         match self {
             Self::Model(ready) => Some(ready.borrow_owner()),
@@ -63,17 +62,17 @@ impl Predictor {
         }
     }
 
-    /// Whether it is asked by the transmitter's position, and not by what stands in its place.
+    /// Whether the input is a transmitter position, not other features.
     pub(crate) fn by_position(&self) -> bool {
         self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.traits().inputs == 3))
     }
 
-    /// Whether it is a baseline that learned from training and validation samples, which it may store.
+    /// Whether it is a baseline fitted to training and validation samples, which it may store.
     pub(crate) fn is_fitted(&self) -> bool {
         matches!(self, Self::Floor(floor) if !floor.borrow_dependent().knows_scene())
     }
 
-    /// What is observed of a link.
+    /// Predicts the observation of a link.
     pub(crate) fn predict(&self, query: Query<'_>) -> Predicted {
         let begun = Instant::now();
         let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
@@ -93,7 +92,7 @@ impl Predictor {
         }
     }
 
-    /// One number each of many links, such as powers over a plane.
+    /// Predicts many links, such as powers over a plane.
     pub(crate) fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         match self {
             Self::Floor(floor) => queries.iter().map(|query| floor.borrow_dependent().predict(*query)).collect(),
@@ -102,23 +101,23 @@ impl Predictor {
     }
 }
 
-/// Data, how they are divided, and how well each link was predicted.
+/// Data of a run, with their split and the scores per link.
 pub(crate) struct Known {
     pub(crate) pipeline: Pipeline,
     pub(crate) data: Arc<Dataset>,
     pub(crate) partition: Partition,
-    /// Of each link, NaN where nobody says.
+    /// Score per link; NaN if unknown.
     pub(crate) scores: Vec<f64>,
 }
 
 /// One half of the page.
 pub struct Side {
     pub(crate) name: String,
-    /// The run folder, where there is one.
+    /// Run folder, if there is one.
     pub(crate) folder: Option<PathBuf>,
-    /// Of the run, where its pipeline lies beside the model.
+    /// Data of the run, if its pipeline is next to the model.
     pub(crate) known: Option<Arc<Known>>,
-    /// What it predicts about.
+    /// Measurement setup of the predictions.
     pub(crate) frame: Frame,
     /// Corners of surfaces `[T,3,3]`, metres, world frame.
     pub(crate) surfaces: Vec<[[f64; 3]; 3]>,
@@ -126,10 +125,10 @@ pub struct Side {
 }
 
 impl Side {
-    /// A model file, or the folder of a run that may still be at work.
+    /// Opens a model file or a run folder; the run may be in progress.
     ///
     /// # Errors
-    /// What is missing or damaged, or data that are others than the model's.
+    /// If files are missing or damaged, or if the data do not fit the model.
     pub fn open(path: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let (folder, model) = if path.is_dir() {
             (path.to_owned(), path.join(MODEL_FILE))
@@ -149,7 +148,7 @@ impl Side {
                 (Frame::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
             }
             (None, None) => {
-                let what = format!("is no run folder: there is neither {MODEL_FILE} nor {PIPELINE} in it");
+                let what = format!("not a run folder: neither {MODEL_FILE} nor {PIPELINE} found");
                 return Err(Error::input(path, what));
             }
         };
@@ -166,29 +165,29 @@ impl Side {
         })
     }
 
-    /// The room that simulated data come from, as the text of a scene.
+    /// Scene of simulated data, as text.
     pub fn scene(&self) -> Option<&str> {
         self.known.as_ref()?.data.simulation.as_ref()?.scene.as_deref()
     }
 
-    /// Shows surfaces too: corners of triangles `[T,3,3]`, metres, world frame.
+    /// Sets the displayed surfaces: corners of triangles `[T,3,3]`, metres, world frame.
     pub fn set_surfaces(&mut self, surfaces: Vec<[[f64; 3]; 3]>) {
         self.surfaces = surfaces;
     }
 
-    /// A floor that learned from the data of another side.
+    /// Fits a baseline to the data of another side.
     ///
     /// # Errors
-    /// Where there are no data, or it cannot learn from them.
+    /// If the other side has no data, or the baseline does not support them.
     pub fn floor(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
         let Some(known) = &beside.known else {
-            let what = "a floor learns from the data of a run, and beside this model is no pipeline that names them";
+            let what = "baseline: needs the data of a run, but no pipeline is next to this model; name a run folder";
             return Err(Error::Config(what.into()));
         };
         let task = known.data.task();
         let name = baseline.name_for(task);
         if !baseline.supports(task) {
-            return Err(Error::Config(format!("{name} is no baseline of {}", task.plural)));
+            return Err(Error::Config(format!("baseline {name}: not available for {}", task.plural)));
         }
         let fitted = Fitted::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
         Ok(Self {
@@ -201,12 +200,12 @@ impl Side {
         })
     }
 
-    /// What predicts now; nothing before the first checkpoint of a run.
+    /// Current predictor; none before the first checkpoint of a run.
     pub(crate) fn predictor(&self) -> Option<Arc<Predictor>> {
         self.predictor.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Reads the model again, or the checkpoint of a run under way. Whether it is finished.
+    /// Reads the model or the checkpoint again; returns whether the run is finished.
     pub(crate) fn reload(&self) -> Result<bool> {
         let (Some(folder), Some(known)) = (&self.folder, &self.known) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);
@@ -216,7 +215,7 @@ impl Side {
         Ok(finished)
     }
 
-    /// Refuses a side that is about something else than `other`.
+    /// Checks that this side predicts the same quantity, for the same receivers, as `other`.
     pub(crate) fn check_beside(&self, other: &Self) -> Result<()> {
         let (a, b) = (&self.frame, &other.frame);
         let places = |frame: &Frame| -> Vec<_> {
@@ -226,7 +225,7 @@ impl Side {
             || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
             || places(a) != places(b)
         {
-            let what = "predict other things, or for other receivers; compare models of the same data";
+            let what = "differ in task, receivers or image size; compare models of the same data";
             return Err(Error::Config(format!("{} and {} {what}", other.name, self.name)));
         }
         Ok(())
@@ -245,7 +244,7 @@ impl Known {
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }
 
-    /// The model as the last checkpoint of a run in `folder` has it; nothing before the first.
+    /// Model of the last checkpoint in `folder`; none before the first.
     fn checkpoint(&self, folder: &Path) -> Result<Option<Predictor>> {
         let path = folder.join(CHECKPOINT);
         let Some(bytes) = files::if_found(&path, files::read(&path))? else { return Ok(None) };
@@ -255,7 +254,7 @@ impl Known {
     }
 }
 
-/// The first metric of the model for each link; NaN where it was not scored.
+/// First metric of the model per link; NaN for links without a score.
 fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     let table = Facts::read(folder).ok().flatten().and_then(|facts| facts.scores);
     let read = table.and_then(|table| Scores::read(&folder.join(SCORES), table).ok());
@@ -263,15 +262,15 @@ fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     (0..data.len()).map(|i| of.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
 }
 
-/// Steps, and whether it has ended, of a run folder.
+/// Facts of a run folder, if present.
 pub(crate) fn facts(folder: &Path) -> Option<Facts> {
     Facts::read(folder).ok().flatten()
 }
 
-/// How often a run under way is looked at.
+/// Interval between checks of a run in progress.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// What a server shows.
+/// State of the server.
 pub(crate) struct House {
     pub(crate) sides: Vec<Side>,
     watched: AtomicBool,
@@ -302,19 +301,19 @@ impl House {
         house
     }
 
-    /// Somebody looks at the page until what this gives is dropped.
+    /// Registers an open page, until the returned watcher is dropped.
     pub(crate) fn watch(self: &Arc<Self>) -> (broadcast::Receiver<String>, Watcher) {
         self.watched.store(true, Ordering::Relaxed);
         self.watchers.fetch_add(1, Ordering::Relaxed);
         (self.news.subscribe(), Watcher(Arc::clone(self)))
     }
 
-    /// Whether anybody has looked, and how many do.
+    /// Whether a page was ever opened, and the number of open pages.
     pub(crate) fn watchers(&self) -> (bool, usize) {
         (self.watched.load(Ordering::Relaxed), self.watchers.load(Ordering::Relaxed))
     }
 
-    /// Tells of what has changed in the folder of a run under way; whether it has ended.
+    /// Sends an event if the folder of a run in progress changed; returns whether the run is finished.
     fn follow(&self, side: usize, folder: &Path, seen: &mut [Option<SystemTime>; 2]) -> bool {
         let changed = |name: &str| std::fs::metadata(folder.join(name)).and_then(|file| file.modified()).ok();
         let now = [changed(CURVE), changed(MODEL_FILE).or_else(|| changed(CHECKPOINT))];
@@ -337,7 +336,7 @@ impl House {
     }
 }
 
-/// Counts one who looks.
+/// Registration of an open page.
 pub(crate) struct Watcher(Arc<House>);
 
 impl Drop for Watcher {

@@ -1,4 +1,4 @@
-//! Arrays for the page: room, Gaussians, predictions, what was observed.
+//! Arrays for the page: room, Gaussians, predictions and measurements.
 
 use super::{Asked, Refusal};
 use crate::side::{House, Known, Predictor, Side};
@@ -14,17 +14,17 @@ use pwrfgs_report::live::{self, Pack};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
-/// Surface points that a page shows at most.
+/// Maximum number of surface points on the page.
 const POINTS: usize = 8_000;
-/// Rows of the curve that a page shows at most.
+/// Maximum number of rows of the curve on the page.
 const ROWS: usize = 600;
-/// Distance of a position from itself after a page has rounded it, metres.
+/// Tolerance for positions that the page has rounded, metres.
 const SAME_PLACE: f64 = 1e-3;
-/// Places across the longer side of a radio map.
+/// Number of positions along the longer side of a radio map.
 const ACROSS: usize = 60;
 
 pub(super) fn pack(path: &str, asked: &Asked, house: &House) -> Result<Pack, Refusal> {
-    let side = house.sides.get(asked.side).ok_or_else(|| wrong("there is no such side"))?;
+    let side = house.sides.get(asked.side).ok_or_else(|| wrong("query parameter `side`: no such side"))?;
     match path {
         "room" => Ok(room(side, house)),
         "gaussians" => gaussians(side, asked),
@@ -32,7 +32,7 @@ pub(super) fn pack(path: &str, asked: &Asked, house: &House) -> Result<Pack, Ref
         "link" => link(side, asked),
         "map" => map(side, asked),
         "curve" => Ok(curve(side)),
-        _ => Err((StatusCode::NOT_FOUND, "there is nothing here".into())),
+        _ => Err((StatusCode::NOT_FOUND, "not found".into())),
     }
 }
 
@@ -41,11 +41,11 @@ fn wrong(why: &str) -> Refusal {
 }
 
 fn known(side: &Side) -> Result<&Arc<Known>, Refusal> {
-    side.known.as_ref().ok_or_else(|| wrong("there are no data beside this model"))
+    side.known.as_ref().ok_or_else(|| wrong("no data next to this model"))
 }
 
 fn predictor(side: &Side) -> Result<Arc<Predictor>, Refusal> {
-    side.predictor().ok_or((StatusCode::SERVICE_UNAVAILABLE, "there is no model before the first checkpoint".into()))
+    side.predictor().ok_or((StatusCode::SERVICE_UNAVAILABLE, "no model before the first checkpoint".into()))
 }
 
 fn room(side: &Side, house: &House) -> Pack {
@@ -64,7 +64,7 @@ fn room(side: &Side, house: &House) -> Pack {
     pack
 }
 
-/// What a page says of a side.
+/// Description of a side for the page.
 fn about(side: &Side) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
@@ -88,11 +88,11 @@ fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let origin = live::origin(&side.frame, side.known.as_ref().map(|known| &*known.data));
     if let Some(k) = asked.moment {
         let all = moments(side);
-        let (_, snapshot) = all.get(k).ok_or_else(|| wrong("there is no such moment"))?;
+        let (_, snapshot) = all.get(k).ok_or_else(|| wrong("query parameter `moment`: no such snapshot"))?;
         return Ok(moment(snapshot, origin));
     }
     let predictor = predictor(side)?;
-    let ensemble = predictor.ensemble().ok_or_else(|| wrong("a floor has no Gaussians"))?;
+    let ensemble = predictor.ensemble().ok_or_else(|| wrong("baselines have no Gaussians"))?;
     let mut pack = live::gaussians(ensemble, origin, asked.tx);
     if let Some(tx) = asked.tx.filter(|_| asked.with == "contribution") {
         let all = contributions(ensemble, tx, receiver(side, asked)?);
@@ -101,8 +101,8 @@ fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     Ok(pack)
 }
 
-/// What each Gaussian of all members adds to what `receiver` observes of a transmitter at `tx`: the sum of its blending
-/// weights times its strength where Gaussians are blended, opacity times strength elsewhere.
+/// Contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`: strength times
+/// the sum of blending weights if Gaussians are blended, else strength times opacity.
 fn contributions(ensemble: &Ensemble, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     ensemble.members().iter().flat_map(|model| contributions_of(model, tx, receiver)).collect()
 }
@@ -128,8 +128,7 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     strengths.iter().zip(&seen.weight).map(|(s, w)| s * w).collect()
 }
 
-/// The Gaussians of a snapshot, metres from `origin`: means and opacities, and where the file knows them scales, rotations,
-/// gates, and who they are.
+/// Gaussians of a snapshot, metres from `origin`: means and opacities and, if stored, scales, rotations, gates and IDs.
 fn moment(snapshot: &Snapshot, origin: Origin) -> Pack {
     let n = snapshot.means.len();
     let mut pack = Pack::new(json!({ "gaussians": n, "step": snapshot.step }));
@@ -150,11 +149,11 @@ fn moment(snapshot: &Snapshot, origin: Origin) -> Pack {
 
 fn receiver(side: &Side, asked: &Asked) -> Result<usize, Refusal> {
     let count = side.frame.receivers.len();
-    if asked.receiver < count { Ok(asked.receiver) } else { Err(wrong("there is no such receiver")) }
+    if asked.receiver < count { Ok(asked.receiver) } else { Err(wrong("query parameter `receiver`: no such receiver")) }
 }
 
-/// What is observed of a transmitter: at the receiver asked for, of powers at all of them; and how far that is from what was
-/// observed of the nearest one.
+/// Prediction for a transmitter at the requested receiver (powers: at all receivers), and its score against the nearest
+/// measurement.
 fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let (predictor, receiver, task) = (predictor(side)?, receiver(side, asked)?, side.frame.task);
     let known = side.known.as_deref();
@@ -162,11 +161,11 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let query = match (asked.tx, asked.link, known) {
         (Some(tx), _, _) if by_position => Query::at(tx, receiver),
         (_, Some(i), Some(known)) if i < known.data.len() => known.data.query(i),
-        _ => return Err(wrong("say where: tx=x,y,z, or link=k of the data")),
+        _ => return Err(wrong("no position; set tx=x,y,z, or link=k of the data")),
     };
     let found = predictor.predict(query);
     let (width, height) = (found.image.width, found.image.height);
-    // The sample that was asked for, also where another one has the same position.
+    // The requested sample, even if another sample has the same position.
     let is_asked = |known: &Known, i: usize| {
         let sample = known.data.sample(i);
         asked.tx.is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.tx, tx) < SAME_PLACE)
@@ -179,7 +178,7 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let mut pack = Pack::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
     if let (Some((i, metres)), Some(known)) = (nearest, known) {
         let set = known.partition.set_of(i);
-        // A baseline stores what it learned from: against that it would be perfect.
+        // A baseline stores its training samples: its error on them would be zero.
         let learned = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
         let value = (!learned).then(|| task.score(&found.image, &known.data.image(i)));
         pack.note["nearest"] =
@@ -206,7 +205,7 @@ fn strongest(side: &Side, image: &Image) -> Value {
     angles.map_or(Value::Null, |(azimuth, elevation)| json!([azimuth, elevation]))
 }
 
-/// The link of the nearest transmitter that this receiver heard, and how far it is.
+/// Link of the nearest transmitter received by `receiver`, with its distance in metres.
 fn nearest(known: &Known, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
     let heard = known.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
     let all = heard.map(|(i, sample)| (i, neighbours::distance(sample.tx, tx)));
@@ -215,7 +214,7 @@ fn nearest(known: &Known, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)>
 
 fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let known = known(side)?;
-    let i = asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("there is no such link"))?;
+    let i = asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("query parameter `link`: no such link"))?;
     let image = known.data.image(i);
     let mut pack = Pack::new(json!({ "strongest": strongest(side, &image) }));
     if side.frame.task.is_scalar {
@@ -229,12 +228,12 @@ fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     Ok(pack)
 }
 
-/// What a receiver hears of a transmitter anywhere on a plane: dBm, or dB of the mean power of a channel.
+/// Radio map on a plane at one receiver: power in dBm, or mean power of a channel in dB.
 fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let (predictor, receiver) = (predictor(side)?, receiver(side, asked)?);
-    let z = asked.z.ok_or_else(|| wrong("say the height: z=1.2"))?;
+    let z = asked.z.ok_or_else(|| wrong("no height; set z=1.2"))?;
     if side.frame.task.has_pixels {
-        return Err(wrong("a map is of powers or channels"));
+        return Err(wrong("maps: not available for spectra, only for powers and channels"));
     }
     let data = &known(side)?.data;
     let corners = [data.scene.bounds.0, data.scene.bounds.1].map(|corner| data.scene.origin.world(corner));
@@ -253,7 +252,7 @@ fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     Ok(pack)
 }
 
-/// Step, loss and N of the training so far.
+/// Step, loss and N of the training.
 fn curve(side: &Side) -> Pack {
     let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&folder.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
@@ -265,7 +264,7 @@ fn curve(side: &Side) -> Pack {
     pack
 }
 
-/// Titles and snapshots; a damaged one is left out.
+/// Titles and snapshots; damaged snapshots are omitted.
 fn moments(side: &Side) -> Vec<(String, Snapshot)> {
     let Some(folder) = &side.folder else { return Vec::new() };
     let found = snapshots().filter_map(|(name, what)| {
