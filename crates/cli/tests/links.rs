@@ -53,7 +53,7 @@ fn powers_are_reported_predicted_mapped_and_exported() {
     hall(here);
     let page = page_of(&here.join("run"));
     for words in
-        ["Where the errors are", "Receiver by receiver", "a map a receiver", "predicted, dBm", ">south<", "test links"]
+        ["<h2>Errors</h2>", "Scores per receiver", "one map per receiver", "predicted, dBm", ">south<", "test links"]
     {
         assert!(page.contains(words), "`{words}` is not in the page");
     }

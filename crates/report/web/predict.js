@@ -347,18 +347,18 @@ export class Predictor {
   static refuses({ note }) {
     const { kind, receivers } = note?.links ?? {};
     const plain = note?.format === "pwrfgs-model" && kind === "Spectrum" && receivers.length === 1;
-    if (!plain || !note.method.startsWith("Splatting(")) return "it is no single model of splatted spectra";
+    if (!plain || !note.method.startsWith("Splatting(")) return "not a single model of splatted spectra";
     const { deformation, projector, rasterizer } = parseRon(note.method);
-    if (!DEFORMATIONS[deformation[""]]) return `its deformation is ${deformation[""]}`;
-    if (!["Mercator", "WrfgsCompat"].includes(projector[""])) return `its projector is ${projector[""]}`;
-    if (!["AlphaBlending", "ArrayResponse"].includes(rasterizer[""])) return `its rasterizer is ${rasterizer[""]}`;
+    if (!DEFORMATIONS[deformation[""]]) return `unsupported deformation ${deformation[""]}`;
+    if (!["Mercator", "WrfgsCompat"].includes(projector[""])) return `unsupported projector ${projector[""]}`;
+    if (!["AlphaBlending", "ArrayResponse"].includes(rasterizer[""])) return `unsupported rasterizer ${rasterizer[""]}`;
     return null;
   }
 
   /** Works out once what no transmitter changes. */
   constructor(file) {
     const why = Predictor.refuses(file);
-    if (why) throw new Error(`this model cannot be predicted in the page: ${why}`);
+    if (why) throw new Error(`the page cannot predict with this model: ${why}`);
     const { note } = file;
     const column = (name) => file.get(`gaussians.${name}`);
     const { deformation: settings, projector, rasterizer, calibration, readout } = parseRon(note.method);

@@ -585,7 +585,7 @@ function roomProgram(gl, vertex, fragment) {
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader)).join(" ");
-    throw new Error(`a shader of the room: ${gl.getProgramInfoLog(program)} ${logs}`);
+    throw new Error(`cannot compile a shader of the 3D view: ${gl.getProgramInfoLog(program)} ${logs}`);
   }
   return program;
 }

@@ -23,10 +23,10 @@ class StageSide {
     this.find("name").textContent = stage.abouts.length > 1 ? about.name : "";
     this.numbers = this.find("numbers");
     const canvas = this.find("room");
-    canvas.setAttribute("aria-label", `The room in three dimensions, ${about.name}: arrow keys move the transmitter`);
+    canvas.setAttribute("aria-label", `3D view of the room, ${about.name}: arrow keys move the transmitter`);
     stage.find("sides").append(article);
     this.room = openRoom(canvas);
-    if (!this.room) canvas.replaceWith("This browser draws nothing in three dimensions (WebGL2 is missing).");
+    if (!this.room) canvas.replaceWith("3D view not available: this browser does not support WebGL2.");
     this.figures = {};
     this.gaussians = null;
   }
@@ -42,8 +42,8 @@ class StageSide {
       this.find("pictures").append(figure);
       const [map, sky] = [figure.querySelector("[data-map]"), figure.querySelector("[data-sky]")];
       map.setAttribute("role", "img");
-      map.setAttribute("aria-label", `${title}, as a map of azimuth and elevation`);
-      sky.setAttribute("aria-label", `${title}, as the sky over the receiver`);
+      map.setAttribute("aria-label", `${title}, map of azimuth and elevation`);
+      sky.setAttribute("aria-label", `${title}, sky above the receiver`);
       sky.setAttribute("role", "img");
       const view = palette ? new SpectrumView(map, sky, this.stage.note.plane, palette, low, high) : null;
       if (!view) sky.remove();
@@ -112,10 +112,10 @@ class StageSide {
       this.figure("measured", title, palettes.power, 0, 1).view.draw(measured, [theirs], ink);
       this.difference ??= new Float32Array(picture.length);
       for (let i = 0; i < picture.length; i++) this.difference[i] = Math.min(1, Math.max(0, picture[i])) - measured[i];
-      this.figure("difference", "Predicted − that, from −0.5 to 0.5", palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
+      this.figure("difference", "Predicted − measured, −0.5 to 0.5", palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
     }
     if (found.has("deviation")) {
-      const title = "Spread of the members, from 0 to 0.5";
+      const title = "Spread of the members, 0 to 0.5";
       this.figure("spread", title, palettes.power, 0, 0.5).view.draw(found.get("deviation"), [], ink);
     }
   }
@@ -123,7 +123,7 @@ class StageSide {
   showPowers(found, truth) {
     const points = (values) => Array.from(values, (dbm, k) => [k + 1, dbm]);
     const lines = [{ points: points(found.get("powers")), colour: PREDICTED_LINE, dots: true, dash: [4, 3], name: "× predicted" }];
-    if (truth) lines.push({ points: points(truth.get("powers")), colour: MEASURED_LINE, dots: true, name: "○ nearest observed" });
+    if (truth) lines.push({ points: points(truth.get("powers")), colour: MEASURED_LINE, dots: true, name: "○ nearest measurement" });
     const { map } = this.figure("powers", "Received power", null);
     drawChart(map, { x: "receiver", y: "dBm", lines }, this.stage.ink);
   }
@@ -132,13 +132,13 @@ class StageSide {
     const { plane, frequencies_hz: hz } = this.stage.note;
     const curves = (pack) => channelCurves(pack.get("picture"), plane.height, plane.width, hz);
     const both = [[curves(found), PREDICTED_LINE, [6, 4], "- - predicted"]];
-    if (truth) both.push([curves(truth), MEASURED_LINE, [], "— nearest observed"]);
+    if (truth) both.push([curves(truth), MEASURED_LINE, [], "— nearest measurement"]);
     const lines = (key) => both.map(([curve, colour, dash, name]) => ({ points: curve[key], colour, dash, name }));
     const dots = (all) => (both[0][0].magnitude.length === 1 ? all.map((line) => ({ ...line, dots: true })) : all);
     const magnitude = this.figure("magnitude", "Magnitude", null);
     drawChart(magnitude.map, { x: both[0][0].over, y: "dB", lines: dots(lines("magnitude")) }, this.stage.ink);
     if (!both[0][0].delays.length) return;
-    const delays = this.figure("delays", "Power over delay", null);
+    const delays = this.figure("delays", "Power delay profile", null);
     drawChart(delays.map, { x: "ns", y: "dB", lines: lines("delays") }, this.stage.ink);
   }
 
@@ -168,8 +168,8 @@ class StageSide {
     const rows = Array.from({ length: curve.length / 3 }, (_, k) => curve.subarray(3 * k, 3 * k + 3));
     const line = (k, colour) => [{ points: rows.map((row) => [row[0], k === 1 ? Math.log10(row[k]) : row[k]]), colour }];
     const { ink } = this.stage;
-    drawChart(this.figure("loss", "Loss of the training", null).map, { x: "step", y: "log10 of the loss", lines: line(1, PREDICTED_LINE) }, ink);
-    drawChart(this.figure("count", "Gaussians of the training", null).map, { x: "step", y: "N", lines: line(2, MEASURED_LINE) }, ink);
+    drawChart(this.figure("loss", "Training loss", null).map, { x: "step", y: "log10 loss", lines: line(1, PREDICTED_LINE) }, ink);
+    drawChart(this.figure("count", "Number of Gaussians", null).map, { x: "step", y: "N", lines: line(2, MEASURED_LINE) }, ink);
   }
 }
 
@@ -206,7 +206,7 @@ export class Stage {
     this.root.hidden = false;
     this.palettes = { power: paletteOf(this.known.get("colours.power")), error: paletteOf(this.known.get("colours.error")) };
     this.find("title").textContent = this.note.title ?? this.abouts[0].name;
-    const word = this.note.simulated === undefined ? "no data beside the model" : this.note.simulated ? "simulated data" : "measured data";
+    const word = this.note.simulated === undefined ? "no data next to the model" : this.note.simulated ? "simulated data" : "measured data";
     this.find("tag").textContent = word;
     this.find("sides").classList.toggle("stage-two", this.abouts.length > 1);
     this.sides = this.abouts.map((about, place) => new StageSide(this, place, about));
@@ -216,7 +216,7 @@ export class Stage {
     this.listenToRooms();
     this.setTheme();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.setTheme());
-    this.source.listen((news) => this.hear(news).catch((error) => this.say(error.message)), () => this.say("The program behind this page has ended."));
+    this.source.listen((news) => this.hear(news).catch((error) => this.say(error.message)), () => this.say("The server of this page has stopped."));
     await this.refresh();
     this.root.dataset.ready = "yes";
   }
@@ -301,8 +301,8 @@ export class Stage {
     this.root.querySelectorAll("[data-of-gaussians]").forEach((own) => (own.hidden = !some));
     const all = [["opacity", "opacity"]];
     if (this.byPosition) all.push(["strength", "strength for this transmitter"]);
-    if (this.byPosition && this.source.map) all.push(["contribution", "contribution to this picture"]);
-    if (this.abouts.some((about) => about.moments?.length)) all.push(["fate", "who goes next"], ["mask", "mask"]);
+    if (this.byPosition && this.source.map) all.push(["contribution", "contribution to this prediction"]);
+    if (this.abouts.some((about) => about.moments?.length)) all.push(["fate", "removed next"], ["mask", "mask"]);
     this.find("colour").replaceChildren(...all.map(([value, text]) => new Option(text, value)));
     this.find("colour").value = this.colouring;
   }
@@ -320,7 +320,7 @@ export class Stage {
     const about = this.abouts.find((own) => own.moments?.length) ?? this.abouts[0];
     const at = this.moment === null ? null : about.moments?.[this.moment];
     const n = at ? at.gaussians : about.gaussians;
-    const title = at ? at.title : about.running ? "Now" : "In the end";
+    const title = at ? at.title : about.running ? "Current" : "Final";
     this.find("moment-title").textContent = n === null ? title : `${title}: N = ${n.toLocaleString("en")}`;
     this.find("moment").setAttribute("aria-valuetext", this.find("moment-title").textContent);
   }
@@ -367,7 +367,7 @@ export class Stage {
   step(by, order = this.find("order").value) {
     const links = this.ordered(order);
     if (!links.length) {
-      this.say("No sample has a score yet.");
+      this.say("No sample has a score.");
       return;
     }
     const at = by === 0 ? 0 : links.indexOf(this.link) + by;
@@ -428,16 +428,16 @@ export class Stage {
     const by = this.find("samples").value;
     const parts = PART_NAMES.map((name, k) => mark(PART_COLOURS[k], name)).filter((_, k) => this.parts.includes(k));
     const all = by === "part" ? ["Transmitters:", ...parts.flat()] : [];
-    if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test part:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
-    if (this.colouring === "fate" && this.moment !== null) all.push(" · Gaussians:", ...mark(GOES, "gone in the next moment"), ...mark(STAYS, "stay"));
+    if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test set:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
+    if (this.colouring === "fate" && this.moment !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
     else if (this.abouts.some((about) => about.gaussians)) all.push(` · Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
       const { unit } = this.note;
-      all.push(` · Squares: what ${this.note.receivers[this.receiver].name} hears of a transmitter there at this height,`);
+      all.push(` · Squares: prediction at ${this.note.receivers[this.receiver].name} for a transmitter at this height,`);
       all.push(...mark(this.rgb(0), `${low} ${unit}`), ...mark(this.rgb(255), `${high} ${unit}`));
     }
-    all.push(" · Receivers:", ...mark([213, 94, 0], "with their boresight"));
+    all.push(" · Receivers:", ...mark([213, 94, 0], "with boresight"));
     this.find("legend").replaceChildren(...all);
   }
 
@@ -589,15 +589,15 @@ export class Stage {
     if (note.nearest) {
       const { score, link, metres, part, learned } = note.nearest;
       const value = Number.isFinite(score) ? chartNumber(Number(score.toFixed(3))) : "n/a";
-      const scored = learned ? "not scored: the baseline learned from" : `${this.note.score.name} ${value} against`;
+      const scored = learned ? "not scored: the baseline was fitted to" : `${this.note.score.name} ${value} against`;
       parts.push(`${scored} sample ${this.ids[link]} (${PART_NAMES[part]}), ${metres.toFixed(2)} m away`);
     }
     if (note.strongest) {
-      const other = truth?.note.strongest ? ` (there ${degrees(truth.note.strongest)})` : "";
+      const other = truth?.note.strongest ? ` (measured ${degrees(truth.note.strongest)})` : "";
       parts.push(`strongest at ${degrees(note.strongest)}${other}`);
     }
-    if (has("deviation")) parts.push(`mean spread of the members ${note.spread.toFixed(3)}`);
-    parts.push(`predicted in ${note.ms.toFixed(2)} ms`);
+    if (has("deviation")) parts.push(`mean spread ${note.spread.toFixed(3)}`);
+    parts.push(`latency ${note.ms.toFixed(2)} ms`);
     return parts.join(" · ");
   }
 

@@ -6,7 +6,7 @@ export function readTensors(file) {
   const bytes = file instanceof Uint8Array ? file : new Uint8Array(file);
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const length = bytes.length < 8 ? Infinity : Number(view.getBigUint64(0, true));
-  if (length > bytes.length - 8) throw new Error("not a whole safetensors file");
+  if (length > bytes.length - 8) throw new Error("incomplete safetensors file");
   const header = JSON.parse(new TextDecoder().decode(bytes.subarray(8, 8 + length)));
   const note = JSON.parse(header.__metadata__?.pwrfgs ?? "null");
   delete header.__metadata__;
@@ -18,10 +18,10 @@ export function readTensors(file) {
 const TENSOR_TYPES = { F32: Float32Array, F64: Float64Array, U8: Uint8Array, F16: Uint16Array };
 
 function tensorOf(entry, data, name) {
-  if (!entry) throw new Error(`there is no tensor ${name}`);
+  if (!entry) throw new Error(`no tensor ${name}`);
   const type = TENSOR_TYPES[entry.dtype];
   const [from, to] = entry.data_offsets;
-  if (!type || to > data.length) throw new Error(`the tensor ${name} is damaged, or of a type that is not read`);
+  if (!type || to > data.length) throw new Error(`tensor ${name}: damaged or of an unsupported type`);
   const own = data.slice(from, to); // a copy of its own begins where every type may begin
   const values = new type(own.buffer, own.byteOffset, own.byteLength / type.BYTES_PER_ELEMENT);
   return entry.dtype === "F16" ? Float32Array.from(values, widenHalf) : values;
