@@ -1,5 +1,5 @@
-//! Command line of pwrfgs: arguments, progress, exit codes. [`main`] is the whole program: a program with further plugins
-//! is `use my_plugin as _;` and a call.
+//! Command line of pwrfgs: arguments, progress, exit codes. [`main`] is the whole program: a program with further
+//! plugins is `use my_plugin as _;` and a call.
 //!
 //! Exit codes: 0 done; 1 failed (disk full, numbers not finite); 2 invalid input; 130 interrupted.
 
@@ -97,8 +97,9 @@ fn set_threads(count: Option<usize>) -> pwrfgs_core::Result<()> {
 
 /// Configures the allocator to keep freed memory for the next step.
 ///
-/// A step of 50,000 Gaussians allocates about 100 MB. By default, the C library returns blocks of that size to the system
-/// and the kernel clears them again, which takes 15 % of the processor time (measured); with this setting it takes 2 %.
+/// A step of 50,000 Gaussians allocates about 100 MB. By default, the C library returns blocks of that size to the
+/// system and the kernel clears them again, which takes 15 % of the processor time (measured); with this setting it
+/// takes 2 %.
 fn keep_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

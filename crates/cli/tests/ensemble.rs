@@ -156,7 +156,10 @@ fn a_joined_sweep_is_scored_and_saved_as_one_model() {
 
     assert!(stdout(&succeed(here, &["evaluate", "runs/both/joined/model.safetensors"])).contains("member wide-0"));
     let study = stdout(&succeed(here, &["report", "runs/both", "--out", "compared"]));
-    assert!(study.contains("5-NN (floor)") && !study.contains("small-0 (floor)"), "members are no floors: {study}");
+    assert!(
+        study.contains("5-NN (baseline)") && !study.contains("small-0 (baseline)"),
+        "members are no baselines: {study}"
+    );
     assert!(study.contains("joined") && study.contains("net wide"), "{study}");
 
     is_exported_whole(here, "runs/both/joined/model.safetensors");

@@ -179,7 +179,7 @@ fn sweeps_of_powers_are_compared_by_their_error() {
         |(k, part): (usize, &str)| if k == 0 { part.to_owned() } else { part.split('"').skip(1).collect() };
     let table: String = page.split("base64,").enumerate().map(without_pictures).collect();
     for words in
-        ["error", "mean [dB]", "bad tail [dB]", "1-NN (floor)", "Δ error", "test links", "How errors are spread"]
+        ["error", "mean [dB]", "90th percentile [dB]", "1-NN (baseline)", "Δ error", "test links", "Error distribution"]
     {
         assert!(table.contains(words), "`{words}` is not in {table}");
     }

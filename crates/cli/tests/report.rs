@@ -53,7 +53,7 @@ fn runs_become_a_report() {
     let arguments: Vec<&str> = ["report", "-q"].into_iter().chain(RUNS).chain(["runs/begun", RUNS[0]]).collect();
     let said = stdout(&succeed(here, &arguments));
     for words in
-        ["simulated", "whole", "half_grid", "3-NN (floor)", "±", "Δ SSIM", "left out: runs/begun: has not finished"]
+        ["simulated", "whole", "half_grid", "3-NN (baseline)", "±", "Δ SSIM", "left out: runs/begun: not finished"]
     {
         assert!(said.contains(words), "`{words}` is not in: {said}");
     }
@@ -191,7 +191,7 @@ fn damaged_runs_are_told(here: &Path) {
         std::fs::remove_dir_all(here.join("again/figures")).unwrap();
         write(&here.join("mine/1-room.svg"), "mine");
         std::os::unix::fs::symlink(here.join("mine"), here.join("again/figures")).unwrap();
-        refuse(here, &["report", "runs/whole-1", "-q", "--out", "again"], 2, &["again/figures is a symbolic link"]);
+        refuse(here, &["report", "runs/whole-1", "-q", "--out", "again"], 2, &["again/figures: symbolic link"]);
         assert_eq!(std::fs::read(here.join("mine/1-room.svg")).unwrap(), b"mine");
     }
 }

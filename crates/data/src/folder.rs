@@ -33,8 +33,12 @@ fn how_to_get(plugin: &str) -> &'static str {
         "Nerf2Spectrum" | "Nerf2Rssi" => {
             "download the measured data: https://github.com/XPengZhao/NeRF2, see docs/data.md#get-measured-data"
         }
-        "Channels" => "get the channels of NeWRF: https://github.com/LuHaofan/NeWRF, see docs/data.md#get-measured-data",
-        "Nerf2Csi" => "simulate the data with `pwrfgs simulate SCENE --layout csi --out DIR`, see docs/data.md#simulate",
+        "Channels" => {
+            "get the channels of NeWRF: https://github.com/LuHaofan/NeWRF, see docs/data.md#get-measured-data"
+        }
+        "Nerf2Csi" => {
+            "simulate the data with `pwrfgs simulate SCENE --layout csi --out DIR`, see docs/data.md#simulate"
+        }
         _ => "import your spectra with `pwrfgs import`, see docs/data.md#your-own-spectra",
     }
 }

@@ -1,6 +1,6 @@
 //! Score table as text for a terminal.
 
-use crate::scores::{CEILING, Cell, MetricRow, ScoreTable};
+use crate::scores::{CEILING, Cell, ScoreTable};
 use crate::text::{aligned, grouped, number};
 
 impl ScoreTable {
@@ -31,7 +31,11 @@ impl ScoreTable {
         for row in &self.metrics {
             let arrow = if row.higher_is_better { "↑" } else { "↓" };
             let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
-            let statistics: &[&str] = if row.is_per_sample() { &["mean", "median", "bad tail"] } else { &[""] };
+            let statistics: &[&str] = match (row.is_per_sample(), row.higher_is_better) {
+                (false, _) => &[""],
+                (true, true) => &["mean", "median", "10th percentile"],
+                (true, false) => &["mean", "median", "90th percentile"],
+            };
             for (k, statistic) in statistics.iter().enumerate() {
                 let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
                 let ranks = self.ranks(row, k);
@@ -45,14 +49,10 @@ impl ScoreTable {
             }
         }
         let things = self.task.counted[1];
-        let tail = format!("bad tail: 10 % of the {things} have this value or a worse one");
         let bound = format!("† oracle baseline: uses the scene of the simulated {things}; not ranked");
-        let own = [
-            self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
-            (!self.bounds.is_empty()).then_some(bound),
-        ];
+        let own = (!self.bounds.is_empty()).then_some(bound);
         let pairs = self.paired.as_ref().map(|paired| paired.note(self.task));
-        let notes = own.iter().flatten().chain(&pairs).chain(&self.notes);
+        let notes = own.iter().chain(&pairs).chain(&self.notes);
         let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
         let differences =
             self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.bounds), 1) + "\n");

@@ -1,8 +1,8 @@
-//! `Canvas`: a picture as a list of a few shapes, which writes itself as SVG, PNG and PDF.
+//! `Canvas`: a drawing as a list of a few shapes, written as SVG, PNG and PDF.
 //!
-//! Charts, rooms, skies and sheets all draw here, and all outputs are made from the same list, so they agree. None of
-//! them reads anything from outside: the only pictures in a picture are pixels in memory.
-//! Lengths are SVG units, of which a column of print has 380; y points down.
+//! Charts, rooms, skies and sheets draw on it. All formats are written from the same list, so they agree. Nothing is
+//! loaded from outside: images in a drawing are pixels in memory. Lengths are SVG units; a print column is 380 wide. y
+//! points down.
 
 mod font;
 mod pdf;
@@ -13,35 +13,35 @@ pub use font::{cut, text_width, wrapped};
 use pwrfgs_core::words;
 pub use svg::xml;
 
-/// Height of text: 7.5 pt where a column of 380 is 3.5 in wide.
+/// Text height: 7.5 pt if a column of 380 is 3.5 in wide.
 pub const TEXT: f64 = 11.3;
-/// Height of a line of text.
+/// Line height of text.
 pub const LINE: f64 = 14.0;
 
-/// Across and down.
+/// Point: horizontal and vertical coordinate.
 pub type Point = [f64; 2];
 
-/// A colour and how much it covers, 0 to 1.
+/// Colour with opacity from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Colour {
     /// Red, green and blue.
     pub rgb: [u8; 3],
-    /// 0 where nothing shows.
+    /// Opacity; 0 is transparent.
     pub opacity: f64,
 }
 
 impl Colour {
-    /// From `0xrrggbb`.
+    /// Creates an opaque colour from `0xrrggbb`.
     pub const fn hex(rgb: u32) -> Self {
         Self { rgb: [(rgb >> 16) as u8, (rgb >> 8) as u8, rgb as u8], opacity: 1.0 }
     }
 
-    /// The same, see-through.
+    /// Returns the colour with another opacity.
     pub const fn faint(self, opacity: f64) -> Self {
         Self { opacity, ..self }
     }
 
-    /// As CSS writes it, without its opacity.
+    /// CSS notation without opacity.
     pub fn css(self) -> String {
         let [r, g, b] = self.rgb;
         format!("#{r:02x}{g:02x}{b:02x}")
@@ -50,91 +50,91 @@ impl Colour {
 
 /// Colour of text and axes.
 pub const INK: Colour = Colour::hex(0x46_4a52);
-/// The darkest there is.
+/// Black.
 pub const BLACK: Colour = Colour::hex(0x10_1318);
-/// Paper.
+/// Colour of the paper.
 pub const WHITE: Colour = Colour::hex(0xff_ffff);
 
-/// How a shape is filled and stroked.
+/// Fill and stroke of a shape.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Paint {
-    /// Within, where it is filled.
+    /// Fill colour, if filled.
     pub fill: Option<Colour>,
-    /// Along its outline, where it is stroked.
+    /// Stroke colour, if stroked.
     pub stroke: Option<Colour>,
-    /// Of the stroke.
+    /// Width of the stroke.
     pub width: f64,
-    /// Lengths of strokes and gaps in turn; nothing for a full line.
+    /// Alternating lengths of strokes and gaps; empty for a solid line.
     pub dash: &'static [f64],
-    /// Whether strokes end round: a line without length is then a dot.
+    /// Whether strokes have round ends: a line of length 0 is then a dot.
     pub round: bool,
 }
 
 impl Paint {
-    /// Filled alone.
+    /// Creates a fill without stroke.
     pub fn fill(colour: Colour) -> Self {
         Self { fill: Some(colour), ..Self::default() }
     }
 
-    /// Stroked alone.
+    /// Creates a stroke without fill.
     pub fn stroke(colour: Colour, width: f64) -> Self {
         Self { stroke: Some(colour), width, ..Self::default() }
     }
 
-    /// With this outline as well.
+    /// Adds a stroke.
     pub fn outlined(self, colour: Colour, width: f64) -> Self {
         Self { stroke: Some(colour), width, ..self }
     }
 }
 
-/// A piece of a path.
+/// Segment of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
-    /// Begin here.
+    /// Start of a subpath.
     Move(Point),
-    /// Straight on.
+    /// Straight line.
     Line(Point),
-    /// A parabola by its control point: what letters are made of.
+    /// Quadratic curve by its control point, as in letters.
     Quad(Point, Point),
-    /// Back to where it began.
+    /// Line back to the start of the subpath.
     Close,
 }
 
 /// Lines and curves that are painted together.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path(
-    /// One after another.
+    /// Segments in order.
     pub Vec<Step>,
 );
 
 impl Path {
-    /// A line through `points`.
+    /// Creates a line through `points`.
     pub fn of(points: &[Point]) -> Self {
         let mut path = Self::default();
         path.add(points);
         path
     }
 
-    /// One more line.
+    /// Adds a line.
     pub fn add(&mut self, points: &[Point]) {
         let step = |(k, p): (usize, &Point)| if k == 0 { Step::Move(*p) } else { Step::Line(*p) };
         self.0.extend(points.iter().enumerate().map(step));
     }
 
-    /// Two more lines that cross at a place, upright.
+    /// Adds an upright cross.
     pub fn add_plus(&mut self, [x, y]: Point, r: f64) {
         self.add(&[[x - r, y], [x + r, y]]);
         self.add(&[[x, y - r], [x, y + r]]);
     }
 
-    /// Two more lines that cross at a place, leaning.
+    /// Adds a diagonal cross.
     pub fn add_cross(&mut self, [x, y]: Point, r: f64) {
         self.add(&[[x - r, y - r], [x + r, y + r]]);
         self.add(&[[x + r, y - r], [x - r, y + r]]);
     }
 
-    /// Whether all of it has a place, and a stroke or an area something to cover: a line without length shows only where
-    /// its ends are round.
+    /// Whether all points are finite and the shape is visible: a line of length 0 is visible only
+    /// with round ends.
     fn shows(&self, paint: &Paint) -> bool {
         let ends = |step: &Step| match *step {
             Step::Move(p) | Step::Line(p) => Some([p, p]),
@@ -146,119 +146,119 @@ impl Path {
         self.0.len() > 1 && extended && points.iter().all(is_place)
     }
 
-    /// Back to where it began.
+    /// Closes the subpath.
     pub fn closed(mut self) -> Self {
         self.0.push(Step::Close);
         self
     }
 }
 
-/// Which part of a text stands at its place.
+/// Horizontal alignment of text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// It begins there.
+    /// Starts at the point.
     Start,
-    /// Its middle.
+    /// Centred at the point.
     Middle,
-    /// It ends there.
+    /// Ends at the point.
     End,
 }
 
-/// How text looks.
+/// Text style.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Letters {
-    /// Of the em square.
+    /// Height of the em square.
     pub size: f64,
-    /// Of all of it.
+    /// Colour of the text.
     pub colour: Colour,
 }
 
 /// Text on one line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Text {
-    /// On the base line.
+    /// Point on the base line.
     pub at: Point,
-    /// Which part of it stands there.
+    /// Alignment to the point.
     pub anchor: Anchor,
-    /// How it looks.
+    /// Text style.
     pub letters: Letters,
-    /// Whether it reads upwards.
+    /// Whether the text reads upwards.
     pub upright: bool,
-    /// What it says.
+    /// Characters.
     pub words: String,
 }
 
-/// A picture made of pixels.
+/// Raster image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pixels {
-    /// Pixels across.
+    /// Width in pixels.
     pub width: usize,
-    /// Pixels down.
+    /// Height in pixels.
     pub height: usize,
-    /// Four bytes a pixel, row by row from the top.
+    /// RGBA bytes, row by row from the top.
     pub rgba: Vec<u8>,
-    /// Whether one runs into the next.
+    /// Whether pixels are interpolated.
     pub smooth: bool,
 }
 
-/// What a picture consists of.
+/// Element of a drawing.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// Lines and curves.
     Path(Path, Paint),
-    /// Middle and radius.
+    /// Circle: centre and radius.
     Circle(Point, f64, Paint),
-    /// Words.
+    /// Text.
     Text(Text),
-    /// Corner, width and height.
+    /// Image: corner, width and height.
     Pixels(Point, Point, Pixels),
-    /// Another picture, moved by so much after it was scaled.
+    /// Another drawing, scaled and then moved.
     Group(Point, f64, Vec<Self>),
 }
 
-/// A picture under construction.
+/// Drawing under construction.
 #[derive(Clone, Debug)]
 pub struct Canvas {
-    /// Of the whole picture.
+    /// Width of the drawing.
     pub width: f64,
-    /// Of the whole picture.
+    /// Height of the drawing.
     pub height: f64,
-    /// How the next text looks.
+    /// Style of the next text.
     pub letters: Letters,
-    /// The first lies undermost.
+    /// Elements, bottom first.
     pub shapes: Vec<Shape>,
 }
 
 impl Canvas {
-    /// An empty one, with text as charts have it.
+    /// Creates an empty drawing with the text style of charts.
     pub fn new(width: f64, height: f64) -> Self {
         let letters = Letters { size: TEXT, colour: INK };
         Self { width, height, letters, shapes: Vec::new() }
     }
 
-    /// Lines and curves, unless they have no place or nothing to show.
+    /// Adds a path, unless it is invisible or not finite.
     pub fn path(&mut self, path: Path, paint: Paint) {
         if path.shows(&paint) {
             self.shapes.push(Shape::Path(path, paint));
         }
     }
 
-    /// A line through `points`.
+    /// Adds a line through `points`.
     pub fn line(&mut self, points: &[Point], paint: Paint) {
         self.path(Path::of(points), paint);
     }
 
-    /// An area within `corners`.
+    /// Adds a filled area within `corners`.
     pub fn polygon(&mut self, corners: &[Point], paint: Paint) {
         self.path(Path::of(corners).closed(), paint);
     }
 
-    /// An upright box by its corner and its size.
+    /// Adds a rectangle by its corner and size.
     pub fn rect(&mut self, [x, y]: Point, [width, height]: Point, paint: Paint) {
         self.polygon(&[[x, y], [x + width, y], [x + width, y + height], [x, y + height]], paint);
     }
 
-    /// A circle, unless it has no place or no size.
+    /// Adds a circle, unless it is not finite or has no size.
     pub fn circle(&mut self, middle: Point, radius: f64, paint: Paint) {
         if is_place(&middle) && radius.is_finite() && radius > 0.0 {
             self.shapes.push(Shape::Circle(middle, radius, paint));
@@ -272,17 +272,17 @@ impl Canvas {
         }
     }
 
-    /// Text on a base line.
+    /// Adds text on a base line.
     pub fn text(&mut self, at: Point, anchor: Anchor, words: impl AsRef<str>) {
         self.write(at, anchor, false, words.as_ref());
     }
 
-    /// Text that reads upwards, its middle at a place.
+    /// Adds text that reads upwards, centred at a point.
     pub fn upright(&mut self, at: Point, words: impl AsRef<str>) {
         self.write(at, Anchor::Middle, true, words.as_ref());
     }
 
-    /// Lines of text, the middle of all of them at the height of `at`.
+    /// Adds lines of text, centred vertically at `at`.
     pub fn lines(&mut self, [x, y]: Point, anchor: Anchor, lines: &[String]) {
         let first = y + 0.35 * self.letters.size - LINE * (lines.len() as f64 - 1.0) / 2.0;
         for (k, line) in lines.iter().enumerate() {
@@ -290,29 +290,29 @@ impl Canvas {
         }
     }
 
-    /// Pixels by the corner and the size of what they cover.
+    /// Adds an image by its corner and size.
     pub fn pixels(&mut self, at: Point, size: Point, pixels: Pixels) {
         self.shapes.push(Shape::Pixels(at, size, pixels));
     }
 
-    /// Pixels with a frame round them.
+    /// Adds an image with a frame.
     pub fn framed(&mut self, at: Point, size: Point, pixels: Pixels) {
         self.pixels(at, size, pixels);
         self.rect(at, size, Paint::stroke(INK, 0.6));
     }
 
-    /// Another picture, moved to `at` and scaled.
+    /// Adds another drawing, scaled and moved to `at`.
     pub fn put(&mut self, at: Point, scale: f64, other: &Self) {
         self.shapes.push(Shape::Group(at, scale, other.shapes.clone()));
     }
 }
 
-/// A name or a label, from files that anybody may have written: on one line, without anything that a terminal obeys.
+/// Text from untrusted files as one line without control characters.
 pub fn plain(text: &str) -> String {
     words::plain(&text.replace(char::is_whitespace, " "))
 }
 
-/// Whether there is such a place.
+/// Whether a point is finite.
 fn is_place(at: &Point) -> bool {
     at.iter().all(|v| v.is_finite())
 }

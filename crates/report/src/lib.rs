@@ -1,11 +1,11 @@
-//! What people look at: the page of one run, and tables and figures that compare many.
+//! Pages and figures: the page of one run, and tables and figures that compare many runs.
 //!
-//! [`page()`] makes the page of a run from its [`Record`](pwrfgs_experiment::Record), [`write()`] compares the records of a
-//! [`Study`]. Both draw with `draw`.
+//! [`page()`] creates the page of a run from its [`Record`](pwrfgs_experiment::Record); [`write()`] compares the
+//! records of a [`Study`]. Both use `draw`.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 pub mod canvas;
-/// Pictures, shared by all pages and figures of the toolkit: all of them on one [`canvas`].
+/// Drawings shared by all pages and figures, on one [`canvas`].
 pub mod draw {
     pub(crate) mod axes;
     pub(crate) mod charts;

@@ -1,7 +1,7 @@
-//! The page that moves: its scripts and style (`web`), and what it is told of room, data and Gaussians.
+//! Interactive page: its scripts and style (`web`), and its data of room, measurements and Gaussians.
 //!
-//! `pwrfgs view` serves it with a program behind it; `report.html` holds it with everything inside. Both show the same
-//! stage: a room to turn, a transmitter to drag, and what a receiver observes of it.
+//! `pwrfgs view` serves it from a running program; `report.html` contains everything it needs. Both show the same
+//! stage: a room to rotate, a transmitter to move, and the observation at a receiver.
 
 use pwrfgs_core::colour::{diverging, sequential};
 use pwrfgs_core::{Activated, Dataset, Frame, Origin, Partition, Pose, Real, evenly};
@@ -10,28 +10,28 @@ use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
 
-/// Named arrays and what is to be said of them, on their way to a page as one safetensors file; `web/tensors.js` reads it, as it
-/// reads models.
+/// Named arrays with a JSON note, sent to a page as one safetensors file; `web/tensors.js` reads it, as it reads
+/// models.
 #[derive(Clone, Debug, Default)]
 pub struct Pack {
-    /// Whatever is no array.
+    /// JSON data besides the arrays.
     pub note: Value,
     arrays: BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>,
 }
 
 impl Pack {
-    /// No arrays yet.
+    /// Creates a bundle without arrays.
     pub fn new(note: Value) -> Self {
         Self { note, arrays: BTreeMap::new() }
     }
 
-    /// Adds numbers, in single precision; they fill `shape` row by row.
+    /// Adds numbers in single precision, row by row.
     pub fn put(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = Real>) {
         let bytes: Vec<u8> = values.into_iter().flat_map(|v| (v as f32).to_le_bytes()).collect();
         self.insert(name, Dtype::F32, shape, bytes);
     }
 
-    /// Adds bytes; they fill `shape` row by row.
+    /// Adds bytes, row by row.
     pub fn put_bytes(&mut self, name: &str, shape: &[usize], bytes: Vec<u8>) {
         self.insert(name, Dtype::U8, shape, bytes);
     }
@@ -42,7 +42,7 @@ impl Pack {
         self.arrays.insert(name.into(), (dtype, shape.to_vec(), bytes));
     }
 
-    /// The file.
+    /// Serialises the bundle.
     pub fn to_bytes(&self) -> Vec<u8> {
         let views = self.arrays.iter().map(|(name, (dtype, shape, bytes))| {
             (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("an array fills its shape"))
@@ -52,21 +52,21 @@ impl Pack {
     }
 }
 
-/// Data and how they are divided.
+/// Data and their split.
 #[derive(Clone, Copy, Debug)]
 pub struct Known<'a> {
-    /// What was observed.
+    /// Measurements.
     pub data: &'a Dataset,
-    /// The parts.
+    /// Split of the data.
     pub partition: &'a Partition,
-    /// A score of the first metric for each link, NaN where there is none; `[L]`.
+    /// Score of the first metric per link, NaN if unknown, `[L]`.
     pub scores: &'a [f64],
-    /// The links that the page knows, which calls them by their places in this list.
+    /// Links on the page, which uses their indices in this list.
     pub links: &'a [usize],
 }
 
-/// The room: receivers, bounds, surface points (`points` of them at most), and of every link its transmitter, part and score.
-/// `frame` is that of the model, and `means` places that the room must hold where there are no data.
+/// Room: receivers, bounds, at most `points` surface points, and transmitter, set and score of every link.
+/// `frame` is that of the model; `means` are points that the room must contain if there are no data.
 pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points: usize) -> Pack {
     let origin = origin(frame, known.map(|known| known.data));
     let receivers = known.map_or(&frame.receivers, |known| &known.data.scene.receivers);
@@ -105,7 +105,7 @@ pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points
     pack
 }
 
-/// What all places of a page count from.
+/// Origin of all coordinates of a page.
 pub fn origin(frame: &Frame, data: Option<&Dataset>) -> Origin {
     data.map_or(frame.origin, |data| data.scene.origin)
 }
@@ -125,7 +125,7 @@ fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
     json!({ "name": name, "position": origin.local(pose.position), "boresight": pose.turned([0.0, 0.0, 1.0]) })
 }
 
-/// Corners around some places; of none a metre.
+/// Bounding box of some points; a metre wide if there are none.
 fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
     let start = ([Real::INFINITY; 3], [Real::NEG_INFINITY; 3]);
     let (low, high) = places.fold(start, |(low, high), p| {
@@ -134,9 +134,9 @@ fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
     if low[0] > high[0] { json!([[-1, -1, -1], [1, 1, 1]]) } else { json!([low, high]) }
 }
 
-/// Means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx` (metres, world
-/// frame) as they are drawn for a transmitter there. A strength is the grey value that a Gaussian would give alone, were it
-/// opaque.
+/// Means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx` (metres,
+/// world frame) the values for a transmitter at this position. A strength is the grey value of the Gaussian alone, if
+/// it were opaque.
 pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> Pack {
     let mut pack = Pack::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
@@ -150,16 +150,16 @@ pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> P
     pack
 }
 
-/// The strength `[N]` of each Gaussian; 0 where the method has none.
+/// Strengths of the Gaussians, `[N]`; 0 if the method has none.
 pub fn strengths(own: &Activated) -> Vec<Real> {
     own.strengths.clone().unwrap_or_else(|| vec![0.0; own.primitives.len()])
 }
 
-/// Markup of the stage, the part of a page that moves.
+/// Markup of the stage, the interactive part of a page.
 pub const STAGE: &str = include_str!("../web/stage.html");
-/// Its style.
+/// Style of the stage.
 pub const STYLE: &str = include_str!("../web/stage.css");
-/// Modules by name, plain ones without a build step, each after those that it imports.
+/// JavaScript modules by name, each after the modules that it imports.
 pub const FILES: [(&str, &str); 10] = [
     ("tensors.js", include_str!("../web/tensors.js")),
     ("predict.js", include_str!("../web/predict.js")),
@@ -173,7 +173,7 @@ pub const FILES: [(&str, &str); 10] = [
     ("report.js", include_str!("../web/report.js")),
 ];
 
-/// All modules as one script, for a page that has nothing outside it: without their imports, and with `last` at the end.
+/// Joins all modules to one script without imports, for a self-contained page; `last` is appended.
 pub fn bundle(last: &str) -> String {
     let mut script = String::from("\"use strict\";\n");
     for (_, text) in FILES {

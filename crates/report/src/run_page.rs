@@ -1,5 +1,4 @@
-//! `report.html`: one file with nothing outside it; table, curves, and predictions beside what was observed, as its kind
-//! wants them.
+//! `report.html`: one self-contained file with tables, curves, and predictions next to measurements.
 
 mod channels;
 mod curves;
@@ -19,10 +18,10 @@ use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use pwrfgs_experiment::{CEILING, LoadedRun, one_line, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 
-/// The page of a run, from what lies in its folder.
+/// Creates the page of a run from its folder.
 ///
 /// # Errors
-/// A snapshot of the training is damaged, or an observation cannot be read.
+/// If a snapshot of the training is damaged or an observation cannot be read.
 pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     let LoadedRun { record, model, data, partition } = run;
     let (scores, facts, pipeline) = (&record.scores.table, &record.facts, &record.pipeline);
@@ -57,8 +56,8 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         receivers => tables::receivers(run),
         channels => data.task().is_complex.then(|| channels::section(run, &chosen)),
         examples,
-        power_bar => Scale::Power.bar().svg("bar", "colours of power"),
-        error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
+        power_bar => Scale::Power.bar().svg("bar", "colour scale of power"),
+        error_bar => Scale::Error(limit).bar().svg("bar", "colour scale of the error"),
         live => live::section(run),
         angles => model.plane().angles.is_some(),
         pipeline => settings(run),
@@ -68,7 +67,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     render("run.html", page)
 }
 
-/// What things are called.
+/// Words for the parts of a model and its observations.
 fn words(run: &LoadedRun<'_>) -> Value {
     let task = run.data.task();
     let [singular, plural] = task.counted;
@@ -80,14 +79,14 @@ fn words(run: &LoadedRun<'_>) -> Value {
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
-/// The pipeline; of several models the one that scores them.
+/// Pipeline text; for an ensemble, the one that scores it.
 fn settings(run: &LoadedRun<'_>) -> String {
     let is_joined = run.model.members().len() > 1;
-    let note = "// each run has its own pipeline; this one scores the mean of their predictions:\n";
+    let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";
     if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()
 }
 
-/// Name, Gaussians and page of each model of a joined model.
+/// Name, number of Gaussians and page of each member of an ensemble.
 fn members(run: &LoadedRun<'_>) -> Vec<Value> {
     let models = run.model.names().iter().zip(run.model.members());
     let member = |(folder, (name, model)): (&String, (&String, &Model))| {
@@ -97,11 +96,11 @@ fn members(run: &LoadedRun<'_>) -> Vec<Value> {
     run.record.facts.members.iter().zip(models).map(member).collect()
 }
 
-/// Height of text on the axes.
+/// Text height on the axes.
 const TEXT: f64 = 10.5;
 
-/// Three panels, what their symbols mean and what a reader must know besides; the last panel alone where nothing is
-/// known of the training.
+/// Three panels with legend and note; only the last panel if no snapshots of the training
+/// exist.
 fn room(run: &LoadedRun<'_>) -> Result<Value> {
     let last = Snapshot::of_ensemble(run.record.facts.steps, run.model);
     let read = |name: &str| Snapshot::read(&run.record.folder.join(name));
@@ -109,7 +108,7 @@ fn room(run: &LoadedRun<'_>) -> Result<Value> {
     let mut moments: Vec<(String, Snapshot)> = Vec::new();
     moments.extend(read(START_SNAPSHOT)?.map(|s| ("At the start".into(), s)));
     moments.extend(read(UNPRUNED_SNAPSHOT)?.map(|s| (format!("Before pruning, step {}", step(&s)), s)));
-    moments.push((if moments.is_empty() { "The Gaussians".into() } else { "In the end".into() }, last));
+    moments.push((if moments.is_empty() { "Gaussians".into() } else { "Final".into() }, last));
     let clouds: Vec<&Snapshot> = moments.iter().map(|m| &m.1).collect();
     let room = Room::new(run.data, run.partition, &clouds, TEXT);
     let panel = |(title, snapshot): &(String, Snapshot)| {

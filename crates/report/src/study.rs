@@ -1,4 +1,4 @@
-//! Tables and figures that compare the runs of a [`Study`](pwrfgs_experiment::Study), and the folder that holds them.
+//! Tables and figures that compare the runs of a [`Study`](pwrfgs_experiment::Study), and their folder.
 
 mod comparison;
 pub mod figures;

@@ -1,4 +1,4 @@
-//! Templates of everything that is read as a page, with one escaper for each kind of file.
+//! Templates of pages and documents, with an escaper per file type.
 
 use crate::canvas::{plain, xml};
 use base64::Engine as _;
@@ -27,7 +27,7 @@ const TEMPLATES: [(&str, &str); 12] = [
 
 static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
     let mut environment = Environment::new();
-    // A line that holds nothing but a tag leaves nothing behind.
+    // Lines with only a tag produce no output.
     let lines = SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).keep_trailing_newline(true).build();
     environment.set_syntax(lines.expect("no delimiters are changed"));
     environment.set_auto_escape_callback(|name| match name.rsplit('.').next() {
@@ -45,7 +45,7 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
         };
         Ok(out.write_str(&text)?)
     });
-    // A picture inside a page, as an image of its own.
+    // An image embedded in a page.
     environment.add_filter("base64", |text: &str| STANDARD.encode(text));
     environment.add_filter("duration", duration);
     environment.add_filter("grouped", |number: f64| grouped(number.round() as i64));
@@ -55,31 +55,31 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
     environment
 });
 
-/// Fills a template in.
+/// Renders a template.
 pub(crate) fn render(name: &str, context: Value) -> Result<String> {
     let filled = ENVIRONMENT.get_template(name).and_then(|template| template.render(context));
-    filled.map_err(|e| Error::Config(format!("the template {name}: {e:#}")))
+    filled.map_err(|e| Error::Config(format!("template {name}: {e:#}")))
 }
 
-/// Sentences of a template of ours, one a line.
+/// Renders a built-in template as sentences, one per line.
 pub(crate) fn sentences(name: &str, context: Value) -> Vec<String> {
     let text = render(name, context).expect("its context is complete, as tests check");
     text.lines().map(str::to_owned).collect()
 }
 
-/// Signs that mean something to LaTeX, each with what shows it. Two dashes in a row would become one long dash.
+/// Characters with a meaning in LaTeX and their replacements. Two dashes in a row would become a long dash.
 const SIGNS: &str = r#"
     \ \textbackslash{} ~ \textasciitilde{} ^ \textasciicircum{} & \& % \% $ \$ # \# _ \_ { \{ } \} < \textless{}
     > \textgreater{} | \textbar{} " \textquotedbl{} - -{} ' \textquotesingle{} ` \textasciigrave{} / /\allowbreak{}
     [ {[} ] {]}"#;
 
-/// Letters and signs that only formulas have.
+/// Letters and signs that are available only in math mode.
 const SYMBOLS: &str = r"
     − - ± \pm × \times · \cdot ° ^\circ ² ^2 ³ ^3 ∞ \infty ≤ \le ≥ \ge ≈ \approx ≡ \equiv → \rightarrow ↑ \uparrow ↓ \downarrow
     √ \surd ∈ \in Δ \Delta Σ \Sigma Ω \Omega Φ \Phi α \alpha β \beta γ \gamma δ \delta ε \varepsilon η \eta θ \theta
     λ \lambda μ \mu µ \mu ν \nu π \pi ρ \rho σ \sigma τ \tau φ \varphi ψ \psi ω \omega ¹ ^1 ⁻ ^-";
 
-/// What stands behind `c` in a list of pairs.
+/// Value of `c` in a list of pairs.
 fn paired(list: &'static str, c: char) -> Option<&'static str> {
     let mut words = list.split_whitespace();
     while let (Some(key), Some(value)) = (words.next(), words.next()) {
@@ -90,7 +90,7 @@ fn paired(list: &'static str, c: char) -> Option<&'static str> {
     None
 }
 
-/// Text that LaTeX takes as it is, with T1 fonts and textcomp. Letters that the fonts lack are written by their number.
+/// Escapes text for LaTeX with T1 fonts and textcomp. Characters that the fonts lack are written as code points.
 fn tex(text: &str) -> String {
     let escape = |c: char| match (paired(SIGNS, c), paired(SYMBOLS, c)) {
         (Some(shown), _) => shown.to_owned(),

@@ -1,8 +1,9 @@
 //! Access control: requests need the token and must come from the page itself.
 //!
-//! The server listens on the loopback interface only, but other pages in the browser can also send requests to it: by a name
-//! that resolves to 127.0.0.1 (DNS rebinding), or by a form or script of another origin. Therefore `Host` and, if present,
-//! `Origin` must be those of the server, and the path must begin with the token. Only the printed address has the token.
+//! The server listens on the loopback interface only, but other pages in the browser can also send requests to it: by
+//! a name that resolves to 127.0.0.1 (DNS rebinding), or by a form or script of another origin. Therefore `Host` and,
+//! if present, `Origin` must be those of the server, and the path must begin with the token. Only the printed address
+//! has the token.
 
 use hyper::header::{CONTENT_LENGTH, HOST, HeaderMap, HeaderName, ORIGIN, TRANSFER_ENCODING};
 use hyper::{Method, StatusCode, Uri};

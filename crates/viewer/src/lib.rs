@@ -1,7 +1,7 @@
 //! Server of `pwrfgs view`: a page on which the user moves a transmitter and sees predictions.
 //!
-//! `pwrfgs_report::live` contains the page. This crate answers its requests (`routes`), checks their origin (`guard`) and
-//! holds the models (`Side`). The server listens on the loopback interface only and writes no files.
+//! `pwrfgs_report::live` contains the page. This crate answers its requests (`routes`), checks their origin (`guard`)
+//! and holds the models (`Side`). The server listens on the loopback interface only and writes no files.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod guard;

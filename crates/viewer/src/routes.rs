@@ -137,10 +137,9 @@ impl Asked {
                 "z" => asked.z = Some(metres(name, value)?),
                 "tx" => {
                     let all: Vec<f64> = value.split(',').map(|v| metres(name, v)).collect::<Result<_, _>>()?;
-                    asked.tx = Some(
-                        all.try_into()
-                            .map_err(|all: Vec<f64>| format!("query parameter `tx`: expected x,y,z, found {} numbers", all.len()))?,
-                    );
+                    asked.tx = Some(all.try_into().map_err(|all: Vec<f64>| {
+                        format!("query parameter `tx`: expected x,y,z, found {} numbers", all.len())
+                    })?);
                 }
                 "with" => value.clone_into(&mut asked.with),
                 _ => return Err(format!("unknown query parameter `{name}`")),

@@ -1,4 +1,5 @@
-//! `pwrfgs check`: validates a pipeline and estimates memory and time. `pwrfgs inspect`: summarises data before training.
+//! `pwrfgs check`: validates a pipeline and estimates memory and time. `pwrfgs inspect`: summarises data before
+//! training.
 
 use super::init::name_of;
 use super::options::{Changes, named};

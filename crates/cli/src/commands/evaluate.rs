@@ -48,10 +48,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let beside = first.parent().unwrap_or(Path::new("")).join(PIPELINE);
     let path = arguments.pipeline.as_ref().unwrap_or(&beside);
     if arguments.pipeline.is_none() && !path.is_file() {
-        return Err(Error::input(
-            first,
-            format!("no {PIPELINE} next to this model; set --pipeline FILE"),
-        ));
+        return Err(Error::input(first, format!("no {PIPELINE} next to this model; set --pipeline FILE")));
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
     if let Some(out) = &arguments.out {
@@ -72,10 +69,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     if let Some(confidence) = &confidence {
         let members = ensemble.members().len();
         let rank = number(confidence.rank_correlation());
-        _ = writeln!(
-            text,
-            "\nmodel: mean of {members} models; rank correlation of spread and error {rank}"
-        );
+        _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
     }
     if let Some(out) = &arguments.out {
         std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
@@ -132,8 +126,6 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
         let (shown, more) =
             (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        output::note(&format!(
-            "warning: name or pose of receivers differs from that of the model: {shown}{more}"
-        ));
+        output::note(&format!("warning: name or pose of receivers differs from that of the model: {shown}{more}"));
     }
 }

@@ -74,8 +74,9 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
-        verbosity
-            .note(&format!("positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"));
+        verbosity.note(&format!(
+            "positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"
+        ));
     }
     for ((path, _), bytes) in files.iter().zip(made) {
         write_atomically(path, &bytes)?;

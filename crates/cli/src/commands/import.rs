@@ -103,6 +103,8 @@ fn elevation(text: &str) -> Result<Elevation> {
 /// Parses `x,y,z,w`.
 fn quaternion(text: &str) -> Result<[f64; 4]> {
     numbers(text).ok_or_else(|| {
-        Error::Config(format!("--orientation {text}: expected a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"))
+        Error::Config(format!(
+            "--orientation {text}: expected a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"
+        ))
     })
 }

@@ -36,7 +36,8 @@ pub(crate) struct Init {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Median distance from test transmitters to the nearest training transmitter below which training learns fine detail, metres.
+/// Median distance from test transmitters to the nearest training transmitter below which training learns fine detail,
+/// metres.
 const CLOSE_M: f64 = 0.03;
 
 /// Candidate cell edges of a split that holds out space, metres; the first with enough cells is used.
@@ -164,7 +165,9 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
     // The text must parse to the same pipeline.
     let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
     if again.to_ron() != pipeline.to_ron() {
-        return Err(Error::Config("the new pipeline does not parse to the intended settings; please report this bug".into()));
+        return Err(Error::Config(
+            "the new pipeline does not parse to the intended settings; please report this bug".into(),
+        ));
     }
     Ok(text)
 }
@@ -241,8 +244,11 @@ impl Survey {
             [] => "The folder has no point cloud of the room: Gaussians start on a grid of directions.".into(),
             [(name, points), others @ ..] => {
                 let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();
-                let more =
-                    if others.is_empty() { String::new() } else { format!(" Other point clouds: {}.", others.join(", ")) };
+                let more = if others.is_empty() {
+                    String::new()
+                } else {
+                    format!(" Other point clouds: {}.", others.join(", "))
+                };
                 format!("Gaussians start on {} ({points} points).{more}", name.display())
             }
         }));

@@ -105,8 +105,9 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
         let missing = grouped(missing as i64);
-        verbosity
-            .note(&format!("warning: {missing} values are not finite because the model overflows there; the images show them in grey"));
+        verbosity.note(&format!(
+            "warning: {missing} values are not finite because the model overflows there; the images show them in grey"
+        ));
     }
     let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
     let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };

@@ -74,11 +74,8 @@ pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
 
 /// Parses `x,y,z`, the value of `option`.
 pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
-    let wrong = || {
-        Error::Config(format!(
-            "{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"
-        ))
-    };
+    let wrong =
+        || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
     numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
 }
 
@@ -110,8 +107,7 @@ pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
                 Error::at(path, line, 1, format!("row has {has} fields, expected {needs} as in the first line"))
             })?;
             *value = field.parse().ok().filter(|v| coordinate_fault(*v).is_none()).ok_or_else(|| {
-                let what =
-                    format!("column `{}`: expected metres, at most 1e8, found `{field}`", &headers[column]);
+                let what = format!("column `{}`: expected metres, at most 1e8, found `{field}`", &headers[column]);
                 Error::at(path, line, column + 1, what)
             })?;
         }
@@ -153,10 +149,7 @@ fn unknown(known: &[Receiver], name: &str) -> Error {
     let list = known.iter().take(LISTED).map(|r| clean(&r.name)).collect::<Vec<_>>().join(", ");
     let more = known.len().saturating_sub(LISTED);
     let list = if more > 0 { format!("{list} and {more} more") } else { list };
-    Error::Config(format!(
-        "--receiver {}: no such receiver in the model{near} (receivers: {list})",
-        clean(name)
-    ))
+    Error::Config(format!("--receiver {}: no such receiver in the model{near} (receivers: {list})", clean(name)))
 }
 
 /// Rejects models whose input is not a position.

@@ -198,7 +198,8 @@ fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<St
     let text = |path: &std::path::Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
-    let program = std::env::current_exe().map_err(|e| Error::Config(format!("cannot find the path of this program: {e}")))?;
+    let program =
+        std::env::current_exe().map_err(|e| Error::Config(format!("cannot find the path of this program: {e}")))?;
     let here = std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.
     let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];

@@ -214,7 +214,10 @@ fn a_missing_file_is_named() {
     fs::rename(folder.path("s"), folder.path("t")).unwrap();
     let said = folder.fault();
     assert!(said.starts_with(&format!("DIR/s: no such folder ({LAYOUT}); set `root` of Nerf2Spectrum, or ")), "{said}");
-    assert!(said.contains("https://github.com/XPengZhao/NeRF2") && said.ends_with("docs/data.md#get-measured-data"), "{said}");
+    assert!(
+        said.contains("https://github.com/XPengZhao/NeRF2") && said.ends_with("docs/data.md#get-measured-data"),
+        "{said}"
+    );
     let folder = Folder::new();
     fs::rename(folder.path("s/spectrum"), folder.path("s/spectra")).unwrap();
     assert_eq!(folder.fault(), format!("cannot read DIR/s/spectrum: no such folder; {LAYOUT}"));

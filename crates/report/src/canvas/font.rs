@@ -1,4 +1,4 @@
-//! The built-in font: how wide text is, its outlines, and where long text is broken.
+//! Built-in font: width of text, outlines, and line breaks.
 
 use super::{Anchor, Path, Point, Step, TEXT, Text};
 use std::sync::LazyLock;
@@ -7,18 +7,18 @@ use ttf_parser::{Face, GlyphId, OutlineBuilder};
 static FACE: LazyLock<Face<'static>> =
     LazyLock::new(|| Face::parse(include_bytes!("../../assets/labels.ttf"), 0).expect("the built-in font is one"));
 
-/// A letter and its width for text of height 1; a box where the font has no such letter.
+/// Glyph and its width for text of height 1; a box if the font has no such glyph.
 fn glyph(letter: char) -> (GlyphId, f64) {
     let glyph = FACE.glyph_index(letter).unwrap_or_default();
     (glyph, f64::from(FACE.glyph_hor_advance(glyph).unwrap_or(0)) / f64::from(FACE.units_per_em()))
 }
 
-/// Width of text in the height that charts have.
+/// Width of text at the height of charts.
 pub fn text_width(words: &str) -> f64 {
     TEXT * words.chars().map(|c| glyph(c).1).sum::<f64>()
 }
 
-/// The outlines of a text where it stands.
+/// Outlines of a text at its position.
 pub(super) fn outlines(text: &Text) -> Path {
     let size = text.letters.size;
     let whole = size / TEXT * text_width(&text.words);
@@ -37,10 +37,10 @@ pub(super) fn outlines(text: &Text) -> Path {
     pen.path
 }
 
-/// Puts the outlines of letters in their places on the picture.
+/// Writer of glyph outlines.
 struct Pen {
     at: Point,
-    /// Where the letter begins on its line.
+    /// Start of the glyph on its line.
     along: f64,
     scale: f64,
     upright: bool,
@@ -77,7 +77,7 @@ impl OutlineBuilder for Pen {
     }
 }
 
-/// `text` in lines no wider than `width`, broken after its commas; what is too long even then is cut.
+/// Breaks `text` after commas into lines no wider than `width`; longer parts are cut.
 pub fn wrapped(text: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for part in text.split_inclusive(", ") {
@@ -89,7 +89,7 @@ pub fn wrapped(text: &str, width: f64) -> Vec<String> {
     lines.iter().map(|line| cut(line.trim_end(), width)).collect()
 }
 
-/// The longest beginning of `text` that fits, with two dots where it is cut.
+/// Longest start of `text` that fits, with two dots if cut.
 pub fn cut(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();

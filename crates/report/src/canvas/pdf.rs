@@ -1,7 +1,7 @@
-//! A canvas as PDF: one page of vectors, text as outlines, pixels as they are.
+//! Canvas as PDF: one page of vectors, text as outlines, images as pixels.
 //!
-//! The few parts of ISO 32000 that shapes need: paths, colours and their opacity, images with a soft mask. The same
-//! canvas gives the same bytes: there is neither date nor identifier.
+//! Uses the parts of ISO 32000 that shapes need: paths, colours with opacity, images with soft masks. Equal canvases
+//! give equal bytes: the file has neither date nor identifier.
 
 use super::font::outlines;
 use super::svg::Short;
@@ -11,13 +11,13 @@ use flate2::write::ZlibEncoder;
 use std::fmt::Write as _;
 use std::io::Write as _;
 
-/// Points for each millimetre.
+/// Points per millimetre.
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
-/// How far the handles of four curves reach that make a circle of radius 1.
+/// Handle length of four curves that form a circle of radius 1.
 const HANDLE: f64 = 0.552_284_75;
 
 impl Canvas {
-    /// For print, so wide on paper: needs no font, and stays sharp.
+    /// PDF for print, `width_mm` wide: needs no fonts and stays sharp.
     pub fn pdf(&self, width_mm: f64) -> Vec<u8> {
         let scale = width_mm * POINTS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| Short(length * scale));
@@ -52,13 +52,13 @@ impl Canvas {
     }
 }
 
-/// What is drawn, in the language of PDF.
+/// Content stream of a page.
 #[derive(Default)]
 struct Page<'a> {
     out: String,
-    /// The paint that was set last.
+    /// Paint that was set last.
     paint: Option<Paint>,
-    /// Those of fill and stroke that occur.
+    /// Pairs of fill and stroke opacity in use.
     opacities: Vec<[f64; 2]>,
     images: Vec<&'a Pixels>,
 }
@@ -100,7 +100,7 @@ impl<'a> Page<'a> {
         })
     }
 
-    /// Sets colours and strokes, unless they are set; returns the operator that paints a path so.
+    /// Sets colours and strokes if they changed; returns the painting operator.
     fn painted(&mut self, paint: &Paint) -> &'static str {
         if self.paint != Some(*paint) {
             self.paint = Some(*paint);
@@ -163,19 +163,19 @@ impl<'a> Page<'a> {
     }
 }
 
-/// Whether something shows through.
+/// Whether a colour is partly transparent.
 fn has_mask(pixels: &Pixels) -> bool {
     pixels.rgba.chunks_exact(4).any(|p| p[3] < 255)
 }
 
-/// Objects one after another, and where each begins.
+/// PDF objects with their offsets.
 struct File {
     bytes: Vec<u8>,
     begins: Vec<usize>,
 }
 
 impl File {
-    /// With the four bytes by which programs see that it is not text.
+    /// Starts a file, with four bytes that mark it as binary.
     fn new() -> Self {
         Self { bytes: b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n".to_vec(), begins: Vec::new() }
     }
@@ -184,7 +184,7 @@ impl File {
         self.framed(|bytes| bytes.extend_from_slice(body.as_bytes()));
     }
 
-    /// An object with bytes in it, compressed.
+    /// Adds an object with a compressed stream.
     fn stream(&mut self, entries: &str, content: &[u8]) {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
         let packed = encoder.write_all(content).and_then(|()| encoder.finish()).expect("memory takes all bytes");
@@ -203,7 +203,7 @@ impl File {
         self.bytes.extend_from_slice(b"\nendobj\n");
     }
 
-    /// Its mask, where it has one, and an image.
+    /// Adds an image and, if present, its mask.
     fn image(&mut self, pixels: &Pixels) {
         let (width, height, smooth) = (pixels.width, pixels.height, pixels.smooth);
         let entries = |colours: &str| {
@@ -243,7 +243,7 @@ mod tests {
         bytes.windows(wanted.len()).position(|part| part == wanted.as_bytes())
     }
 
-    /// Checks the table of objects; gives each object's text before its stream, and the stream as it was.
+    /// Checks the table of objects; returns text and decompressed stream of each object.
     fn parsed(pdf: &[u8]) -> Vec<(String, Vec<u8>)> {
         assert!(pdf.starts_with(b"%PDF-1.4\n") && pdf.ends_with(b"%%EOF\n"));
         let table = place(pdf, "\nxref\n").unwrap() + 1;

@@ -1,4 +1,4 @@
-//! A canvas as PNG.
+//! Canvas as PNG.
 
 use super::font::outlines;
 use super::{Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step};
@@ -6,11 +6,11 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use tiny_skia as skia;
 
-/// Pixels for each millimetre: 300 dpi.
+/// Pixels per millimetre: 300 dpi.
 const PIXELS_PER_MM: f64 = 300.0 / 25.4;
 
 impl Canvas {
-    /// On white, `width_mm` wide.
+    /// PNG on white, `width_mm` wide.
     pub fn png(&self, width_mm: f64) -> Vec<u8> {
         let scale = width_mm * PIXELS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| (length * scale).round() as u32);
@@ -21,7 +21,7 @@ impl Canvas {
     }
 }
 
-/// Pixels of four bytes as PNG.
+/// Encodes RGBA pixels as PNG.
 pub(super) fn encoded(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
     let mut png = Vec::new();
     PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::Adaptive)
@@ -51,7 +51,7 @@ fn draw(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Transform) 
     }
 }
 
-/// `None` where there is nothing to see.
+/// Converts a path; `None` if nothing is visible.
 fn outline(path: &Path) -> Option<skia::Path> {
     let mut builder = skia::PathBuilder::new();
     let short = |[x, y]: Point| (x as f32, y as f32);
@@ -107,7 +107,7 @@ mod tests {
     use super::super::{Anchor, BLACK, INK, Letters};
     use super::*;
 
-    /// Grey values, and the width of the picture.
+    /// Grey values and width of the image.
     fn grey(canvas: &Canvas, width_mm: f64) -> image::GrayImage {
         image::load_from_memory(&canvas.png(width_mm)).unwrap().to_luma8()
     }

@@ -1,4 +1,4 @@
-//! A canvas as SVG text.
+//! Canvas as SVG text.
 
 use super::font::outlines;
 use super::png::encoded;
@@ -9,12 +9,12 @@ use pwrfgs_core::words;
 use std::fmt::Write as _;
 
 impl Canvas {
-    /// For a page: text stays text in the page's font, and style sheets find the picture by `class`.
+    /// SVG for a page: text uses the font of the page, and style sheets select it by `class`.
     pub fn svg(&self, class: &str, title: &str) -> String {
         self.written(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", xml(title)), false)
     }
 
-    /// For print, so wide on paper: text is outlines, so that it needs no font.
+    /// SVG for print, `width_mm` wide: text as outlines, so no font is needed.
     pub fn svg_for_print(&self, width_mm: f64) -> String {
         let height_mm = width_mm * self.height / self.width;
         self.written(&format!("width=\"{width_mm}mm\" height=\"{height_mm:.2}mm\""), true)
@@ -34,7 +34,7 @@ impl Canvas {
 
 struct Writer {
     out: String,
-    /// The paint of the group that is open: what is painted alike stands together, and says it once.
+    /// Paint of the open group; shapes of equal paint share one group.
     open: Option<Paint>,
     outlined: bool,
 }
@@ -151,7 +151,7 @@ impl Writer {
     }
 }
 
-/// A length with two decimals at most.
+/// Length with at most two decimals.
 #[derive(Clone, Copy)]
 pub(super) struct Short(pub(super) f64);
 
@@ -161,7 +161,7 @@ impl std::fmt::Display for Short {
     }
 }
 
-/// Text in XML and HTML, between tags and in quoted attributes alike. Lines stay lines.
+/// Escapes text for XML and HTML, in elements and quoted attributes; keeps line breaks.
 pub fn xml(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in words::plain(text).chars() {

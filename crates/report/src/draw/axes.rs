@@ -1,9 +1,9 @@
-//! Grid and axes of a chart, laid out by plotters on a canvas, and where data lie between them.
+//! Grid and axes of a chart, drawn by plotters on a canvas, and the mapping of data to positions.
 //!
-//! Three things of plotters do not suit print, and are settled here alone. It knows whole pixels only, which print
-//! would show: it is told that a unit has [`GRID`] of them, and they are divided again. Its SVG writer shrinks text by
-//! 1.24 and writes a root of fixed size: neither it nor plotters' fonts are compiled in, since a canvas does both.
-//! Round numbers on axes are ours too: a logarithmic axis over less than a decade (N from 60 to 12) still needs numbers.
+//! Three properties of plotters are adapted here. It uses whole pixels only, which would be visible in print: it works
+//! with [`GRID`] pixels per unit, which are divided again. Its SVG writer shrinks text by 1.24 and has a fixed size:
+//! neither it nor the fonts of plotters are compiled in, because the canvas does both. The numbers on axes are
+//! computed here: a logarithmic axis over less than a decade (N from 60 to 12) still needs numbers.
 
 use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, text_width};
 use plotters::prelude::*;
@@ -14,25 +14,25 @@ use plotters_backend::{
 use pwrfgs_experiment::text::grouped;
 use std::convert::Infallible;
 
-/// One axis.
+/// Axis of a chart.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Axis {
-    /// Empty where the heading says it.
+    /// Name; empty if the heading contains it.
     pub name: String,
-    /// Those of what is drawn, with some air, where nothing is said.
+    /// Ends of the axis; by default those of the data with a margin.
     pub ends: Option<(f64, f64)>,
-    /// Whether equal steps are equal factors.
+    /// Whether the axis is logarithmic.
     pub log: bool,
 }
 
-/// An axis whose ends are known; their logarithms where it has one.
+/// Axis with known ends, as logarithms if it is logarithmic.
 pub(super) struct Scale {
     ends: (f64, f64),
     log: bool,
 }
 
 impl Scale {
-    /// Nothing where there is nothing to see.
+    /// Returns `None` if there are no data.
     pub(super) fn new(axis: &Axis, values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut scale = Self { ends: (0.0, 0.0), log: axis.log };
         scale.ends = if let Some((low, high)) = axis.ends {
@@ -50,13 +50,13 @@ impl Scale {
         if self.log && value.is_finite() { value.log10() } else { value }
     }
 
-    /// From 0 at the one end to 1 at the other, for a place.
+    /// Position of a value along the axis, from 0 to 1.
     fn part(&self, place: f64) -> f64 {
         (place - self.ends.0) / (self.ends.1 - self.ends.0)
     }
 }
 
-/// Where data lie on the picture.
+/// Mapping of data to positions on the drawing.
 pub(super) struct Frame {
     pub(super) x: Scale,
     pub(super) y: Scale,
@@ -67,18 +67,18 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// Where a value stands between left and right, beyond which nothing is.
+    /// Horizontal position of a value, limited to the plot area.
     pub(super) fn across(&self, x: f64) -> f64 {
         (self.left + (self.right - self.left) * self.x.part(self.x.place(x))).clamp(self.left, self.right)
     }
 
-    /// The place of a value; `None` where it has no finite one.
+    /// Position of a value; `None` if not finite.
     pub(super) fn at(&self, (x, y): (f64, f64)) -> Option<Point> {
         let place = [self.across(x), self.bottom - (self.bottom - self.top) * self.y.part(self.y.place(y))];
         place.iter().all(|v| v.is_finite()).then_some(place)
     }
 
-    /// Draws grid, ticks and names. To plotters both axes count pixels of its own, so that ticks, which are ours, are
+    /// Draws grid, ticks and names. For plotters, both axes count its own pixels, so that the ticks computed here are
     /// key points with known labels.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&Axis; 2]) {
         let fine = |length: f64| (length * GRID).round() as i32;
@@ -121,19 +121,19 @@ impl Frame {
     }
 }
 
-/// As plotters has it.
+/// Converts a colour for plotters.
 fn plain(colour: Colour) -> RGBColor {
     let [r, g, b] = colour.rgb;
     RGBColor(r, g, b)
 }
 
-/// Pixels of plotters for each unit of the canvas.
+/// Pixels of plotters per unit of the canvas.
 pub(super) const GRID: f64 = 100.0;
 
-/// What plotters draws with.
+/// Backend of plotters.
 pub(super) struct Hand<'a>(pub(super) &'a mut Canvas);
 
-/// Drawing into memory cannot fail.
+/// Error of the backend; drawing into memory cannot fail.
 type Drawn = Result<(), DrawingErrorKind<Infallible>>;
 
 fn point((x, y): BackendCoord) -> Point {
@@ -201,10 +201,10 @@ impl DrawingBackend for Hand<'_> {
     }
 }
 
-/// A place on the axis (the logarithm where it is logarithmic) and its label.
+/// Position on the axis (the logarithm if logarithmic) and label.
 pub(crate) type Tick = (f64, String);
 
-/// Ticks between two places, as many as `fits` lets stand beside each other.
+/// Ticks between two positions, as many as `fits` allows next to each other.
 pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -> bool) -> Vec<Tick> {
     let decades = high - low;
     let all: Vec<Vec<Tick>> = if log && decades >= 0.5 {
@@ -220,7 +220,7 @@ pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -
     all.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
 }
 
-/// Powers of ten times each of `digits`, within logarithms.
+/// Powers of ten times each of `digits`, between two logarithms.
 fn powers((low, high): (f64, f64), digits: &[f64]) -> Vec<Tick> {
     let stride = if high - low > 8.0 { 2 } else { 1 };
     (low.floor() as i32..=high.ceil() as i32)
@@ -236,14 +236,14 @@ pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     multiples(low, high, 6.0)
 }
 
-/// Round numbers within an axis, `most` or less.
+/// At most `most` round numbers within an axis.
 pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
     let all = linear_ticks(low, high);
     let stride = all.len().div_ceil(most).max(1);
     all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
-/// Multiples of 1, 2 or 5 times a power of ten, `wanted` or less.
+/// At most `wanted` multiples of 1, 2 or 5 times a power of ten.
 fn multiples(low: f64, high: f64, wanted: f64) -> Vec<f64> {
     let rough = (high - low) / wanted;
     let power = 10f64.powf(rough.log10().floor());
@@ -252,7 +252,7 @@ fn multiples(low: f64, high: f64, wanted: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// A short number.
+/// Short notation of a number.
 pub(crate) fn label(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

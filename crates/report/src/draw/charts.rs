@@ -1,7 +1,7 @@
-//! Charts: lines, marks, bars and shaded areas on two axes; their legends, and what charts over training steps share.
+//! Charts: lines, marks, bars and shaded areas on two axes; legends, and parts shared by charts over training steps.
 //!
-//! plotters lays out the axes (`axes.rs`); lines, marks and names are ours, because it knows neither dashes
-//! and dots in turn nor names that keep apart.
+//! plotters lays out the axes (`axes.rs`). Lines, marks and names are drawn here, because plotters supports neither
+//! dash-dot lines nor names that avoid each other.
 
 pub(crate) use super::axes::Axis;
 use super::axes::{Frame, Scale};
@@ -9,19 +9,19 @@ use super::marks::Style;
 use crate::canvas::{Anchor, Canvas, Colour, INK, Letters, Paint, Point, TEXT, cut, text_width};
 use pwrfgs_train::Training;
 
-/// How large a chart and its parts are.
+/// Dimensions of a chart.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Look {
     /// Width, and height without the legend.
     pub(crate) size: Point,
-    /// Room for axes and names: left, top, right, bottom.
+    /// Margins for axes and names: left, top, right, bottom.
     pub(crate) margins: [f64; 4],
 }
 
 impl Look {
-    /// For a page on a screen, which scales it.
+    /// Chart for a page on a screen, which scales it.
     pub(crate) const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
-    /// For a column of print.
+    /// Chart for a print column.
     pub(crate) const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
 }
 
@@ -31,80 +31,81 @@ impl Default for Look {
     }
 }
 
-/// A chart.
+/// Chart.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Chart {
-    /// How large it is.
+    /// Dimensions.
     pub(crate) look: Look,
-    /// Across.
+    /// Horizontal axis.
     pub(crate) x: Axis,
-    /// Upwards.
+    /// Vertical axis.
     pub(crate) y: Axis,
-    /// Shaded stretches of the horizontal axis.
+    /// Shaded ranges of the horizontal axis.
     pub(crate) bands: Vec<Band>,
-    /// The first on top.
+    /// Lines, top first.
     pub(crate) lines: Vec<Line>,
 }
 
-/// A shaded stretch, its name above it.
+/// Shaded range with a name above it.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
-    /// Above it.
+    /// Name above the range.
     pub(crate) name: &'static str,
-    /// Its ends.
+    /// Ends of the range.
     pub(crate) x: (f64, f64),
-    /// Its shade.
+    /// Colour of the range.
     pub(crate) colour: Colour,
 }
 
-/// A line with marks on it.
+/// Line with marks.
 #[derive(Clone, Debug)]
 pub(crate) struct Line {
-    /// Its name.
+    /// Name of the line.
     pub(crate) name: Name,
-    /// How it looks.
+    /// Style of the line.
     pub(crate) style: Style,
-    /// From left to right, or round an area. Infinitely far is as far as the axis goes; what has no place is left out.
+    /// Points from left to right, or around an area. Infinite values are drawn at the end of the axis; others are
+    /// omitted.
     pub(crate) points: Vec<(f64, f64)>,
-    /// Where marks stand.
+    /// Positions of marks.
     pub(crate) marks: Vec<(f64, f64)>,
-    /// Bars from one place to another, across or upright.
+    /// Horizontal or vertical bars between two points.
     pub(crate) bars: Vec<[(f64, f64); 2]>,
 }
 
-/// The name of a line, and where it stands.
+/// Name of a line and its place.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Name {
-    /// Nowhere in the chart.
+    /// No name.
     Hidden,
-    /// Below the chart.
+    /// In the legend below the chart.
     Legend(String),
-    /// At the right of its last point.
+    /// To the right of the last point.
     AtEnd(String),
 }
 
 impl Line {
-    /// Without name, marks and bars.
+    /// Creates a line without name, marks and bars.
     pub(crate) fn new(points: Vec<(f64, f64)>, style: Style) -> Self {
         Self { name: Name::Hidden, style, points, marks: Vec::new(), bars: Vec::new() }
     }
 
-    /// At one height from end to end.
+    /// Creates a horizontal line over the whole width.
     pub(crate) fn level(y: f64, style: Style) -> Self {
         Self::new(vec![(f64::NEG_INFINITY, y), (f64::INFINITY, y)], style)
     }
 
-    /// With a name in the legend.
+    /// Sets a name for the legend.
     pub(crate) fn named(self, name: &str) -> Self {
         Self { name: Name::Legend(name.into()), ..self }
     }
 
-    /// With a name at its end.
+    /// Sets a name at the end of the line.
     pub(crate) fn named_at_end(self, name: &str) -> Self {
         Self { name: Name::AtEnd(name.into()), ..self }
     }
 
-    /// A sample for the legend, where it stands there.
+    /// Sample for the legend, if the line is listed there.
     fn symbol(&self) -> Option<Symbol> {
         let Name::Legend(name) = &self.name else { return None };
         let (mut picture, end) = (Canvas::new(24.0, SYMBOL), [24.0, SYMBOL / 2.0]);
@@ -113,14 +114,14 @@ impl Line {
         Some(Symbol { picture, meaning: name.clone() })
     }
 
-    /// All that must be seen.
+    /// All points that must be visible.
     fn places(&self) -> impl Iterator<Item = (f64, f64)> {
         self.points.iter().chain(&self.marks).chain(self.bars.iter().flatten()).copied()
     }
 }
 
 impl Chart {
-    /// The picture, or nothing where there is nothing to draw.
+    /// Draws the chart; `None` if there is nothing to draw.
     pub(crate) fn draw(&self) -> Option<Canvas> {
         let places = || self.lines.iter().flat_map(Line::places);
         let x = Scale::new(&self.x, places().map(|p| p.0))?;
@@ -139,7 +140,7 @@ impl Chart {
         (!self.lines.is_empty()).then_some(canvas)
     }
 
-    /// Names that stand at the ends of lines.
+    /// Names at the ends of lines.
     fn at_ends(&self) -> impl Iterator<Item = (&str, &Line)> {
         self.lines.iter().filter_map(|l| match &l.name {
             Name::AtEnd(name) => Some((name.as_str(), l)),
@@ -147,7 +148,7 @@ impl Chart {
         })
     }
 
-    /// Lines and bars, and above all of them the marks.
+    /// Draws lines and bars, then all marks on top.
     fn draw_lines(&self, canvas: &mut Canvas, frame: &Frame) {
         let places = |places: &[(f64, f64)]| places.iter().filter_map(|p| frame.at(*p)).collect::<Vec<Point>>();
         for line in self.lines.iter().rev() {
@@ -182,7 +183,7 @@ impl Chart {
         }
     }
 
-    /// Names at the ends of lines, moved apart where they would overlap.
+    /// Draws names at the ends of lines, moved apart if they would overlap.
     fn draw_end_names(&self, canvas: &mut Canvas, frame: &Frame) {
         let end = |(name, line): (_, &Line)| Some((name, line.points.iter().rev().find_map(|p| frame.at(*p))?[1]));
         let mut names: Vec<(&str, f64)> = self.at_ends().filter_map(end).collect();
@@ -196,8 +197,8 @@ impl Chart {
     }
 }
 
-/// Places at least `step` apart and within `ends` where there is room, each as near to `wanted` (ascending) as the
-/// simple way up and down allows.
+/// Positions at least `step` apart and within `ends` if possible, each close to `wanted` (ascending): one pass up and
+/// one pass down.
 fn moved_apart(wanted: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
     let mut places = wanted.to_vec();
     for k in 1..places.len() {
@@ -211,32 +212,32 @@ fn moved_apart(wanted: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
     places
 }
 
-/// Height of text, a little less than on axes, and of a row.
+/// Heights of text, slightly smaller than on axes, and of a row.
 const SIZE: f64 = 10.5;
 const ROW: f64 = 17.0;
-/// From a symbol to its meaning, between two columns, and at both sides.
+/// Gaps from a symbol to its meaning, between columns, and at both sides.
 const INDENT: f64 = 5.0;
 const GAP: f64 = 12.0;
 const MARGIN: f64 = 4.0;
 /// Height of a symbol.
 pub(crate) const SYMBOL: f64 = 14.0;
 
-/// A symbol and its meaning.
+/// Symbol with its meaning.
 pub(crate) struct Symbol {
     pub(crate) picture: Canvas,
     pub(crate) meaning: String,
 }
 
-/// Symbols in columns.
+/// Legend of symbols in columns.
 pub(crate) struct Legend {
     symbols: Vec<Symbol>,
     rows: usize,
-    /// Where each column begins.
+    /// Start of each column.
     columns: Vec<f64>,
 }
 
 impl Legend {
-    /// In as few rows as fit a picture of this width.
+    /// Arranges symbols in as few rows as fit into this width.
     pub(crate) fn new(symbols: Vec<Symbol>, width: f64) -> Self {
         let wide = |s: &Symbol| s.picture.width + INDENT + text_width(&s.meaning) * SIZE / TEXT;
         let columns = |rows: usize| -> Vec<f64> {
@@ -258,7 +259,7 @@ impl Legend {
         if self.symbols.is_empty() { 0.0 } else { ROW * self.rows as f64 + 8.0 }
     }
 
-    /// Draws it below `top`, column by column.
+    /// Draws the legend below `top`, column by column.
     pub(crate) fn draw(&self, canvas: &mut Canvas, top: f64) {
         canvas.letters = Letters { size: SIZE, ..canvas.letters };
         for (k, Symbol { picture, meaning }) in self.symbols.iter().enumerate() {
@@ -271,7 +272,7 @@ impl Legend {
     }
 }
 
-/// The three phases of algorithm 1, shaded.
+/// Phases of algorithm 1 as shaded ranges.
 pub(crate) fn phases(training: &Training) -> Vec<Band> {
     let (d, p, end) = (training.densify_until as f64, training.prune_until as f64, training.steps as f64);
     let band = |name, x, colour| Band { name, x, colour };
@@ -282,11 +283,11 @@ pub(crate) fn phases(training: &Training) -> Vec<Band> {
     ]
 }
 
-/// More corners than this no print can show apart.
+/// Maximum number of corners of a step function; more cannot be distinguished in print.
 const CORNERS: usize = 4_000;
 
-/// The corners of a step function through `points`: each change keeps the value before it up to its step. Of very many
-/// the ends and extremes of short stretches remain.
+/// Corners of a step function through `points`: each value holds until the next step. For many points, the ends
+/// and extremes of short ranges remain.
 pub(crate) fn stairs(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut drawn: Vec<(f64, f64)> = Vec::new();
     for (i, &(step, n)) in points.iter().enumerate() {
@@ -301,7 +302,7 @@ pub(crate) fn stairs(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     if drawn.len() <= CORNERS { drawn } else { drawn.chunks(4 * drawn.len() / CORNERS).flat_map(extremes).collect() }
 }
 
-/// First and last of some places, and the lowest and the highest between, in their order.
+/// First, last, lowest and highest of some points, in their order.
 fn extremes(places: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let by_height = |a: &usize, b: &usize| places[*a].1.total_cmp(&places[*b].1);
     let all = 0..places.len();

@@ -1,72 +1,73 @@
-//! How a line looks: colour, stroke and marker, each enough to tell it from others, so that greyscale does.
+//! Line styles: colour, stroke and marker each distinguish lines, also in greyscale.
 
 use crate::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 
-/// Told apart by the colour-blind (Okabe and Ito, without yellow, which is lost on white); neighbours differ in lightness.
+/// Colours for the colour-blind (Okabe and Ito, without yellow, which is hard to see on white); neighbours differ in
+/// lightness.
 const COLOURS: [u32; 8] = [0x00_5aa0, 0xd5_5e00, 0x00_9e73, 0x78_286e, 0xe6_9f00, 0x10_1318, 0x56_b4e9, 0xcc_79a7];
-/// Greys and dashes of baselines.
+/// Greys of baselines.
 const GREYS: [u32; 2] = [0x3c_3f46, 0x8c_9098];
 const DASHES: [Stroke; 3] = [Stroke::DASHED, Stroke::DOTTED, Stroke::DASH_DOTTED];
-/// Published numbers.
+/// Colour of published values.
 const GREY: Colour = Colour::hex(0x6e_727a);
 
-/// Four stages from dark to light: told apart by lightness alone.
+/// Four stages from dark to light, which differ in lightness.
 pub(crate) const SHADES: [u32; 4] = [0x12_3a6b, 0x3f_7fb8, 0x93_c0de, 0xe6_f0f7];
 
-/// Of a mark, about.
+/// Approximate size of a mark.
 const RADIUS: f64 = 3.6;
 
-/// How a line is stroked.
+/// Stroke of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Stroke {
-    /// With strokes and gaps of these lengths in turn.
+    /// Strokes and gaps of these lengths.
     Dashes(&'static [f64]),
-    /// Not at all: its points enclose a shaded area.
+    /// No stroke: the points enclose a shaded area.
     Area,
-    /// Not at all: a dot at each of its points, as wide as the line.
+    /// No stroke: a dot at each point, as wide as the line.
     Dots,
-    /// Not at all: only marks are drawn.
+    /// No stroke: only marks.
     None,
 }
 
 impl Stroke {
-    /// Without gaps.
+    /// Solid line.
     pub(crate) const FULL: Self = Self::Dashes(&[]);
-    /// Dashes.
+    /// Dashed line.
     pub(crate) const DASHED: Self = Self::Dashes(&[6.0, 4.0]);
-    /// Dots.
+    /// Dotted line.
     pub(crate) const DOTTED: Self = Self::Dashes(&[1.6, 2.6]);
-    /// Dashes and dots in turn.
+    /// Dash-dot line.
     pub(crate) const DASH_DOTTED: Self = Self::Dashes(&[8.0, 3.0, 1.6, 3.0]);
 }
 
-/// The shape of a mark.
+/// Shape of a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Marker {
-    /// A disc.
+    /// Disc.
     Circle,
-    /// A square.
+    /// Square.
     Square,
-    /// A triangle that points up.
+    /// Triangle pointing up.
     Triangle,
-    /// A square on its corner.
+    /// Diamond.
     Diamond,
-    /// A triangle that points down.
+    /// Triangle pointing down.
     Wedge,
-    /// A leaning cross.
+    /// Diagonal cross.
     Cross,
-    /// An upright cross.
+    /// Upright cross.
     Plus,
-    /// A star of five points.
+    /// Five-pointed star.
     Star,
 }
 
 impl Marker {
-    /// All of them.
+    /// All shapes.
     pub(crate) const ALL: [Self; 8] =
         [Self::Circle, Self::Square, Self::Triangle, Self::Diamond, Self::Wedge, Self::Plus, Self::Star, Self::Cross];
 
-    /// Corners about the middle, radius about 1, y downwards.
+    /// Corners around the centre, with a radius of about 1, y downwards.
     fn corners(self) -> Vec<(f64, f64)> {
         let ring = |n: usize, first_deg: f64, radii: &[f64]| -> Vec<(f64, f64)> {
             let corner = |k: usize| {
@@ -96,28 +97,28 @@ impl Marker {
     }
 }
 
-/// How a line and its marks look.
+/// Style of a line and its marks.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Style {
-    /// Of stroke and marks.
+    /// Colour of stroke and marks.
     pub(crate) colour: Colour,
-    /// Of the stroke.
+    /// Width of the stroke.
     pub(crate) width: f64,
-    /// How its line is drawn.
+    /// Stroke of the line.
     pub(crate) stroke: Stroke,
-    /// What stands at its marks.
+    /// Shape of the marks.
     pub(crate) marker: Option<Marker>,
-    /// Whether marks are empty.
+    /// Whether marks are hollow.
     pub(crate) hollow: bool,
 }
 
 impl Style {
-    /// A line without marks.
+    /// Style of a line without marks.
     pub(crate) fn line(colour: Colour, width: f64, stroke: Stroke) -> Self {
         Self { colour, width, stroke, marker: None, hollow: false }
     }
 
-    /// The `k`-th variant: eight colours with eight markers, then the same dashed.
+    /// Style of variant `k`: eight colours with eight markers, then the same dashed.
     pub(crate) fn variant(k: usize) -> Self {
         let strokes = [Stroke::FULL, Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED];
         Self {
@@ -129,17 +130,17 @@ impl Style {
         }
     }
 
-    /// The `k`-th baseline.
+    /// Style of baseline `k`.
     pub(crate) fn floor(k: usize) -> Self {
         Self::line(Colour::hex(GREYS[k / DASHES.len() % GREYS.len()]), 1.0, DASHES[k % DASHES.len()])
     }
 
-    /// Published points.
+    /// Style of published points.
     pub(crate) fn published() -> Self {
         Self { marker: Some(Marker::Star), hollow: true, ..Self::line(GREY, 1.0, Stroke::None) }
     }
 
-    /// The line that joins variants.
+    /// Style of a line that joins variants.
     pub(crate) fn thread() -> Self {
         Self::line(Colour::hex(0xaf_b3bb), 1.0, Stroke::FULL)
     }

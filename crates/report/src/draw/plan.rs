@@ -1,32 +1,32 @@
-//! A flat map in metres: a floor plan, the side of a room, a plane (a metre is as long across as upwards), and values over
-//! a plane as a coloured map with a bar, axes and receivers.
+//! Flat maps in metres with equal scales: a floor plan, the side view of a room, or values over a plane as a coloured
+//! map with colour bar, axes and receivers.
 
 use super::axes::{few_ticks, label, linear_ticks};
 use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Path, Pixels, Point, WHITE};
 use pwrfgs_core::colour::{Rgb, cyclic, sequential};
 
-/// The shorter side of a frame has at least this share of the longer one: a corridor stays visible.
+/// Minimum ratio of the shorter to the longer side of a frame, so that a corridor stays visible.
 const FLATTEST: f64 = 0.12;
-/// Room for names and numbers: left, top, right, bottom.
+/// Margins for names and numbers: left, top, right, bottom.
 const MARGINS: [f64; 4] = [44.0, 8.0, 10.0, 36.0];
-/// Of a receiver.
+/// Size of the mark of a receiver.
 const RECEIVER: f64 = 5.4;
 
-/// Where places lie on the picture.
+/// Mapping of metres to positions on the drawing.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     low: Point,
     high: Point,
     /// Names of the axes, such as x and y.
     names: [&'static str; 2],
-    /// Units of the picture a metre.
+    /// Drawing units per metre.
     scale: f64,
-    /// Width and height of the whole picture.
+    /// Width and height of the drawing.
     pub(crate) size: Point,
 }
 
 impl Plan {
-    /// Of what lies between two corners, in metres, within a picture so wide and a map so high at most.
+    /// Creates the mapping for the area between two corners, in metres, for a given width and maximum map height.
     pub(crate) fn new([low, high]: [Point; 2], names: [&'static str; 2], width: f64, most_height: f64) -> Self {
         let [low, high] = no_line(low, high);
         let [left, top, right, bottom] = MARGINS;
@@ -35,7 +35,7 @@ impl Plan {
         Self { low, high, names, scale, size: [left + scale * across + right, top + scale * up + bottom] }
     }
 
-    /// The smallest frame with some air around `places`; of nothing a square metre.
+    /// Smallest frame with a margin around `places`; a square metre if there are none.
     pub(crate) fn corners(places: impl IntoIterator<Item = Point>) -> [Point; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for place in places.into_iter().filter(|place| place.iter().all(|v| v.is_finite())) {
@@ -50,24 +50,24 @@ impl Plan {
         [low.map(|v| v - air), high.map(|v| v + air)]
     }
 
-    /// Where a place lies on the picture.
+    /// Position on the drawing.
     pub(crate) fn place(&self, [x, y]: Point) -> Point {
         let [left, top, ..] = MARGINS;
         [left + self.scale * (x - self.low[0]), top + self.scale * (self.high[1] - y)]
     }
 
-    /// Whether a place is on the map.
+    /// Whether a point is on the map.
     pub(crate) fn holds(&self, place: Point) -> bool {
         (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&place[k]))
     }
 
-    /// Corner, width and height of the map on the picture.
+    /// Corner, width and height of the map on the drawing.
     pub(crate) fn area(&self) -> (Point, Point) {
         let [a, b] = [self.place([self.low[0], self.high[1]]), self.place([self.high[0], self.low[1]])];
         (a, [b[0] - a[0], b[1] - a[1]])
     }
 
-    /// An empty map.
+    /// Creates an empty map.
     pub(crate) fn canvas(&self) -> Canvas {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
         canvas.letters.size = 10.0;
@@ -76,8 +76,8 @@ impl Plan {
         canvas
     }
 
-    /// The frame with numbers in metres, drawn last: it lies on what is mapped. Map coordinates, which are too long for an
-    /// axis, count from a round number that its name says.
+    /// Draws the frame with numbers in metres on top of the map. Map coordinates, which are too long for an
+    /// axis, are relative to a round number in the name of the axis.
     pub(crate) fn axes(&self, canvas: &mut Canvas) {
         let (at, size) = self.area();
         canvas.rect(at, size, Paint::stroke(INK, 0.7));
@@ -97,7 +97,7 @@ impl Plan {
         canvas.upright([12.0, at[1] + size[1] / 2.0], y_title);
     }
 
-    /// Numbers along an axis and its title.
+    /// Draws numbers along an axis and its title.
     fn marked(&self, axis: usize) -> (Vec<(f64, String)>, String) {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
         let far = low.abs().max(high.abs()) > 9_999.0;
@@ -107,21 +107,21 @@ impl Plan {
         (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
     }
 
-    /// The picture in the middle of one so wide: a page then scales maps of any shape alike.
+    /// Centres the drawing in a given width, so that a page scales maps of any shape equally.
     pub(crate) fn widened(canvas: &Canvas, width: f64) -> Canvas {
         let mut wide = Canvas::new(width.max(canvas.width), canvas.height);
         wide.put([(wide.width - canvas.width) / 2.0, 0.0], 1.0, canvas);
         wide
     }
 
-    /// A receiver: a square with a dot, told from all round marks.
+    /// Draws a receiver: a square with a dot.
     pub(crate) fn receiver(&self, canvas: &mut Canvas, place: Point) {
         if self.holds(place) {
             draw_receiver(canvas, self.place(place));
         }
     }
 
-    /// Surface points, faint.
+    /// Draws surface points, faintly.
     pub(crate) fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
         let mut path = Path::default();
         points.into_iter().filter(|p| self.holds(*p)).for_each(|p| path.add(&[self.place(p); 2]));
@@ -129,14 +129,14 @@ impl Plan {
     }
 }
 
-/// The mark of a receiver.
+/// Mark of a receiver.
 pub(crate) fn draw_receiver(canvas: &mut Canvas, [x, y]: Point) {
     let r = RECEIVER;
     canvas.rect([x - r, y - r], [2.0 * r; 2], Paint::fill(WHITE).outlined(BLACK, 1.6));
     canvas.circle([x, y], 2.0, Paint::fill(BLACK));
 }
 
-/// Corners that are apart along both axes.
+/// Corners that differ along both axes.
 fn no_line(mut low: Point, mut high: Point) -> [Point; 2] {
     let longest = (high[0] - low[0]).max(high[1] - low[1]);
     let least = if longest > 0.0 { FLATTEST * longest } else { 1.0 };
@@ -147,53 +147,53 @@ fn no_line(mut low: Point, mut high: Point) -> [Point; 2] {
     [low, high]
 }
 
-/// Width of the picture, and the largest height of the map.
+/// Width of the drawing and maximum height of the map.
 const WIDTH: f64 = 470.0;
 const MOST_HEIGHT: f64 = 420.0;
-/// Room above the map for the title, and below for the bar.
+/// Heights for the title above and the colour bar below the map.
 const HEAD: f64 = 22.0;
 const FOOT: f64 = 44.0;
-/// Where there is no finite value.
+/// Colour of values that are not finite.
 const NOTHING: Rgb = [0xe3, 0xe5, 0xe9];
-/// Units of the picture between two arrows.
+/// Drawing units between two arrows.
 const ARROWS: f64 = 26.0;
 
-/// How values become colours.
+/// Colour map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Colours {
-    /// From the smallest, dark, to the largest, light.
+    /// From dark (smallest) to light (largest).
     Sequential,
-    /// Degrees, once around.
+    /// Cyclic, for angles in degrees.
     Cyclic,
 }
 
-/// What is mapped.
+/// Values over a plane.
 #[derive(Clone, Debug)]
 pub struct Heat<'a> {
-    /// Above the map.
+    /// Title above the map.
     pub title: String,
-    /// Below the bar.
+    /// Unit below the colour bar.
     pub unit: String,
-    /// Names of the axes, across first.
+    /// Names of the axes, horizontal first.
     pub names: [&'static str; 2],
-    /// Where the first value lies, metres.
+    /// Position of the first value, metres.
     pub first: Point,
-    /// Metres between values.
+    /// Grid spacing, metres.
     pub step: f64,
-    /// Values across.
+    /// Number of columns.
     pub columns: usize,
-    /// Row by row, the lowest first; NaN where there is none.
+    /// Values, row by row, lowest row first; NaN if unknown.
     pub values: &'a [f32],
-    /// How they become colours.
+    /// Colour map.
     pub colours: Colours,
-    /// Where receivers are.
+    /// Positions of receivers.
     pub receivers: Vec<Point>,
-    /// A vector for every value, drawn as an arrow now and then; empty for none.
+    /// Vector per value, some of which are drawn as arrows; empty for none.
     pub arrows: &'a [[f32; 2]],
 }
 
 impl Heat<'_> {
-    /// The picture.
+    /// Draws the map.
     pub fn draw(&self) -> Canvas {
         let rows = self.values.len() / self.columns.max(1);
         let half = self.step / 2.0;
@@ -215,7 +215,7 @@ impl Heat<'_> {
         canvas
     }
 
-    /// What the colours span.
+    /// Range of the colours.
     fn range(&self) -> (f64, f64) {
         if self.colours == Colours::Cyclic {
             return (0.0, 360.0);
@@ -270,7 +270,7 @@ impl Heat<'_> {
         canvas.path(lines, Paint::stroke(BLACK, 1.0));
     }
 
-    /// The bar with its numbers and its unit.
+    /// Draws the colour bar with numbers and unit.
     fn draw_bar(&self, canvas: &mut Canvas, top: f64, (low, high): (f64, f64)) {
         let width = (0.7 * canvas.width).min(300.0);
         let left = (canvas.width - width) / 2.0;

@@ -1,4 +1,4 @@
-//! The room and the Gaussians in it.
+//! Room with Gaussians.
 
 #[cfg(test)]
 mod tests;
@@ -13,41 +13,42 @@ use pwrfgs_model::Snapshot;
 use std::fmt::Write as _;
 use view::{Place, View, facing};
 
-/// At most so many of each are drawn.
+/// Maximum numbers of drawn elements.
 const POINTS: usize = 3_000;
 const TRANSMITTERS: usize = 100;
 const GAUSSIANS: usize = 3_000;
-/// Up to so many Gaussians stand on stems, which show where they are above the floor.
+/// Maximum number of Gaussians with stems, which show their height above the floor.
 const STEMS: usize = 80;
 
 const BLUE: Colour = Colour::hex(0x17_4a99);
 const TRAINING: Colour = Colour::hex(0xc2_7c00);
 const TEST: Colour = Colour::hex(0x00_805c);
 
-/// One moment.
+/// Room with the Gaussians of one snapshot.
 pub(crate) struct Panel {
     pub(crate) title: String,
     pub(crate) numbers: String,
     pub(crate) picture: Canvas,
-    /// What is not shown.
+    /// Remarks about elements that are not drawn.
     pub(crate) caption: String,
 }
 
-/// What all panels share: limits, cloud, transmitters and receiver.
+/// Parts shared by all panels: limits, point cloud, transmitters and receiver.
 pub(crate) struct Room {
     view: View,
-    /// Axes, cloud, transmitters and receiver.
+    /// Axes, point cloud, transmitters and receiver.
     behind: Canvas,
-    /// The receiver; nothing where there are several, which are squares.
+    /// Arrow of the receiver; none for several receivers, which are squares.
     receiver: Option<Receiver>,
-    /// The largest radius of a Gaussian.
+    /// Largest radius of a Gaussian.
     radius: f64,
     has_test: bool,
     has_points: bool,
 }
 
 impl Room {
-    /// The frame holds the scene and the Gaussians of all `clouds` but those absurdly far off. Text on the axes is `text` high.
+    /// Creates a frame around the scene and the Gaussians of all `clouds`, except far outliers. `text` is the text
+    /// height.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
         let (low, high) = limits(data, clouds);
         let mut view = View::new(low, high, text);
@@ -76,7 +77,7 @@ impl Room {
         Self { view, behind, receiver, radius, has_test, has_points }
     }
 
-    /// The Gaussians of one moment in the room.
+    /// Panel with the Gaussians of one snapshot.
     pub(crate) fn panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
         let n = snapshot.means.len();
         let mut shown: Vec<(Place, f64)> = scattered(n)
@@ -85,7 +86,7 @@ impl Room {
             .filter(|(mean, _)| self.view.holds(*mean))
             .collect();
         let outside = n - shown.len();
-        shown.sort_by(|a, b| b.1.total_cmp(&a.1)); // stable: equals, as at the start, are drawn from everywhere
+        shown.sort_by(|a, b| b.1.total_cmp(&a.1)); // stable sort: equal opacities, as at the start, are drawn from all places
         let inside = shown.len();
         shown.truncate(GAUSSIANS);
         let mut numbers = format!("N = {}", grouped(n as i64));
@@ -94,15 +95,15 @@ impl Room {
         }
         let mut caption = Vec::new();
         if outside > 0 {
-            caption.push(format!("{} of {} lie outside the frame", grouped(outside as i64), grouped(n as i64)));
+            caption.push(format!("{} of {} are outside the frame", grouped(outside as i64), grouped(n as i64)));
         }
         if inside > shown.len() {
-            caption.push(format!("the {} most opaque are drawn", grouped(shown.len() as i64)));
+            caption.push(format!("only the {} most opaque are drawn", grouped(shown.len() as i64)));
         }
         Panel { title: title.into(), numbers, picture: self.draw(&mut shown), caption: caption.join("; ") }
     }
 
-    /// What is behind, then Gaussians from far to near.
+    /// Draws the background, then Gaussians from far to near.
     fn draw(&self, shown: &mut [(Place, f64)]) -> Canvas {
         shown.sort_by(|a, b| self.view.nearness(a.0).total_cmp(&self.view.nearness(b.0)));
         let mut canvas = self.behind.clone();
@@ -117,13 +118,13 @@ impl Room {
         canvas
     }
 
-    /// A circle whose area is proportional to opacity.
+    /// Circle with an area proportional to opacity.
     fn draw_gaussian(&self, canvas: &mut Canvas, at: Point, opacity: f64) {
         let paint = Paint::fill(BLUE.faint(0.85)).outlined(WHITE, 0.5);
         canvas.circle(at, (self.radius * opacity.sqrt()).max(0.9), paint);
     }
 
-    /// What all symbols mean.
+    /// Symbols with their meanings.
     pub(crate) fn legend(&self) -> Vec<Symbol> {
         let symbol = |meaning: &str, path: Path, paint| {
             let mut picture = Canvas::new(12.0, SYMBOL);
@@ -160,16 +161,20 @@ impl Room {
     pub(crate) fn note(&self, data: &Dataset) -> String {
         let count = data.scene.points.len();
         if !self.has_points {
-            return "This scene has no point cloud: where its walls are is not known.".into();
+            return "This scene has no point cloud, so its walls are unknown.".into();
         }
         if count > POINTS {
-            return format!("{} of {} points of the cloud are drawn.", grouped(POINTS as i64), grouped(count as i64));
+            return format!(
+                "{} of {} points of the point cloud are drawn.",
+                grouped(POINTS as i64),
+                grouped(count as i64)
+            );
         }
         String::new()
     }
 }
 
-/// The point cloud, fainter towards the eye: what lies behind shall be seen.
+/// Draws the point cloud, fainter towards the viewer, so that objects behind stay visible.
 fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
     let mut layers = [(); 3].map(|()| Path::default());
     for point in evenly(&data.scene.points, POINTS) {
@@ -185,7 +190,7 @@ fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
     }
 }
 
-/// The Chamfer distance to the point cloud as the metric of that name defines it, m²; `None` where it does not apply.
+/// Chamfer distance to the point cloud, as the metric of that name, m²; `None` if not applicable.
 fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     let metric = Plugin::<dyn Metric>::parse("Chamfer()").ok()?;
     let model = Some(ModelFacts { means, gaussian_bytes: 0, network_bytes: 0 });
@@ -196,9 +201,9 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     }
 }
 
-/// Corners of the frame, a little wider than what it must hold and never flat: the scene; where it has no point cloud
-/// its walls are unknown, and the middle nine tenths of each of `clouds` count as part of it; and every Gaussian that is
-/// no farther off than the scene is long, since one farther away would shrink the scene to a speck.
+/// Corners of the frame, slightly wider than its content and never flat. It contains the scene; without a point cloud
+/// also the central 90 % of each of `clouds`, because the walls are unknown; and every Gaussian within one scene
+/// length of the scene. Gaussians farther away would make the scene too small.
 fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
     let (low, high) = data.scene.bounds;
     let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
@@ -230,36 +235,36 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
     (low, high)
 }
 
-/// The longest edge of a box; 1 where it has none.
+/// Longest edge of a box; 1 if it has none.
 fn longest(low: Place, high: Place) -> f64 {
     let longest = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
     if longest > 0.0 { longest } else { 1.0 }
 }
 
-/// The numbers below `n` in an order whose first part is spread over all of them (Knuth's multiplicative hash).
+/// Numbers below `n` in an order whose start is spread over all of them (Knuth's multiplicative hash).
 fn scattered(n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by_key(|&i| (i as u32).wrapping_mul(2_654_435_769));
     order
 }
 
-/// Beyond this an arrow would be too short to show a direction: it looks along the line of sight within 20 degrees.
+/// Limit beyond which the boresight is along the line of sight, within 20 degrees, and an arrow is too short.
 const HEAD_ON: f64 = 0.94;
-/// Of the ring.
+/// Radius of the ring.
 const RADIUS: f64 = 5.0;
 
-/// An arrow along the boresight as the picture shows it. Along the line of sight it is what physics draws: a ring with a
-/// dot where the arrow's tip would be seen, with a cross where its feathers would.
+/// Arrow along the boresight. Along the line of sight it is drawn as in physics: a ring with a dot for an arrow towards
+/// the viewer, with a cross for an arrow away from the viewer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Receiver {
-    /// From the receiver to the end of its arrow, on the picture.
+    /// Projection of the arrow on the drawing.
     along: Point,
-    /// 1 where it looks straight at the eye, -1 where straight away from it.
+    /// 1 if the boresight points to the viewer, -1 if it points away.
     facing: f64,
 }
 
 impl Receiver {
-    /// With an arrow so long, metres.
+    /// Creates an arrow of this length, metres.
     pub(super) fn new(pose: &Pose, view: &View, length: f64) -> Self {
         let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
         let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
@@ -267,7 +272,7 @@ impl Receiver {
         Self { along: [to[0] - from[0], to[1] - from[1]], facing: facing(boresight) }
     }
 
-    /// Draws it where it stands.
+    /// Draws the arrow.
     pub(super) fn draw(self, canvas: &mut Canvas, at: Point) {
         if self.facing.abs() > HEAD_ON {
             canvas.circle(at, RADIUS, Paint::fill(WHITE).outlined(BLACK, 1.4));
@@ -290,13 +295,13 @@ impl Receiver {
         canvas.line(&[at, place(length, 0.0)], Paint::stroke(BLACK, 1.4));
     }
 
-    /// What it looks like, for the legend: an arrow lies there.
+    /// Description for the legend.
     pub(super) fn symbol(self) -> Symbol {
         let mut picture = Canvas::new(21.0, SYMBOL);
         Self { along: [15.0, 0.0], ..self }.draw(&mut picture, [6.0, SYMBOL / 2.0]);
         let meaning = match self.facing {
-            f if f > HEAD_ON => "receiver, looking out of the picture",
-            f if f < -HEAD_ON => "receiver, looking into the picture",
+            f if f > HEAD_ON => "receiver, boresight towards the viewer",
+            f if f < -HEAD_ON => "receiver, boresight away from the viewer",
             _ => "receiver and its boresight",
         };
         Symbol { picture, meaning: meaning.into() }

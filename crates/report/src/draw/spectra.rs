@@ -1,23 +1,23 @@
-//! A spectrum as a map (azimuth by elevation) and as a polar sky plot, with their axes in degrees.
+//! Spectra as maps (azimuth by elevation) and as polar sky plots, with axes in degrees.
 
 use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Letters, Paint, Path, Pixels, Point, WHITE};
 use pwrfgs_core::colour::{Rgb, diverging, sequential};
 use pwrfgs_core::{Axis, Image, ImagePlane};
 
-/// Width of a map's picture.
+/// Width of the drawing of a map.
 const MAP: f64 = 360.0;
-/// Radius of a sky plot, and its resolution.
+/// Radius and resolution of a sky plot.
 const SKY: f64 = 95.0;
 const SKY_PIXELS: usize = 380;
-/// Height of text on a page.
+/// Text height on a page.
 const TEXT: Letters = Letters { size: 10.5, colour: INK };
 
-/// What colours mean.
+/// Colour scale.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Scale {
     /// Power from 0 to 1.
     Power,
-    /// A signed error up to this size.
+    /// Signed error up to this size.
     Error(f64),
 }
 
@@ -36,7 +36,7 @@ impl Scale {
         }
     }
 
-    /// A horizontal colour bar with its two ends and middle.
+    /// Adds a horizontal colour bar with numbers at its ends and middle.
     pub(crate) fn draw(self, canvas: &mut Canvas, [left, top]: Point, width: f64) {
         let (low, high) = self.range();
         let colours = (0..256).map(|i| self.colour(low + (high - low) * f64::from(i) / 255.0));
@@ -51,7 +51,7 @@ impl Scale {
         }
     }
 
-    /// The colour bar as a picture.
+    /// Draws the colour bar alone.
     pub(crate) fn bar(self) -> Canvas {
         let mut canvas = Canvas::new(404.0, 28.0);
         canvas.letters = TEXT;
@@ -59,7 +59,7 @@ impl Scale {
         canvas
     }
 
-    /// What shows on its colours: white, or dark where the middle is white.
+    /// Colour of marks on this scale: white, or dark if the middle of the scale is white.
     fn contrast(self) -> (Colour, Colour) {
         match self {
             Self::Power => (WHITE.faint(0.45), WHITE.faint(0.9)),
@@ -68,17 +68,17 @@ impl Scale {
     }
 }
 
-/// A marked pixel.
+/// Marked pixel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Mark {
-    /// Where the measured spectrum is strongest.
+    /// Strongest measured pixel.
     Measured(usize),
-    /// Where the predicted one is.
+    /// Strongest predicted pixel.
     Predicted(usize),
 }
 
 impl Mark {
-    /// A ring or a cross, white on a dark halo.
+    /// Draws a ring or a cross, white on a dark halo.
     fn draw(self, canvas: &mut Canvas, at: Point) {
         for paint in [Paint::stroke(BLACK.faint(0.75), 3.4), Paint::stroke(WHITE, 1.6)] {
             match self {
@@ -99,7 +99,7 @@ impl Mark {
     }
 }
 
-/// The spectrum as a picture, elevation upwards.
+/// Spectrum as an image, elevation upwards.
 pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Pixels {
     let (width, height) = (image.width, image.height);
     let upwards = plane.angles.is_none_or(|(_, elevation)| elevation.step > 0.0);
@@ -109,7 +109,7 @@ pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Pixels 
     Pixels { width, height, rgba, smooth: false }
 }
 
-/// The map: azimuth to the right, elevation upwards, in degrees; pixels where the plane has no angles.
+/// Map: azimuth to the right, elevation upwards, in degrees; in pixels if the plane has no angles.
 pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Canvas {
     let height = MAP * image.height as f64 / image.width as f64;
     let (left, top) = (44.0, 8.0);
@@ -131,8 +131,8 @@ pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
     canvas
 }
 
-/// The sky: zenith (boresight) in the middle, horizon at the rim, azimuth counter-clockwise from the receiver's x axis
-/// on the right. `None` where the plane has no angles.
+/// Sky plot: zenith (boresight) in the centre, horizon at the rim, azimuth counter-clockwise from the x axis of the
+/// receiver on the right. `None` if the plane has no angles.
 pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<Canvas> {
     let (azimuth, elevation) = plane.angles?;
     let middle @ [cx, cy] = [125.0, 114.0];
@@ -165,7 +165,7 @@ pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
     Some(canvas)
 }
 
-/// The disc of the sky, clear outside.
+/// Image of the sky disc, transparent outside.
 fn sky_pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Option<Pixels> {
     let (azimuth, elevation) = plane.angles?;
     let size = SKY_PIXELS;
@@ -187,7 +187,7 @@ fn sky_pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Option<Pixels>
     Some(Pixels { width: size, height: size, rgba, smooth: true })
 }
 
-/// The value at a place between pixels; beyond the border the nearest pixel, or the other side where azimuth wraps.
+/// Interpolated value between pixels; beyond the border the nearest pixel, or the opposite side if azimuth is periodic.
 fn bilinear(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
     let (w, h) = (image.width as i64, image.height as i64);
     let (x0, y0) = (px.floor(), py.floor());
@@ -200,16 +200,16 @@ fn bilinear(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
     (at(x, y) * (1.0 - fx) + at(x + 1, y) * fx) * (1.0 - fy) + (at(x, y + 1) * (1.0 - fx) + at(x + 1, y + 1) * fx) * fy
 }
 
-/// Where values lie along an axis of `n` pixels, from edge to edge.
+/// Range of values along an axis of `n` pixels, from edge to edge.
 pub(super) struct Ruler {
     axis: Axis,
     low: f64,
     high: f64,
-    /// After each number.
+    /// Unit after each number.
     unit: &'static str,
 }
 
-/// The two axes of a picture of spectra, azimuth first.
+/// Axes of a spectrum, azimuth first.
 pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
     let pixel = Axis { first: 0.0, step: 1.0 };
     let (azimuth, elevation) = plane.angles.unwrap_or((pixel, pixel));
@@ -217,7 +217,7 @@ pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
     [Ruler::new(azimuth, plane.width, unit), Ruler::new(elevation, plane.height, unit)]
 }
 
-/// What stands beside the axes.
+/// Names of the axes.
 pub(crate) fn names(plane: &ImagePlane) -> [&'static str; 2] {
     if plane.angles.is_some() { ["azimuth", "elevation"] } else { ["column", "row"] }
 }
@@ -228,18 +228,18 @@ impl Ruler {
         Self { axis, low: ends[0].min(ends[1]), high: ends[0].max(ends[1]), unit }
     }
 
-    /// From 0 at the low end to 1 at the high one.
+    /// Position of a value, from 0 at the low to 1 at the high end.
     fn part(&self, value: f64) -> f64 {
         (value - self.low) / (self.high - self.low)
     }
 
-    /// The same for a pixel.
+    /// Position of a pixel, from 0 to 1.
     pub(super) fn part_of_pixel(&self, pixel: f64) -> f64 {
         self.part(self.axis.first + self.axis.step * pixel)
     }
 
-    /// Multiples of `step` within half a pixel or so of the axis; of a finer or coarser one where there would be less
-    /// than two or many more than four.
+    /// Multiples of `step` within about half a pixel of the axis; of a finer or coarser step for fewer than two
+    /// or many more than four.
     fn multiples(&self, mut step: f64) -> Vec<f64> {
         let span = self.high - self.low;
         while span / step < 1.5 {
@@ -253,8 +253,8 @@ impl Ruler {
         (first..=last).map(|k| k as f64 * step).collect()
     }
 
-    /// Labels of round values with their places from 0 to 1; so many intervals at most, the ends of the axis first of
-    /// all.
+    /// Labels of round values with positions from 0 to 1, in at most so many intervals; the ends of the axis
+    /// have priority.
     fn ticks(&self, step: f64, intervals: f64) -> Vec<(String, f64)> {
         let all = self.multiples(step);
         let whole = all.len().saturating_sub(1).max(1);
@@ -264,7 +264,7 @@ impl Ruler {
     }
 }
 
-/// Ticks and numbers below a panel; those at its ends stay within it.
+/// Draws ticks and numbers below a panel; those at its ends stay inside.
 pub(crate) fn draw_azimuth(canvas: &mut Canvas, plane: &ImagePlane, [left, bottom]: Point, width: f64) {
     let [across, _] = rulers(plane);
     for (label, part) in across.ticks(90.0, (width / 42.0).floor().max(2.0)) {
@@ -279,7 +279,7 @@ pub(crate) fn draw_azimuth(canvas: &mut Canvas, plane: &ImagePlane, [left, botto
     }
 }
 
-/// Ticks and numbers left of a panel.
+/// Draws ticks and numbers left of a panel.
 pub(crate) fn draw_elevation(canvas: &mut Canvas, plane: &ImagePlane, [left, top]: Point, height: f64) {
     let [_, up] = rulers(plane);
     for (label, part) in up.ticks(30.0, (height / 16.0).floor().max(1.0)) {

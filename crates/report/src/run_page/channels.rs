@@ -1,5 +1,5 @@
-//! What the page shows of channels: magnitude and phase of a few links, their power delay profiles, and where a model
-//! without splats puts its transmitters.
+//! Channels on the page: magnitude and phase of a few links, power delay profiles, and the virtual transmitters
+//! of a model without splats.
 
 mod virtual_map;
 
@@ -12,14 +12,14 @@ use pwrfgs_core::{Image, evenly, gains_of};
 use pwrfgs_experiment::{LoadedRun, text::number};
 use std::f64::consts::TAU;
 
-/// Links on the plane of complex numbers.
+/// Maximum number of links on the complex plane.
 const DOTS: usize = 150;
 const MEASURED: Colour = BLACK;
 const PREDICTED: Colour = Colour::hex(0xd5_5e00);
-/// Three beside each other.
+/// Dimensions of three charts in a row.
 const LOOK: Look = Look { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
-/// Examples, and the map of virtual transmitters.
+/// Examples and the map of virtual transmitters.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let data = run.data;
     let single = data.width == 1 && data.height == 2;
@@ -32,12 +32,12 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     }
 }
 
-/// Subcarriers, Hz.
+/// Frequencies of the subcarriers, Hz.
 fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
     run.data.observations.frequencies_hz()
 }
 
-/// Measured as a full dark line with dots, predicted dashed with crosses: print needs no colour.
+/// Measured: solid dark line with dots; predicted: dashed with crosses. Print needs no colour.
 fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<Line> {
     vec![
         marked(predicted, PREDICTED, Stroke::DASHED, Marker::Cross, "predicted"),
@@ -45,7 +45,7 @@ fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<Line> {
     ]
 }
 
-/// A line with marks where they are few enough to be told apart, or have no line.
+/// Line with marks if they are few enough to distinguish, or if it is a single point.
 fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> Line {
     let has_marks = points.len() <= 70 || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
@@ -53,14 +53,14 @@ fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marke
     Line { marks, ..Line::new(points, style) }.named(name)
 }
 
-/// A chart of a measured and a predicted line.
+/// Chart of a measured and a predicted line.
 fn chart(title: &str, x: &str, y: &str, lines: Vec<Line>) -> Option<Value> {
     let axis = |name: &str| Axis { name: name.into(), ..Axis::default() };
     let svg = Chart { look: LOOK, x: axis(x), y: axis(y), lines, ..Chart::default() }.draw()?.svg("chart", title);
     Some(context! { title, svg })
 }
 
-/// The best, the median and the worst test link.
+/// Best, median and worst test link.
 fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     let several = run.data.scene.receivers.len() > 1;
     let example = |example: &Example| {
@@ -68,13 +68,13 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
         let frequencies = frequencies(run);
         let (measured, predicted) = (Gains::of(truth), Gains::of(prediction));
         let (lines, along, antenna) = lines(&measured, &predicted, frequencies);
-        let of = antenna.map(|k| format!("antenna {} of {}, the strongest", k + 1, measured.antennas));
+        let of = antenna.map(|k| format!("antenna {} of {} (strongest)", k + 1, measured.antennas));
         let mut charts = vec![
-            chart("Magnitude", &along, "dB over the strongest", pair(lines[0].0.clone(), lines[0].1.clone())),
+            chart("Magnitude", &along, "dB relative to the maximum", pair(lines[0].0.clone(), lines[0].1.clone())),
             chart("Phase", &along, "degrees, unwrapped", pair(lines[1].0.clone(), lines[1].1.clone())),
         ];
         if let Some([a, b]) = profiles(&measured, &predicted, frequencies) {
-            charts.push(chart("Power delay profile", "delay, ns", "dB over the measured peak", pair(a, b)));
+            charts.push(chart("Power delay profile", "delay, ns", "dB relative to the measured peak", pair(a, b)));
         }
         context! {
             several,
@@ -87,7 +87,7 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     chosen.iter().map(example).collect()
 }
 
-/// Channels of one number each, as dots on the plane of complex numbers; measured and predicted are joined.
+/// Channels of one number each as dots on the complex plane, measured and predicted joined.
 fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
     super::examples::each(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
@@ -112,17 +112,17 @@ fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     Some(context! { svg => chart.draw()?.svg("chart", "channels on the complex plane"), links => measured.len() })
 }
 
-/// Weaker than this below the strongest is drawn as this, dB.
+/// Lowest drawn level relative to the strongest, dB.
 const FLOOR_DB: f64 = -60.0;
 
-/// Channel gains `[A, F]`.
+/// Channel gains, `[A, F]`.
 pub(super) struct Gains {
     pub(super) antennas: usize,
     pub(super) subcarriers: usize,
     values: Vec<[f64; 2]>,
 }
 
-/// A line through what was measured, and one through what is predicted.
+/// Measured and predicted line.
 pub(super) type Pair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
 
 impl Gains {
@@ -131,24 +131,24 @@ impl Gains {
         Self { antennas: rows.height / 2, subcarriers: rows.width, values }
     }
 
-    /// Those of an antenna over the subcarriers.
+    /// Gains of an antenna over the subcarriers.
     pub(super) fn antenna(&self, a: usize) -> &[[f64; 2]] {
         &self.values[a * self.subcarriers..][..self.subcarriers]
     }
 
-    /// The antenna that hears most.
+    /// Antenna with the highest power.
     fn strongest(&self) -> usize {
         let energy = |a: usize| self.antenna(a).iter().map(square).sum::<f64>();
         (0..self.antennas).max_by(|a, b| energy(*a).total_cmp(&energy(*b)).then(b.cmp(a))).unwrap_or(0)
     }
 }
 
-/// |h|².
+/// Squared magnitude |h|².
 pub(super) fn square([re, im]: &[f64; 2]) -> f64 {
     re * re + im * im
 }
 
-/// Magnitude and phase of both, what runs across, and which antenna it is where one of several is shown.
+/// Magnitude and phase of both, with name of the horizontal axis and shown antenna.
 pub(super) fn lines(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> ([Pair; 2], String, Option<usize>) {
     let over_antennas = measured.subcarriers == 1;
     let k = if over_antennas { 0 } else { measured.strongest() };
@@ -174,7 +174,7 @@ pub(super) fn lines(measured: &Gains, predicted: &Gains, frequencies: &[f64]) ->
     )
 }
 
-/// 10 log₁₀ of a share, cut where it is nothing.
+/// Share in decibels, 10 log₁₀, limited for zero.
 pub(super) fn decibels(power: f64, of: f64) -> f64 {
     if of > 0.0 { (10.0 * (power / of).log10()).max(FLOOR_DB) } else { FLOOR_DB }
 }
@@ -183,7 +183,7 @@ fn angle([re, im]: &[f64; 2]) -> f64 {
     im.atan2(*re).to_degrees()
 }
 
-/// Phases that never jump by more than half a turn, the first of them as near to `from` as whole turns allow.
+/// Unwrapped phases: no jump exceeds half a turn; the first is as close to `from` as whole turns allow.
 fn unwrapped(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
     let mut last = from.unwrap_or(0.0);
     let near = |phase: f64, last: f64| phase + 360.0 * ((last - phase) / 360.0).round();
@@ -194,24 +194,24 @@ fn unwrapped(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
     gains.iter().map(of_each).collect()
 }
 
-/// With fewer subcarriers there is nothing to see.
+/// Minimum number of subcarriers for a delay profile.
 const FEWEST: usize = 4;
-/// Places along a delay, a subcarrier.
+/// Points along the delay axis per subcarrier.
 const FINE: usize = 4;
-/// This part of all delays is drawn before 0.
+/// Share of all delays that is drawn before 0.
 const BEFORE: usize = 6;
-/// Most places along a delay.
+/// Maximum number of points along the delay axis.
 const PLACES: usize = 2_048;
 
-/// Hz between subcarriers; nothing where there are too few, or they are not equally far apart.
+/// Subcarrier spacing, Hz; `None` for too few or unequally spaced subcarriers.
 pub(super) fn spacing(frequencies: &[f64]) -> Option<f64> {
     let step = (frequencies.last()? - frequencies.first()?) / (frequencies.len().max(2) - 1) as f64;
     let is_even = frequencies.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 1e-3 * step.abs());
     (frequencies.len() >= FEWEST && is_even && step.is_finite() && step != 0.0).then_some(step.abs())
 }
 
-/// Power delay profile: the inverse Fourier transform over subcarriers, its power summed over antennas. Delay in ns and power
-/// in dB over the measured peak: measured, then predicted.
+/// Power delay profiles, measured and predicted: inverse Fourier transform over subcarriers, power summed over
+/// antennas. Delay in ns, power in dB relative to the measured peak.
 pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> Option<[Vec<(f64, f64)>; 2]> {
     let step = spacing(frequencies)?;
     let forward = frequencies.first() <= frequencies.last();
@@ -222,7 +222,7 @@ pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64])
     };
     let (measured, predicted) = (power(measured), power(predicted));
     let peak = measured.iter().copied().fold(0.0, f64::max);
-    // What came round stands before 0, so that a first path there is whole.
+    // The end of the period is drawn before 0, so that a path at 0 is complete.
     let before = places / BEFORE;
     let line = |powers: Vec<f64>| {
         let delay = |k: usize| 1e9 * (k as f64 - before as f64) / (places as f64 * step);
@@ -231,7 +231,7 @@ pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64])
     Some([line(measured), line(predicted)])
 }
 
-/// |Σ h w exp(j 2π k place/places)|² with a raised cosine w, which keeps one path from hiding all others.
+/// |Σ h w exp(j 2π k place/places)|² with a raised-cosine window w, which keeps one path from masking all others.
 fn tap(gains: &[[f64; 2]], place: usize, places: usize, forward: bool) -> f64 {
     let count = gains.len() as f64;
     let sum = gains.iter().enumerate().fold([0.0; 2], |[x, y], (k, [re, im])| {

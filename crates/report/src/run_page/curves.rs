@@ -1,4 +1,4 @@
-//! Which curves the report shows: loss and N over the steps, the first metric on validation, its spread over the test part.
+//! Curves of the page: loss and N over the steps, validation score, and distribution of test scores.
 
 use crate::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line, phases, stairs};
@@ -7,20 +7,20 @@ use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, Headline};
 use pwrfgs_experiment::{LoadedRun, record::column, scores::MODEL, statistics::quantile};
 
-/// At most this many stretches of the loss are averaged.
+/// Maximum number of ranges over which the loss is averaged.
 const STRETCHES: usize = 150;
 const MODEL_COLOUR: Colour = Colour::hex(0x18_4ea3);
-/// For baselines, in their order: told apart by the colour-blind (Okabe and Ito).
+/// Colours of baselines, in their order, for the colour-blind (Okabe and Ito).
 const FLOOR_COLOURS: [u32; 8] =
     [0x78_7c84, 0xe6_9f00, 0x00_9e73, 0xcc_79a7, 0xd5_5e00, 0x10_1318, 0x96_8200, 0x56_b4e9];
 
-/// Of a smoother companion of the model's curve.
+/// Colour of the second curve of the model.
 const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 
 /// Heading and chart.
 type Figure = (String, String);
 
-/// Every figure there are numbers for.
+/// All curves for which there are numbers.
 pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
     if !run.record.curve.is_empty() {
@@ -32,7 +32,7 @@ pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
     figures
 }
 
-/// A chart over the steps, with the three phases of algorithm 1 shaded.
+/// Chart over the steps with the three phases of algorithm 1 shaded.
 fn over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<Line>) -> Chart {
     let training = &run.record.pipeline.training;
     let x = Axis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
@@ -48,7 +48,7 @@ fn figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
     chart.draw().map(|canvas| (title.clone(), canvas.svg("chart", &title)))
 }
 
-/// The loss on a logarithmic axis: its mean over short stretches, and the range within each.
+/// Loss on a logarithmic axis: mean and range over short ranges of steps.
 fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let stretches: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(STRETCHES).max(1)).collect();
     let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
@@ -73,7 +73,7 @@ fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     figure(title, &over_steps(run, true, lines))
 }
 
-/// SSIM on the validation samples, with the floors on the very same samples.
+/// Validation score, with the baselines on the same samples.
 fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
     let rows = &run.record.validation;
     if rows.is_empty() {
@@ -91,11 +91,11 @@ fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
     figure(title, &over_steps(run, false, lines))
 }
 
-/// Groups of test spectra by the spread of the members.
+/// Number of groups of test samples by spread.
 const GROUPS: usize = 10;
 
-/// Error against the spread of an ensemble's members: median and the range from the 10th to the 90th percentile of groups
-/// of equally many test spectra. With the rank correlation of the two; `None` where there is one model alone.
+/// Error against the spread of an ensemble: median and range from the 10th to the 90th percentile of groups of equal
+/// numbers of test samples, with their rank correlation. `None` for a single model.
 pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
     let measured = run.record.confidence.as_ref()?;
     let groups = measured.groups(GROUPS);
@@ -103,7 +103,7 @@ pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
     let range: Vec<_> = groups.iter().map(at(0.9)).chain(groups.iter().rev().map(at(0.1))).collect();
     let median: Vec<_> = groups.iter().map(at(0.5)).collect();
     let last = groups.last()?.0;
-    let mut middle = line(median.clone(), MODEL_COLOUR, 2.5).named("median error of a group");
+    let mut middle = line(median.clone(), MODEL_COLOUR, 2.5).named("median error per group");
     middle.marks = median;
     let lines = vec![
         middle,
@@ -112,19 +112,19 @@ pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
             .named("error = spread"),
     ];
     let x = Axis { name: "spread of the members, RMS".into(), ends: Some((0.0, last)), log: false };
-    let y = Axis { name: "error of their mean, RMS".into(), ends: None, log: false };
+    let y = Axis { name: "error of the mean, RMS".into(), ends: None, log: false };
     let chart = Chart { x, y, lines, ..Chart::default() };
     let rank = measured.rank_correlation();
     let svg = chart.draw()?.svg("chart", "Error against the spread of the members");
     Some(context! { svg, rank => rank.is_finite().then(|| format!("{rank:.2}")), samples => measured.ids.len() })
 }
 
-/// At most this many places along a curve are drawn.
+/// Maximum number of points along a curve.
 const PLACES: usize = 400;
-/// Of errors and ratios, which have no ends of their own, this share of each predictor's is within the axis.
+/// Share of each predictor within the axis, for errors and ratios without natural limits.
 const INSIDE: f64 = 0.98;
 
-/// Which share of the test part stays below each value.
+/// Share of the test set below each value.
 fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores;
     let task = run.data.task();
@@ -155,7 +155,7 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
     figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
-/// Where the axis begins and ends.
+/// Ends of the axis.
 fn ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match (headline.best, headline.higher) {

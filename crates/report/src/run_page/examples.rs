@@ -1,28 +1,28 @@
-//! `Example`: the best, the median and the worst prediction of a test link, to look at.
+//! `Example`: best, median and worst prediction of a test link.
 
 use crate::draw::spectra::{self, Mark, Scale};
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Query, Result};
 use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 
-/// A test link and what the model predicts of it.
+/// Test link with its prediction.
 pub(super) struct Example {
     /// `Best`, `Median` or `Worst`.
     pub(super) which: &'static str,
     /// Index of the sample.
     pub(super) sample: usize,
-    /// The first metric of the kind, such as SSIM.
+    /// First metric of the task, such as SSIM.
     pub(super) score: f64,
     /// Distance to the nearest training transmitter, metres; `None` if there is none.
     pub(super) nearest_m: Option<f64>,
-    /// What was measured.
+    /// Measurement.
     pub(super) truth: Image,
-    /// What is predicted, not clamped.
+    /// Prediction, not clamped.
     pub(super) prediction: Image,
 }
 
 impl Example {
-    /// What every page says of it.
+    /// Facts shown on every page.
     pub(super) fn words(&self, run: &LoadedRun<'_>) -> Value {
         let sample = run.data.sample(self.sample);
         context! {
@@ -35,8 +35,8 @@ impl Example {
     }
 }
 
-/// The examples of a run, as far as they are different; none of no test sample. They are predicted again, which gives the
-/// same bits.
+/// Distinct examples of a run; none without test samples. They are predicted again, which gives
+/// identical bits.
 pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let (data, part, model) = (run.data, &run.partition.test, run.model.prepare());
     let headline = data.task().headline;
@@ -68,10 +68,10 @@ pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     Ok(examples)
 }
 
-/// Links that are predicted together.
+/// Number of links that are predicted together.
 const CHUNK: usize = 512;
 
-/// Shows `look` every one of these links with its measurement and its prediction, in order.
+/// Calls `look` for each link with its measurement and prediction, in order.
 pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut look: impl FnMut(usize, &Image, &Image)) {
     let (model, data) = (run.model.prepare(), run.data);
     for chunk in links.chunks(CHUNK) {
@@ -82,7 +82,7 @@ pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut look: impl FnMut(us
     }
 }
 
-/// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
+/// Best, median and worst test spectrum by SSIM, and their common error limit.
 pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
     let chosen = if run.data.task().has_pixels { chosen } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
@@ -111,12 +111,12 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
     (chosen.iter().zip(&errors).map(example).collect(), limit)
 }
 
-/// `a` minus `b`.
+/// Difference `a` minus `b`.
 fn difference(a: &Image, b: &Image) -> Image {
     Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(a, b)| a - b).collect() }
 }
 
-/// The strongest directions in words; nothing where the plane has no angles.
+/// Strongest directions in words; none if the plane has no angles.
 fn peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
     let plane = run.model.plane();
     let direction = |image: &Image| {

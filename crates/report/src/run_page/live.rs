@@ -1,5 +1,5 @@
-//! The part of the page that moves: the room to turn, samples to step through, and where it is one small model a transmitter to
-//! drag. Everything lies in the page; without scripts it is not there.
+//! Interactive part of the page: a room to rotate, samples to browse and, for one small model, a transmitter to
+//! move. All data are in the page; without scripts, this part is not shown.
 
 use crate::live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
 use base64::Engine as _;
@@ -10,23 +10,23 @@ use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 use pwrfgs_model::{Ensemble, file};
 use serde_json::json;
 
-/// Most spectra in a page, and most bytes of them.
+/// Maximum number of spectra in a page, and their maximum bytes.
 const SPECTRA: usize = 50;
 const BYTES: usize = 2_400_000;
-/// Surface points in a page.
+/// Maximum number of surface points in a page.
 const POINTS: usize = 3_000;
-/// Most Gaussians in a page.
+/// Maximum number of Gaussians in a page.
 const GAUSSIANS: usize = 20_000;
-/// Links whose transmitters a page shows at most, besides those whose spectra lie in it.
+/// Maximum number of links with a shown transmitter, besides those whose spectra are in the page.
 const LINKS: usize = 5_000;
-/// Largest model that predicts in the page, bytes.
+/// Maximum size of a model that predicts in the page, bytes.
 const MODEL_BYTES: usize = 1 << 20;
-/// Names of deformations that `web/predict.js` knows.
+/// Deformations that `web/predict.js` supports.
 const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
-/// What the script does last.
+/// Last statement of the script.
 const START: &str = "startReport();\n";
 
-/// What the template needs: the script always, for tables are sorted too; the stage where positions are known.
+/// Values for the template: always the script, which also sorts tables; the stage only if positions are known.
 pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
     let digest = hash(&script);
@@ -53,7 +53,7 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     }
 }
 
-/// As a page's policy names the one script that may run.
+/// Hash of the only permitted script, for the content security policy.
 fn hash(script: &str) -> String {
     let digits = digest(script.as_bytes());
     let byte = |k: usize| u8::from_str_radix(&digits[2 * k..2 * k + 2], 16).unwrap_or_default();
@@ -64,12 +64,12 @@ fn base64(bytes: &[u8]) -> String {
     STANDARD.encode(bytes)
 }
 
-/// Whether its Gaussians are few enough for a page.
+/// Whether the Gaussians are few enough for a page.
 fn shows(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
 
-/// The model file, where it is one model that the page can predict.
+/// Model file, if it is one model that the page can predict.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let [only] = run.model.members() else { return None };
     let name = name_of(only.stages.deformation()?);
@@ -79,7 +79,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     (known && drawn && small).then(|| file::to_bytes(only))
 }
 
-/// Test links whose spectra lie in the page: evenly from the best to the worst, as many as there is room for.
+/// Test links whose spectra are in the page: evenly from best to worst, as many as fit.
 fn chosen(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let of_one = run.data.width * run.data.height * if alone { 1 } else { 2 };
     let most = SPECTRA.min(BYTES / of_one.max(1)).max(1);
@@ -91,7 +91,7 @@ fn chosen(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     chosen
 }
 
-/// The links that the page knows, sorted: the chosen ones, and others evenly.
+/// Links on the page, sorted: the selected ones, and others evenly.
 fn shown(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
     let all: Vec<usize> = (0..run.data.len()).collect();
     let mut shown = [&evenly(&all, LINKS)[..], chosen].concat();
@@ -100,7 +100,7 @@ fn shown(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
     shown
 }
 
-/// Test links with their score.
+/// Test links with their scores.
 fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
     let key = run.data.task().headline.key;
     let values = run.record.scores.samples(MODEL, key).unwrap_or_default();
@@ -124,8 +124,8 @@ fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> Pack {
     pack
 }
 
-/// What was observed of each chosen link and, where the page does not predict, what was predicted; 8 bits a pixel. Called by
-/// their places among `links`.
+/// Measurement of each selected link and, unless the page predicts, its prediction; 8 bits per pixel. Named by
+/// index in `links`.
 fn spectra_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> Pack {
     let places: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
     let mut pack = Pack::new(json!({ "links": places }));

@@ -1,4 +1,4 @@
-//! What the page shows of received powers: how errors are spread, where they lie, and the best and the worst links.
+//! Received powers on the page: distribution and map of errors, and best and worst links.
 
 use super::examples::Example;
 use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, Paint};
@@ -10,13 +10,13 @@ use minijinja::{Value, context};
 use pwrfgs_core::{colour::diverging, evenly};
 use pwrfgs_experiment::{LoadedRun, statistics::quantile};
 
-/// At most so many dots of the scatter.
+/// Maximum number of dots of the scatter plot.
 const DOTS: usize = 3_000;
-/// Bars of the histogram.
+/// Number of bars of the histogram.
 const BARS: usize = 48;
 const BLUE: Colour = Colour::hex(0x18_4ea3);
 
-/// A test link: what was measured, what is predicted, dBm.
+/// Test link: measured and predicted power, dBm.
 #[derive(Clone, Copy)]
 struct Heard {
     link: usize,
@@ -25,7 +25,7 @@ struct Heard {
 }
 
 impl Heard {
-    /// Positive where the model predicts too much, dB.
+    /// Error, positive if the prediction is too high, dB.
     fn error(&self) -> f64 {
         self.predicted - self.measured
     }
@@ -52,12 +52,12 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     }
 }
 
-/// Two places after the point, with a sign that is one.
+/// Number with two decimals and sign.
 fn signed(db: f64) -> String {
     format!("{db:+.2}").replace('-', "−")
 }
 
-/// How often errors of each size are, in per cent of the test links; a hundredth at each end stands in the outermost bar.
+/// Histogram of errors in per cent of the test links; the outermost bars contain the last hundredth at each end.
 fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     let reach = quantile(errors, 0.01).abs().max(quantile(errors, 0.99).abs());
     let reach = if reach > 0.0 { reach } else { 1.0 };
@@ -84,14 +84,14 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
         Line::new(outline, Style::line(BLUE, 1.0, Stroke::Area)),
     ];
     let x = Axis { name: "predicted − measured, dB".into(), ends: Some((edge(0), edge(counts.len()))), log: false };
-    let name = format!("% of links in a bar of {step} dB");
+    let name = format!("test links per {step} dB, %");
     let y = Axis { name, ends: Some((0.0, 1.05 * most.max(1e-9))), log: false };
     let title = "Errors of the model";
     (!errors.is_empty()).then_some(())?;
     Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
 }
 
-/// Predicted against measured, with the line on which they would be equal.
+/// Predicted against measured power, with the line of equality.
 fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
     let dots: Vec<(f64, f64)> = evenly(heard, DOTS).iter().map(|own| (own.measured, own.predicted)).collect();
     let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
@@ -109,7 +109,7 @@ fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
     if heard.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
 }
 
-/// The best, the median and the worst link as rows.
+/// Best, median and worst link as rows.
 fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     let row = |example: &Example| {
         let Example { score, truth, prediction, .. } = example;
@@ -123,16 +123,16 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     chosen.iter().map(row).collect()
 }
 
-/// Most maps, and most transmitters on each.
+/// Maximum number of maps, and of transmitters per map.
 const MAPS: usize = 24;
 const SHOWN: usize = 500;
-/// Most surface points behind.
+/// Maximum number of surface points in the background.
 const POINTS: usize = 800;
-/// Width of a map's picture, and its largest height without axes.
+/// Width of the drawing of a map, and its maximum height without axes.
 const WIDTH: f64 = 290.0;
 const MOST_HEIGHT: f64 = 250.0;
 
-/// Maps of as many receivers as are shown; nothing where no place is known.
+/// Maps of the shown receivers; none without positions.
 fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
     let data = run.data;
     if !data.placed || heard.is_empty() {
@@ -144,7 +144,7 @@ fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
     let with_links: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
     let mut sizes: Vec<f64> = heard.iter().map(|own| own.error().abs()).collect();
     sizes.sort_by(f64::total_cmp);
-    // A few wild ones would make all others white.
+    // A few large errors would make all others white.
     let limit = quantile(&sizes, 0.95).ceil().max(1.0);
     let map = |&r: &usize| {
         let name = receivers[r].name.clone();
@@ -157,12 +157,12 @@ fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
         unshown => with_links.len().saturating_sub(MAPS),
         most => SHOWN,
         cut => of_each.iter().any(|own| own.len() > SHOWN),
-        legend => legend(limit).svg("legend", "what the marks mean"),
-        bar => scale.bar().svg("bar", "colours of the error, dB"),
+        legend => legend(limit).svg("legend", "legend of the marks"),
+        bar => scale.bar().svg("bar", "colour scale of the error, dB"),
     })
 }
 
-/// The map of one receiver, in the frame of all transmitters that it has heard.
+/// Map of one receiver, in the frame of all transmitters that it received.
 fn map_of(run: &LoadedRun<'_>, receiver: usize, heard: &[Heard], limit: f64) -> Canvas {
     let data = run.data;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
@@ -182,8 +182,8 @@ fn map_of(run: &LoadedRun<'_>, receiver: usize, heard: &[Heard], limit: f64) -> 
     Plan::widened(&canvas, WIDTH)
 }
 
-/// A triangle that points up where the model predicts too much and down where too little, the larger the farther off: its
-/// sign needs no colour. `error` is in units of the scale's end.
+/// Triangle that points up for too high and down for too low predictions, larger for larger errors, so that the sign
+/// needs no colour. `error` is relative to the end of the scale.
 fn draw_error(canvas: &mut Canvas, [x, y]: [f64; 2], error: f64) {
     let size = 2.0 + 3.4 * error.abs().min(1.0).sqrt();
     let up = if error < 0.0 { -1.0 } else { 1.0 };
@@ -193,17 +193,17 @@ fn draw_error(canvas: &mut Canvas, [x, y]: [f64; 2], error: f64) {
     canvas.polygon(&corners, Paint::fill(fill).outlined(INK.faint(0.7), 0.5));
 }
 
-/// What the marks mean.
+/// Legend of the marks.
 fn legend(limit: f64) -> Canvas {
     let mut canvas = Canvas::new(560.0, 18.0);
     let mut x = 8.0;
     let half = limit / 2.0;
     for (error, words) in [
-        (-1.0, format!("{limit} dB too weak")),
+        (-1.0, format!("{limit} dB too low")),
         (-0.5, format!("{half} dB")),
-        (0.02, "right".to_owned()),
+        (0.02, "0 dB".to_owned()),
         (0.5, format!("{half} dB")),
-        (1.0, format!("{limit} dB or more too strong")),
+        (1.0, format!("{limit} dB or more too high")),
     ] {
         draw_error(&mut canvas, [x, 9.0], error);
         canvas.text([x + 9.0, 13.0], Anchor::Start, &words);

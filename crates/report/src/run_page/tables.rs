@@ -1,10 +1,10 @@
-//! The score table, and that of receivers: how well each is predicted, by the model and by every baseline.
+//! Score tables of the page, of all predictors and per receiver.
 
 use minijinja::{Value, context};
 use pwrfgs_experiment::scores::{Cell, MetricRow, ScoreTable};
 use pwrfgs_experiment::{LoadedRun, statistics::Summary, text::number};
 
-/// A group of columns each metric: those of samples first, then those with one number, such as the prediction's time.
+/// Groups of columns, one per metric: per-sample metrics first, then single values such as latency.
 pub(super) fn groups(scores: &ScoreTable) -> Vec<Value> {
     let mut metrics: Vec<&MetricRow> = scores.metrics.iter().collect();
     metrics.sort_by_key(|m| !m.is_per_sample());
@@ -13,18 +13,22 @@ pub(super) fn groups(scores: &ScoreTable) -> Vec<Value> {
 
 fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     let (key, unit, samples) = (metric.key.clone(), metric.unit.clone(), metric.is_per_sample());
-    let columns: &'static [&'static str] = if samples { &["mean", "median", "bad tail"] } else { &[""] };
+    let columns: &'static [&'static str] = match (samples, metric.higher_is_better) {
+        (false, _) => &[""],
+        (true, true) => &["mean", "median", "10th percentile"],
+        (true, false) => &["mean", "median", "90th percentile"],
+    };
     let ranks: Vec<Vec<Option<usize>>> = (0..columns.len()).map(|k| scores.ranks(metric, k)).collect();
-    // A single number is no best.
+    // A single number is not marked.
     let rivals = |k: usize| ranks[k].iter().flatten().count() > 1;
-    // Number, and `best` or `second`, of a predictor in a column.
+    // Number of a predictor in a column, with `best` or `second`.
     let shown = |p: usize, k: usize| match (metric.cells[p].numbers().get(k), ranks[k][p]) {
         (None, _) => ("n/a".into(), "none"),
         (Some(value), Some(0)) if rivals(k) => (number(*value), "best"),
         (Some(value), Some(1)) => (number(*value), "second"),
         (Some(value), _) => (number(*value), ""),
     };
-    // The number about the whole model, or why there is none.
+    // Value of the whole model, or why there is none.
     let whole = metric.cells.first().filter(|_| !samples).map(|cell| match cell {
         Cell::NotApplicable(why) => format!("n/a: {why}"),
         cell => format!("{} {unit}", cell.numbers().first().map_or_else(String::new, |v| number(*v))),
@@ -32,10 +36,10 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     let rows: Vec<Vec<(String, &str)>> =
         (0..metric.cells.len()).map(|p| (0..columns.len()).map(|k| shown(p, k)).collect()).collect();
     context! {
-        // The key, or words where it stands above one narrow column.
+        // Key, or words above a single narrow column.
         title => if samples { key.clone() } else { key.trim_end_matches(&format!("_{unit}")).replace('_', " ") },
         arrow => if metric.higher_is_better { "↑" } else { "↓" },
-        // Whether it is a number of more predictors than one.
+        // Whether several predictors have a number.
         shared => samples || metric.cells.iter().filter(|cell| !cell.numbers().is_empty()).count() > 1,
         columns => columns.to_vec(),
         key,
@@ -45,11 +49,11 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     }
 }
 
-/// Most rows; the others are counted.
+/// Maximum number of rows; others are counted.
 const ROWS: usize = 60;
 
-/// Mean and median of the first metric over the test links of each receiver; nothing where there is one receiver, or no
-/// predictor has a number a link.
+/// Mean and median of the first metric over the test links of each receiver; `None` for a single receiver, or if no
+/// predictor has per-sample values.
 pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     let (data, scores) = (run.data, &run.record.scores);
     let headline = data.task().headline;
@@ -93,7 +97,7 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     })
 }
 
-/// A number, and whether none is better.
+/// Number, and whether none is better.
 fn marked(value: f64, mut all: impl Iterator<Item = f64>, higher: bool) -> (String, &'static str) {
     let is_best = value.is_finite() && all.all(|other| !(if higher { other > value } else { other < value }));
     (number(value), if is_best { "best" } else { "" })

@@ -1,4 +1,4 @@
-//! `Comparison`: the rows of a setting (variants, then floors) and every number of theirs, as `report.csv` has them.
+//! `Comparison`: rows of a setting (variants, then baselines) with all their numbers, as in `report.csv`.
 
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
@@ -6,27 +6,27 @@ use pwrfgs_experiment::{CEILING, Record, Setting, Variant, distinct, text::Lines
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Key of the seconds inside training steps, which no metric measures.
+/// Key of the training time in seconds, which is not a metric.
 pub(super) const TRAINING: &str = "training_s";
 
-/// Key of the number of samples that a row is trained on, which no metric measures.
+/// Key of the number of training samples, which is not a metric.
 pub(super) const TRAINED_ON: &str = "trained_on";
 
-/// What a row is.
+/// Type of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) enum Kind {
     /// Trained models.
     Variant,
-    /// A baseline.
+    /// Baseline.
     Floor,
-    /// A baseline that knows how the simulated data were made: a bound, in no ranking.
+    /// Oracle baseline, which uses the scene of simulated data: not ranked.
     Bound,
-    /// What two measurements at one place have in common: in no ranking, and no number a test sample.
+    /// Noise ceiling: not ranked, and without per-sample values.
     Ceiling,
 }
 
 impl Kind {
-    /// As the CSV has it.
+    /// Value in the CSV file.
     pub(super) fn name(self) -> &'static str {
         ["variant", "floor", "bound", "ceiling"][self as usize]
     }
@@ -37,34 +37,34 @@ impl Kind {
 pub(super) struct Row<'a> {
     pub(super) label: &'a str,
     pub(super) kind: Kind,
-    /// The first variant with the very same models.
+    /// First variant with bit-identical models.
     pub(super) twin: Option<&'a str>,
-    /// As `scores.csv` calls it.
+    /// Name in `scores.csv`.
     predictor: &'a str,
-    /// One a seed.
+    /// Runs, one per seed.
     pub(super) runs: Vec<&'a Record>,
 }
 
-/// What is told of the numbers of one run.
+/// Statistic over the samples of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Statistic {
     /// Mean over test samples.
     Mean,
-    /// Their middle.
+    /// Median over test samples.
     Median,
-    /// Their bad tail: a tenth of them are this bad or worse.
+    /// Percentile at the worse end: the 10th if larger is better, else the 90th.
     P10,
-    /// The number of the whole model.
+    /// Value of the whole model.
     Whole,
 }
 
 impl Statistic {
-    /// As the CSV has it.
+    /// Value in the CSV file.
     pub(super) fn name(self) -> &'static str {
         ["mean", "median", "p10", "value"][self as usize]
     }
 
-    /// Its place among the numbers of a cell.
+    /// Index among the numbers of a cell.
     fn place(self) -> usize {
         match self {
             Self::Mean | Self::Whole => 0,
@@ -73,18 +73,22 @@ impl Statistic {
         }
     }
 
-    /// Above a column.
-    pub(super) fn words(self) -> &'static str {
-        if self == Self::P10 { "bad tail" } else { self.name() }
+    /// Words above a column.
+    pub(super) fn words(self, higher_is_better: bool) -> &'static str {
+        match self {
+            Self::P10 if higher_is_better => "10th percentile",
+            Self::P10 => "90th percentile",
+            _ => self.name(),
+        }
     }
 }
 
-/// What there is to tell of a metric.
+/// Statistics of a metric.
 pub(super) fn statistics(metric: &MetricRow) -> &'static [Statistic] {
     if metric.is_per_sample() { &[Statistic::Mean, Statistic::Median, Statistic::P10] } else { &[Statistic::Whole] }
 }
 
-/// Whether the best of a metric is marked: times of several machines are not comparable, and a training set is no score.
+/// Whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
 pub(super) fn is_ranked(metric: &MetricRow, same_machine: bool) -> bool {
     metric.key != TRAINED_ON && (same_machine || !is_time(metric))
 }
@@ -95,7 +99,7 @@ pub(super) fn is_time(metric: &MetricRow) -> bool {
 }
 
 impl Row<'_> {
-    /// One number a run, where it has it.
+    /// Values of the runs that have one.
     pub(super) fn values(&self, metric: &MetricRow, statistic: Statistic) -> Vec<f64> {
         let of_run = |run: &&Record| match statistic {
             Statistic::Whole if metric.key == TRAINING => {
@@ -114,7 +118,7 @@ impl Row<'_> {
         self.runs.iter().filter_map(of_run).filter(|v| !v.is_nan()).collect()
     }
 
-    /// Mean and deviation over seeds. A floor on a split that is the same for all seeds has no deviation to speak of.
+    /// Mean and deviation over seeds. A baseline on a split that is equal for all seeds has no deviation.
     pub(super) fn spread(&self, metric: &MetricRow, statistic: Statistic) -> Option<Spread> {
         let spread = Spread::of(&self.values(metric, statistic))?;
         let same = self.kind != Kind::Variant && spread.deviation == Some(0.0);
@@ -125,7 +129,8 @@ impl Row<'_> {
         self.runs.iter().find(|run| run.facts.seed == seed)?.scores.by_id(self.predictor, &metric.key)
     }
 
-    /// This row less `reference`, paired by seed and test spectrum; pairs without a finite difference are left out.
+    /// Difference of this row from `reference`, paired by seed and test sample; pairs without finite difference are
+    /// omitted.
     pub(super) fn less(&self, reference: &Row<'_>, metric: &MetricRow, blocks: &Blocks) -> Option<Difference> {
         let of_seed = |run: &&Record| {
             let own = self.samples(run.facts.seed, metric)?;
@@ -136,12 +141,12 @@ impl Row<'_> {
     }
 }
 
-/// The rows of a setting.
+/// Rows of a setting.
 #[derive(Clone, Debug)]
 pub(super) struct Comparison<'a> {
     pub(super) setting: &'a Setting,
     pub(super) rows: Vec<Row<'a>>,
-    /// In the order of the runs; training set and training time come last.
+    /// Metrics in the order of the runs, then training set and training time.
     pub(super) metrics: Vec<MetricRow>,
     pub(super) blocks: Blocks,
 }
@@ -156,7 +161,7 @@ impl<'a> Comparison<'a> {
         let variants = rows.len();
         for run in setting.runs() {
             for name in run.scores.table.baselines() {
-                // The same floor in another variant of this seed has the same numbers.
+                // A baseline has the same numbers in all variants of a seed.
                 match rows[variants..].iter_mut().find(|row| row.label == name) {
                     Some(row) if row.runs.iter().any(|r| r.facts.seed == run.facts.seed) => {}
                     Some(row) => row.runs.push(run),
@@ -200,7 +205,7 @@ impl<'a> Comparison<'a> {
         self.metrics.iter().find(|m| m.key == key)
     }
 
-    /// Scores that are no numbers, a sentence each: means leave them out, which nobody must have to guess.
+    /// Warnings about scores that are not finite, which means omit.
     pub(super) fn holes(&self) -> Vec<String> {
         let mut all = Vec::new();
         for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
@@ -208,15 +213,13 @@ impl<'a> Comparison<'a> {
             let count = row.runs.iter().filter(without).count();
             if count > 0 {
                 let (key, label, runs) = (&metric.key, row.label, row.runs.len());
-                all.push(format!(
-                    "{key} of {label} is no number in {count} of {runs} runs; its means leave these out."
-                ));
+                all.push(format!("{key} of {label} is not finite in {count} of {runs} runs; means omit these runs."));
             }
         }
         all
     }
 
-    /// Floors that are not the same in all runs of a seed, a sentence each: a row can show one of them.
+    /// Warnings about baselines that differ between runs of a seed: a row can show only one of them.
     pub(super) fn ambiguous(&self) -> Vec<String> {
         let key = self.setting.headline().key;
         let mut all = Vec::new();
@@ -228,8 +231,8 @@ impl<'a> Comparison<'a> {
             };
             if let Some((seed, folder)) = self.setting.runs().find_map(|run| differs(&run)) {
                 all.push(format!(
-                    "{} differs between the runs of seed {seed}, by its settings or its validation set; the tables show \
-                     that of {folder}.",
+                    "{} differs between the runs of seed {seed} (settings or validation set); the tables show the value of \
+                     {folder}.",
                     row.label
                 ));
             }
@@ -237,7 +240,7 @@ impl<'a> Comparison<'a> {
         all
     }
 
-    /// Variants with the very same models, a list of labels each.
+    /// Groups of variants with bit-identical models, by label.
     pub(super) fn twins(&self) -> Vec<String> {
         let group = |first: &Row<'a>| {
             let others = self.rows.iter().filter(|row| row.twin == Some(first.label)).map(|row| row.label);
@@ -246,7 +249,7 @@ impl<'a> Comparison<'a> {
         self.rows.iter().map(group).filter(|group| group.len() > 1).map(|group| group.join(" ≡ ")).collect()
     }
 
-    /// What every predictor of the setting has to say beside its numbers.
+    /// Notes of all predictors of the setting.
     pub(super) fn notes(&self) -> Vec<String> {
         distinct(self.setting.runs().flat_map(|run| &run.scores.table.notes).cloned())
     }
@@ -254,12 +257,12 @@ impl<'a> Comparison<'a> {
 
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";
 
-/// `report.csv`: a line each number, every metric of every row of all settings, as it was computed, with the reference of each.
+/// `report.csv`: one line per number: all metrics of all rows of all settings, with references.
 ///
-/// Columns: setting, simulated, variant, kind (`variant`, `floor`, or `bound` for what knows the scene), metric, unit,
-/// statistic (`mean`, `median`, `p10` over test spectra, the last counted from the bad end; `value` of a whole model;
-/// `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over seeds, empty for one),
-/// n (seeds), reference, low and high (ends of the interval of a difference).
+/// Columns: setting, simulated, variant, kind (`variant`, `floor` for a baseline, `bound` for an oracle baseline,
+/// `ceiling`), metric, unit, statistic (`mean`, `median`, `p10` over test samples, the last at the worse end; `value`
+/// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
+/// seeds, empty for one), n (seeds), reference, low and high (ends of the interval of a difference).
 pub(super) fn csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
     let mut names = HEADER.split(' ');
     let mut lines = Lines::<13>::new(std::array::from_fn(|_| names.next().unwrap_or_default()));

@@ -1,7 +1,7 @@
-//! Figures that compare the variants of one setting, each by itself as SVG, PDF (text as outlines in both) and PNG.
+//! Figures that compare the variants of one setting, each as SVG, PDF (text as outlines in both) and PNG.
 //!
-//! A variant keeps its colour, marker and dashes in all of them; each of the three tells variants apart without the
-//! others, so that greyscale does. Headings are left to the page: a figure has a title and a caption beside it.
+//! A variant has the same colour, marker and dashes in all figures; each of the three distinguishes variants, also in
+//! greyscale. A figure has no heading: its title and caption are next to it.
 
 mod errors;
 mod gaussians;
@@ -19,29 +19,29 @@ use pwrfgs_experiment::{Setting, Silent};
 use serde::Serialize;
 use std::path::Path;
 
-/// Width of a column of print, and of two with the gap between them.
+/// Widths of one print column, and of two with the gap between them.
 const COLUMN: f64 = Look::COLUMN.size[0];
 const PAGE: f64 = COLUMN * 181.9 / 88.9;
-/// What a unit of them is on paper.
+/// Millimetres per drawing unit.
 const MM: f64 = 88.9 / COLUMN;
 
-/// One figure.
+/// Figure of a report.
 #[derive(Clone, Debug, Serialize)]
 pub struct Figure {
     /// Stem of its files.
     pub name: String,
-    /// A heading.
+    /// Title.
     pub title: String,
-    /// What is drawn, for the text below it.
+    /// Caption.
     pub caption: String,
-    /// Width on paper: that of a column or a page.
+    /// Width in print: a column or a page.
     pub width_mm: f64,
-    /// The figure for print.
+    /// SVG for print.
     pub svg: String,
-    /// The same for LaTeX and the like.
+    /// PDF, for LaTeX.
     #[serde(skip)]
     pub pdf: Vec<u8>,
-    /// The same at 300 dpi.
+    /// PNG at 300 dpi.
     #[serde(skip)]
     pub png: Vec<u8>,
 }
@@ -50,7 +50,7 @@ impl Figure {
     /// Writes `NAME.svg`, `NAME.pdf` and `NAME.png` into `folder`.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|e| Error::write(folder, e))?;
         for (kind, bytes) in [("svg", self.svg.as_bytes()), ("pdf", &self.pdf), ("png", &self.png)] {
@@ -59,11 +59,11 @@ impl Figure {
         Ok(())
     }
 
-    /// A chart in one column; nothing where there is nothing to draw. What `words` say is for its caption.
+    /// Creates a chart in one column; `None` if there is nothing to draw. `words` are for its caption.
     fn chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
         let mut look = Look::COLUMN;
         if !chart.bands.is_empty() {
-            look.margins[1] = 40.0; // for their names
+            look.margins[1] = 40.0; // for the names of the phases
         }
         Chart { look, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
@@ -79,19 +79,19 @@ impl Figure {
     }
 }
 
-/// Figures, and why some are missing.
+/// Figures, and the reason why some are missing.
 #[derive(Clone, Debug, Default)]
 pub struct Drawn {
-    /// All that could be drawn.
+    /// Figures that could be drawn.
     pub figures: Vec<Figure>,
-    /// Why those of the room, the spectra and the rate ratio could not, in a sentence; they need the data and the models.
+    /// Reason why figures that need data and models (room, spectra, rate ratio) are missing.
     pub left_out: Option<String>,
 }
 
-/// A figure that needs the data and the models.
+/// Function that draws a figure from data and models.
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
-/// Every figure there are numbers for. `progress` counts figures.
+/// All figures for which there are numbers. `progress` counts figures.
 pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
     let from_scores = [
         gaussians::figure,
@@ -122,7 +122,7 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
     });
     let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
     let missing = if setting.task().has_pixels {
-        "are no figures of the room, the spectra and the rate ratio"
+        "are no figures of room, spectra and rate ratio"
     } else {
         "is no figure of the room"
     };

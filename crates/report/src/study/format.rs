@@ -1,4 +1,4 @@
-//! The report in each of its formats: HTML and LaTeX by templates, and aligned text for a terminal.
+//! Formats of the report: HTML and LaTeX by templates, and aligned text for a terminal.
 
 use super::page::Page;
 use super::tables::{Column, Line, Mark, Shown, Table};
@@ -10,7 +10,7 @@ use pwrfgs_core::Result;
 use pwrfgs_experiment::text::aligned;
 use std::fmt::Write as _;
 
-/// Names and texts of all documents: `report.html`, `report.tex` with a file for each table.
+/// Names and texts of all documents: `report.html`, `report.tex` with one file per table.
 pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
     let (mut all, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {
@@ -35,8 +35,8 @@ pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
     Ok(all)
 }
 
-/// A table as templates want it: neighbouring columns of one title and lines of one kind together, and apart what the
-/// legend says that no table above it has said.
+/// Table for a template: groups neighbouring columns of one title and lines of one kind; separates the sentences of the
+/// legend that no table above contains.
 fn shown<'a>(table: &'a Table, said: &mut Vec<&'a str>) -> Value {
     let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !said.contains(s)).collect();
     said.extend(&fresh);
@@ -52,14 +52,14 @@ fn shown<'a>(table: &'a Table, said: &mut Vec<&'a str>) -> Value {
     }
 }
 
-/// Tables of every setting that a terminal has room for.
+/// Tables of every setting that fit a terminal.
 pub(super) fn text(page: &Page) -> String {
     let mut out = String::new();
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
             _ = write!(out, "\n{}\n{}", table.title, aligned(&lines(table), 1));
-            let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * leaves 0 out" };
+            let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
             _ = writeln!(out, "{how}");
         }
         out.push('\n');
@@ -87,7 +87,7 @@ fn cell(shown: &Shown) -> String {
     if shown.value.is_empty() { "n/a ".into() } else { format!("{}{more}{mark}", shown.value) }
 }
 
-/// Labels to the left, numbers to the right, under two lines of heads.
+/// Aligned text: labels left, numbers right, below two header lines.
 fn lines(table: &Table) -> Vec<Vec<String>> {
     let head = |of: fn(&Column) -> String| [String::new()].into_iter().chain(table.columns.iter().map(of)).collect();
     let heads = [head(|c| format!("{} {} ", c.title, c.arrow)), head(|c| format!("{} ", c.detail))];
@@ -105,7 +105,7 @@ mod tests {
         Shown { value: value.into(), deviation: deviation.into(), mark, ..Shown::default() }
     }
 
-    /// One section with one table.
+    /// Page of one section with one table.
     fn page(columns: Vec<Column>, lines: Vec<Line>) -> Page {
         let table = Table { name: "scores", title: "50 % of a_b".into(), columns, lines, legend: vec!["a<b".into()] };
         let title = "office (simulated)".to_owned();

@@ -1,7 +1,7 @@
-//! The report's folder: what lies in it, and whose it is.
+//! Folder of the report: its files and their ownership.
 //!
-//! `report.json` lists the files that the report wrote. Only these are replaced or removed, each whole or not at all; a
-//! folder that holds something and has no such list is refused.
+//! `report.json` lists the files of the report. Only these are replaced or removed, each atomically; a
+//! non-empty folder without such a list is rejected.
 
 use super::format;
 use super::page::Page;
@@ -12,26 +12,26 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// The file that makes a folder a report's folder.
+/// File that marks a folder as a report.
 const OWN: &str = "report.json";
 
-/// The content of [`OWN`].
+/// Content of [`OWN`].
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Owned {
     /// Version of pwrfgs.
     version: String,
-    /// Below the folder, in ascending order.
+    /// Paths inside the folder, in ascending order.
     files: BTreeSet<String>,
 }
 
 /// Writes the report of a study into `out`: `report.csv`, `report.tex` with `tables/`, `report.html` and
-/// `figures/`. Gives the tables as text for a terminal. Paired differences are from the variant or the floor that `reference`
-/// names, or from the first variant of each setting.
+/// `figures/`. Returns the tables as text for a terminal. Paired differences are from the variant or baseline
+/// `reference`, or from the first variant of each setting.
 ///
-/// The same runs give the same bytes.
+/// Equal runs give equal bytes.
 ///
 /// # Errors
-/// A reference that does not exist, a folder that is not the report's, or a file that cannot be written.
+/// If the reference does not exist, the folder is not a report, or a file cannot be written.
 pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
     refuse_links(out)?;
     let before = owned(out)?;
@@ -40,13 +40,13 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
         let path = out.join(foreign);
-        return Err(Error::Config(format!("{} is not the report's; choose another --out", path.display())));
+        return Err(Error::Config(format!("{}: not a file of the report; choose another --out", path.display())));
     }
     for folder in ["tables", "figures"] {
         let folder = out.join(folder);
         std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
     }
-    // First a list of all that may lie here, so that a report that is killed half way can be replaced.
+    // First the list of all files, so that an interrupted report can be replaced.
     own(out, &before.files | &names)?;
     for (name, bytes) in &files {
         write_atomically(&out.join(name), bytes)?;
@@ -55,13 +55,13 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
         // The user may have removed it already.
         _ = std::fs::remove_file(out.join(old));
     }
-    // Without figures an empty folder is of no use; one with files in it stays.
+    // Removes the folder of figures if it is empty.
     _ = std::fs::remove_dir(out.join("figures"));
     own(out, names)?;
     Ok(format::text(&page))
 }
 
-/// Names and bytes of everything but [`OWN`].
+/// Names and bytes of all files except [`OWN`].
 fn files(page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = vec![("report.csv".into(), page.csv.clone().into())];
     files.extend(format::documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
@@ -76,28 +76,28 @@ fn files(page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(files)
 }
 
-/// Refuses folders that lead elsewhere: a report replaces and removes files, and only its own.
+/// Rejects symbolic links: a report replaces and removes files, and only its own.
 fn refuse_links(out: &Path) -> Result<()> {
     let places = [out.to_owned(), out.join(OWN), out.join("tables"), out.join("figures")];
     let leads_away = |place: &&std::path::PathBuf| place.symlink_metadata().is_ok_and(|found| found.is_symlink());
     places.iter().find(leads_away).map_or(Ok(()), |place| {
-        let advice = "a report is never written through one; choose another --out";
-        Err(Error::Config(format!("{} is a symbolic link, and {advice}", place.display())))
+        let advice = "reports are not written through links; choose another --out";
+        Err(Error::Config(format!("{}: symbolic link; {advice}", place.display())))
     })
 }
 
-/// The list in `out`; an empty one where there is nothing yet. Refuses what is no folder, or holds files of which none
-/// says that a report made them.
+/// List of files in `out`; empty for a new folder. Rejects paths that are not folders, and folders with files but
+/// without a list of a report.
 fn owned(out: &Path) -> Result<Owned> {
     let path = out.join(OWN);
     let Some(text) = files::if_found(&path, files::read_string(&path))? else {
         return refuse_foreign(out, "a report's folder").map(|()| Owned::default());
     };
-    // Only names of a report's files: whatever the list says, nothing else is removed.
+    // Only names of report files: nothing else is removed, whatever the list contains.
     serde_json::from_str::<Owned>(&text)
         .ok()
         .filter(|list| list.files.iter().all(|name| is_ours(name)))
-        .ok_or_else(|| Error::input(&path, "not the list of a report's files; choose another --out"))
+        .ok_or_else(|| Error::input(&path, "not a list of report files; choose another --out"))
 }
 
 /// Whether a report writes files of this name.
@@ -150,14 +150,14 @@ mod tests {
         };
         for link in [whole("figures"), whole("tables")] {
             let said = write(folder.path()).unwrap_err();
-            assert!(said.is_input() && said.to_string().contains("is a symbolic link, and a report"), "{said}");
+            assert!(said.is_input() && said.to_string().contains("symbolic link; reports are not written"), "{said}");
             std::fs::remove_file(link).unwrap();
         }
         assert!(write(&whole("report")).unwrap_err().is_input());
         assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
         // A link in place of a file is refused where it is not ours, and is replaced, not followed, where it is.
         std::os::unix::fs::symlink(&precious, folder.path().join("report.csv")).unwrap();
-        assert!(write(folder.path()).unwrap_err().to_string().contains("report.csv is not the report's"));
+        assert!(write(folder.path()).unwrap_err().to_string().contains("report.csv: not a file of the report"));
         own(folder.path(), BTreeSet::from(["report.csv".to_owned()])).unwrap();
         write(folder.path()).unwrap();
         assert!(!folder.path().join("report.csv").is_symlink());

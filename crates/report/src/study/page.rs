@@ -1,4 +1,4 @@
-//! `Page`: everything that the report says, before it takes the form of a format.
+//! `Page`: content of the report, independent of the format.
 
 use super::comparison::{Comparison, Kind, Row, csv};
 use super::figures::{self, Drawn, Figure};
@@ -10,41 +10,42 @@ use pwrfgs_experiment::text::{duration, grouped};
 use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, staged};
 use serde::Serialize;
 
-/// The report of a study.
+/// Report of a study.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Page {
     pub(super) title: String,
-    /// One a setting.
+    /// Sections, one per setting.
     pub(super) sections: Vec<Section>,
-    /// Every number of all settings.
+    /// All numbers of all settings, as CSV.
     pub(super) csv: String,
-    /// Runs that are not in it, and why.
+    /// Runs that are omitted, with reasons.
     pub(super) left_out: Vec<String>,
 }
 
-/// What is said of a setting.
+/// Section of a setting.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct Section {
     /// Stem of its files: `1`, `2`, ..
     pub(super) name: String,
     pub(super) title: String,
-    /// A few words about the data.
+    /// Title with a few words about the data.
     pub(super) lead: String,
-    /// Label of the row that differences are from.
+    /// Label of the reference of differences.
     pub(super) reference: String,
-    /// What a reader must know before looking at a number.
+    /// Remarks to read before the tables.
     pub(super) warnings: Vec<String>,
     #[serde(skip)]
     pub(super) tables: Vec<Table>,
     pub(super) figures: Vec<Figure>,
-    /// One a run.
+    /// Runs of the setting.
     pub(super) runs: Vec<Value>,
-    /// What baselines say of themselves.
+    /// Notes of the baselines.
     pub(super) notes: Vec<String>,
 }
 
 impl Page {
-    /// Of all settings of a study, compared with the reference of this label, or each with its first variant.
+    /// Creates the page of all settings of a study, with the reference of this label or the first variant of each
+    /// setting.
     pub(super) fn new(study: &Study, reference: Option<&str>, observer: &mut dyn Observer) -> Result<Self> {
         let comparisons: Vec<Comparison<'_>> = study.settings.iter().map(Comparison::new).collect();
         if let Some(label) = reference {
@@ -55,15 +56,16 @@ impl Page {
             let drawn = staged(observer, "drawing the figures", |p| figures::all(comparison.setting, p));
             sections.push(Section::new(i, comparison, reference, drawn));
         }
-        let unfinished = study.unfinished.iter().map(|path| format!("{}: has not finished", path.display()));
-        let repeated = study.repeated.iter().map(|path| format!("{}: a run named before, or its twin", path.display()));
+        let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
+        let repeated =
+            study.repeated.iter().map(|path| format!("{}: repeats a run that is named before", path.display()));
         let references = sections.iter().map(|section| section.reference.as_str());
         let csv = csv(comparisons.iter().zip(references));
         Ok(Self { title: study.title.clone(), sections, csv, left_out: unfinished.chain(repeated).collect() })
     }
 }
 
-/// Refuses a label that no setting has.
+/// Rejects a label that no setting has.
 fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
     if comparisons.iter().any(|c| c.row(label).is_some()) {
         return Ok(());
@@ -73,7 +75,7 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
     known.dedup();
     let hint = did_you_mean(label, known.iter().copied());
     let known = known.join("`, `");
-    Err(Error::Config(format!("--reference: no variant and no floor is called `{label}`{hint} (there are `{known}`)")))
+    Err(Error::Config(format!("--reference: no variant or baseline `{label}`{hint} (found `{known}`)")))
 }
 
 impl Section {

@@ -1,4 +1,4 @@
-//! `Table`: what every format of the report writes, with the marks already made.
+//! `Table`: content of a table for all formats of the report, with best values marked.
 
 mod differences;
 mod scores;
@@ -13,52 +13,52 @@ use pwrfgs_experiment::text::{grouped, number};
 use pwrfgs_experiment::{Race, Setting, statistics::Spread};
 use serde::Serialize;
 
-/// A table of numbers.
+/// Table of numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Table {
-    /// Stem of its file and its label.
+    /// Stem of its file and label.
     pub(super) name: &'static str,
-    /// What it is of, and whether that was simulated.
+    /// Title, which marks simulated data.
     pub(super) title: String,
     pub(super) columns: Vec<Column>,
     pub(super) lines: Vec<Line>,
-    /// How to read it: sentences below it.
+    /// Sentences below the table.
     pub(super) legend: Vec<String>,
 }
 
 /// Head of a column.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Column {
-    /// What was measured; the same in neighbouring columns joins them.
+    /// Quantity; neighbouring columns with the same quantity are joined.
     pub(super) title: String,
     /// Statistic and unit.
     pub(super) detail: String,
-    /// Which way is better, or nothing.
+    /// Direction of better values, or empty.
     pub(super) arrow: &'static str,
 }
 
-/// A row.
+/// Row of a table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Line {
     pub(super) label: String,
-    /// Rows of one kind stand together.
+    /// Type of the row; rows of one type are adjacent.
     pub(super) kind: Kind,
-    /// One a column.
+    /// Cells, one per column.
     pub(super) cells: Vec<Shown>,
 }
 
-/// A number as it is printed; empty where there is none.
+/// Printed number; empty if there is none.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Shown {
     pub(super) value: String,
-    /// The deviation, or nothing.
+    /// Deviation, or empty.
     pub(super) deviation: String,
-    /// Ends of the interval, or nothing.
+    /// Ends of the interval, if any.
     pub(super) interval: Option<(String, String)>,
     pub(super) mark: Mark,
 }
 
-/// What is said of a number by its looks, never by colour alone.
+/// Mark of a number, never by colour alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Mark {
@@ -68,11 +68,11 @@ pub(super) enum Mark {
     Best,
     /// Second best of its column.
     Second,
-    /// The interval leaves 0 out.
+    /// Interval without 0.
     Clear,
 }
 
-/// A title that says where the data are simulated.
+/// Title that marks simulated data.
 fn title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
@@ -81,14 +81,14 @@ fn title(words: &str, setting: &Setting) -> String {
 }
 
 impl Line {
-    /// Label with what it is: floors are named so, bounds carry a dagger, the ceiling is named so already, and a variant
-    /// names the first one with the same models.
+    /// Creates a row. The label marks baselines, oracle baselines (with a dagger) and variants whose models are
+    /// bit-identical to those of an earlier variant.
     fn new(row: &Row<'_>, cells: Vec<Shown>) -> Self {
         let Row { label, kind, .. } = *row;
         let label = match (kind, row.twin) {
             (_, Some(twin)) => format!("{label} ≡ {twin}"),
             (Kind::Variant | Kind::Ceiling, None) => label.to_owned(),
-            (Kind::Floor, None) => format!("{label} (floor)"),
+            (Kind::Floor, None) => format!("{label} (baseline)"),
             (Kind::Bound, None) => format!("{label} †"),
         };
         Self { label, kind, cells }
@@ -96,7 +96,7 @@ impl Line {
 }
 
 impl Table {
-    /// Whether some number is the best of its column.
+    /// Whether any number is marked as best.
     pub(super) fn is_marked(&self) -> bool {
         self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
     }
@@ -106,7 +106,7 @@ impl Table {
     }
 }
 
-/// Score and rank of each way at each number of Gaussians, best mean rank first; nothing where there is no race.
+/// Score and rank of each method at each number of Gaussians, best mean rank first; `None` without equal numbers.
 pub(super) fn ranks(setting: &Setting) -> Option<Table> {
     let race = Race::of(setting)?;
     let headline = setting.headline();

@@ -101,8 +101,8 @@ fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     Ok(pack)
 }
 
-/// Contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`: strength times
-/// the sum of blending weights if Gaussians are blended, else strength times opacity.
+/// Contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`: strength
+/// times the sum of blending weights if Gaussians are blended, else strength times opacity.
 fn contributions(ensemble: &Ensemble, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     ensemble.members().iter().flat_map(|model| contributions_of(model, tx, receiver)).collect()
 }
@@ -214,7 +214,8 @@ fn nearest(known: &Known, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)>
 
 fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let known = known(side)?;
-    let i = asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("query parameter `link`: no such link"))?;
+    let i =
+        asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("query parameter `link`: no such link"))?;
     let image = known.data.image(i);
     let mut pack = Pack::new(json!({ "strongest": strongest(side, &image) }));
     if side.frame.task.is_scalar {

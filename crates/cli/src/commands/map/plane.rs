@@ -119,7 +119,9 @@ impl Grid {
     /// Creates the grid from the low ends of the bounds, with `layers` values per position.
     pub(super) fn new(plane: Plane, Bounds([across, up]): Bounds, step: f64, layers: usize) -> Result<Self> {
         if !(step.is_finite() && step >= 1e-6) {
-            return Err(Error::Config(format!("--step {step}: expected a grid spacing in metres, at least 1e-6, such as 0.1")));
+            return Err(Error::Config(format!(
+                "--step {step}: expected a grid spacing in metres, at least 1e-6, such as 0.1"
+            )));
         }
         let count = |[low, high]: [f64; 2]| ((high - low) / step + 1e-6).floor() + 1.0;
         let (columns, rows) = (count(across), count(up));

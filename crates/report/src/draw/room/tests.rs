@@ -1,10 +1,10 @@
-//! What the figure of the room shows and what it leaves out.
+//! Tests of the figure of the room.
 
 use super::*;
 use crate::canvas::{Shape, Step};
 use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Spectra};
 
-/// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
+/// Room of 4 x 3 x 2 m with `points` points and one transmitter per set.
 fn room(points: usize) -> (Dataset, Partition) {
     let sample = |id| Sample::new(id, [1.0, 1.0, f64::from(id) / 2.0]);
     let spectra = Spectra::grey((1, 1), vec![0; 2]).unwrap();
@@ -83,7 +83,7 @@ fn a_flat_scene_and_no_gaussian_are_drawn() {
     assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
 }
 
-/// A receiver whose boresight is turned by an angle, degrees, about an axis of the world.
+/// Receiver whose boresight is rotated by an angle, degrees, about an axis of the world.
 fn turned(axis: [f64; 3], degrees: f64) -> Pose {
     let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
     Pose { position: [2.0, 1.0, 1.0], orientation: [axis[0] * sin, axis[1] * sin, axis[2] * sin, cos] }

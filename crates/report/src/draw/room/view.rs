@@ -1,39 +1,39 @@
-//! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
+//! Box in space in parallel projection, seen from above at an angle: lengths along an axis stay comparable.
 
 use crate::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
 use crate::draw::axes::{few_ticks, label};
 
-/// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.
+/// Viewing direction, degrees: azimuth from the x axis, elevation above the floor.
 const AZIMUTH: f64 = -58.0;
 const ELEVATION: f64 = 27.0;
-/// Width of a picture, its largest height without axes, and room for them in heights of text: left, top,
+/// Width of a drawing, its maximum height without axes, and margins in text heights: left, top,
 /// right, bottom.
 const WIDTH: f64 = 380.0;
 const MOST_HEIGHT: f64 = 300.0;
 const MARGINS: [f64; 4] = [3.4, 0.8, 1.9, 3.2];
 
-/// In space, metres.
+/// Point in space, metres.
 pub(crate) type Place = [f64; 3];
 
-/// The view of one box.
+/// View of one box.
 #[derive(Clone, Debug)]
 pub(crate) struct View {
     low: Place,
     high: Place,
-    /// What the numbers on the axes count from.
+    /// Origin of the numbers on the axes.
     pub(crate) origin: Place,
-    /// Units of the picture a metre.
+    /// Drawing units per metre.
     scale: f64,
-    /// Where the origin of the picture lies, before scaling.
+    /// Position of the origin of the drawing, before scaling.
     corner: [f64; 2],
-    /// Height of text.
+    /// Text height.
     text: f64,
-    /// Width and height of the whole picture.
+    /// Width and height of the drawing.
     pub(crate) size: Point,
 }
 
 impl View {
-    /// Of the box from `low` to `high`, metres, with text of this height.
+    /// Creates the view of the box from `low` to `high`, metres, with this text height.
     pub(crate) fn new(low: Place, high: Place, text: f64) -> Self {
         let corners =
             (0..8).map(|k| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] })));
@@ -59,7 +59,7 @@ impl View {
         }
     }
 
-    /// Whether the box holds `p`.
+    /// Whether the box contains `p`.
     pub(crate) fn holds(&self, p: Place) -> bool {
         (0..3).all(|k| (self.low[k]..=self.high[k]).contains(&p[k]))
     }
@@ -69,13 +69,13 @@ impl View {
         self.low[2]
     }
 
-    /// Place on the picture.
+    /// Position on the drawing.
     pub(crate) fn place(&self, p: Place) -> Point {
         let [x, y] = flat(p);
         [self.scale * (x - self.corner[0]), self.scale * (self.corner[1] - y)]
     }
 
-    /// How near the eye `p` is: 0 at the farthest corner of the box, 1 at the nearest.
+    /// Nearness to the viewer: 0 at the farthest corner of the box, 1 at the nearest.
     pub(crate) fn nearness(&self, p: Place) -> f64 {
         let eye = eye();
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
@@ -83,7 +83,7 @@ impl View {
         (0..3).map(|k| eye[k] * along(k)).sum::<f64>() / reach
     }
 
-    /// An empty picture of this size with floor, the two walls behind, a grid in metres on them and its numbers along
+    /// Creates a drawing with floor, two rear walls, a grid in metres on them and numbers along
     /// three edges.
     pub(crate) fn canvas(&self) -> Canvas {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
@@ -134,19 +134,19 @@ impl View {
     }
 }
 
-/// The direction of the eye.
+/// Direction to the viewer.
 fn eye() -> Place {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
 }
 
-/// How much a direction looks at the eye: 1 straight at it, -1 straight away from it.
+/// Cosine of the angle between a direction and the direction to the viewer.
 pub(crate) fn facing(direction: Place) -> f64 {
     let (eye, length) = (eye(), direction.iter().map(|v| v * v).sum::<f64>().sqrt());
     (0..3).map(|k| eye[k] * direction[k]).sum::<f64>() / length
 }
 
-/// To the right and upwards in the picture, metres.
+/// Horizontal and vertical coordinate on the drawing, metres.
 fn flat(p: Place) -> Point {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     let towards = az.cos() * p[0] + az.sin() * p[1];

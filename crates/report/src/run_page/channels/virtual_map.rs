@@ -1,4 +1,4 @@
-//! Where a model without splats puts its transmitters: the room from above and from the side.
+//! Virtual transmitters of a model without splats: top and side view of the room.
 
 use crate::canvas::{Anchor, Canvas, Colour, Paint, WHITE, text_width};
 use crate::draw::plan::{Plan, draw_receiver};
@@ -6,25 +6,25 @@ use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, evenly};
 use pwrfgs_experiment::{LoadedRun, statistics::quantile, text::grouped};
 
-/// Most transmitters and surface points that are drawn, the strongest first.
+/// Maximum numbers of drawn transmitters and surface points, strongest first.
 const SHOWN: usize = 600;
 const POINTS: usize = 2_500;
 /// Width of a view.
 const WIDTH: f64 = 560.0;
-/// Radius of the strongest.
+/// Radius of the strongest transmitter.
 const RADIUS: f64 = 9.0;
-/// Weaker than this below the strongest all are equally small, dB.
+/// Level below the strongest at which all discs have the smallest size, dB.
 const RANGE_DB: f64 = 40.0;
 const BLUE: Colour = Colour::hex(0x17_4a99);
 const WALLS: Colour = Colour::hex(0xb4_5f06);
 
-/// One of them: place in metres, and how strong in dB below the strongest.
+/// Virtual transmitter: position in metres, and level in dB relative to the strongest.
 struct Found {
     place: [f64; 3],
     db: f64,
 }
 
-/// Both views, and what is not drawn; nothing of a model that draws splats.
+/// Both views with remarks about omitted elements; `None` for a model that draws splats.
 pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
     if !run.model.is_drawn_as(Appearance::Points) {
         return None;
@@ -38,16 +38,16 @@ pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
     let view = |names, axes: [usize; 2]| draw(run, &found, names, axes);
     let ((plan, outside), (side, hidden)) = (view(["x", "y"], [0, 1]), view(["x", "z"], [0, 2]));
     Some(context! {
-        plan => plan.svg("map", "the room from above"),
-        side => side.svg("map", "the room from the side"),
-        legend => legend(!run.data.scene.points.is_empty()).svg("legend", "what the marks mean"),
+        plan => plan.svg("map", "top view of the room"),
+        side => side.svg("map", "side view of the room"),
+        legend => legend(!run.data.scene.points.is_empty()).svg("legend", "legend of the marks"),
         count => grouped(all as i64),
         shown => (all > found.len()).then(|| grouped(found.len() as i64)),
         outside => outside.max(hidden),
     })
 }
 
-/// All of them in the user's frame, the strongest first.
+/// All virtual transmitters in the world frame, strongest first.
 fn found(run: &LoadedRun<'_>) -> Vec<Found> {
     let members = run.model.members();
     let mut all: Vec<([f64; 3], f64)> = members
@@ -65,7 +65,7 @@ fn found(run: &LoadedRun<'_>) -> Vec<Found> {
     all.into_iter().map(|(place, s)| Found { place, db: db(s) }).collect()
 }
 
-/// One view along an axis, and how many lie outside its frame.
+/// View along an axis, and the number of transmitters outside its frame.
 fn draw(run: &LoadedRun<'_>, found: &[Found], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
     let scene = &run.data.scene;
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
@@ -92,7 +92,7 @@ fn draw(run: &LoadedRun<'_>, found: &[Found], names: [&'static str; 2], axes: [u
     (Plan::widened(&canvas, WIDTH), outside)
 }
 
-/// The room and what lies around it, mirror images too, but for the few farthest.
+/// Bounds of the room and its surroundings with mirror images, except the few farthest.
 fn frame(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
     let sorted = |k: usize| {
         let mut values: Vec<f64> = places.iter().map(|p| p[k]).collect();
@@ -103,12 +103,12 @@ fn frame(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
     Plan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
 }
 
-/// Its area falls with decibels.
+/// Disc with an area that decreases with decibels.
 fn radius(db: f64) -> f64 {
     RADIUS * (1.0 + db.max(-RANGE_DB) / RANGE_DB).max(0.03).sqrt()
 }
 
-/// What the marks mean.
+/// Legend of the marks.
 fn legend(has_points: bool) -> Canvas {
     let mut canvas = Canvas::new(620.0, 24.0);
     let (mut x, y) = (12.0, 12.0);

@@ -1,7 +1,7 @@
-//! How errors are spread, and where: against the distance to the nearest training transmitter, and their distribution.
+//! Distribution of errors, and errors against the distance to the nearest training transmitter.
 //!
-//! Where test transmitters stand millimetres from those trained on, a copy of the nearest spectrum scores best, and a
-//! score averaged over the test part says little about places further off. A mean of powers or channels hides a tail.
+//! If test transmitters are millimetres from training transmitters, a copy of the nearest spectrum scores best, and a
+//! mean over the test set does not describe positions farther away. A mean of powers or channels hides large errors.
 
 use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
@@ -11,13 +11,13 @@ use pwrfgs_core::{Headline, Task};
 use pwrfgs_experiment::{Record, Setting, scores::MODEL, statistics::quantile};
 use std::collections::BTreeMap;
 
-/// Test samples in a bin, and bins at most.
+/// Minimum number of test samples per bin, and maximum number of bins.
 const PER_BIN: usize = 10;
 const MOST_BINS: usize = 8;
-/// With more variants than this the bands of quartiles would cover each other.
+/// Maximum number of variants with bands of quartiles; more bands would overlap.
 const MOST_BANDS: usize = 4;
 
-/// Error against the distance to the nearest training transmitter: what exposes a leaking split.
+/// Error against the distance to the nearest training transmitter, which reveals leakage of a split.
 pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
@@ -34,7 +34,7 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
         }
     }
     for (k, name) in setting.floors().into_iter().enumerate() {
-        // The same in every variant, up to splits that depend on the seed.
+        // Equal in all variants, except for splits that depend on the seed.
         let bins = bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
         lines.push(Line::new(points, Style::floor(k)).named_at_end(name));
@@ -46,7 +46,7 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     Figure::chart("distance", setting, context! { banded, axis => name }, chart)
 }
 
-/// Equally many test spectra of similar distance.
+/// Bin of test samples of similar distance.
 #[derive(Debug, PartialEq)]
 struct Bin {
     /// Median distance, m.
@@ -55,7 +55,7 @@ struct Bin {
     quartiles: [f64; 3],
 }
 
-/// Bins over all `runs` of one predictor; none where it has no first metric.
+/// Bins over all `runs` of one predictor; none if it has no first metric.
 fn bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     let Headline { key, higher, best, .. } = task.headline;
     let drawn = |score: f64| best.filter(|_| higher).map_or(score, |best| best - score);
@@ -67,8 +67,8 @@ fn bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     binned(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)
 }
 
-/// Pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`]; a distance of 0 or infinity has no
-/// place on a logarithmic axis.
+/// Pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`]; distances of 0 or infinity are
+/// omitted, because the axis is logarithmic.
 fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
     pairs.retain(|p| p.0 > 0.0 && p.0.is_finite() && p.1.is_finite());
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -83,12 +83,12 @@ fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
     (0..count).map(bin).collect()
 }
 
-/// Shares of the test part that are drawn.
+/// Number of points of a distribution.
 const PLACES: usize = 200;
-/// This share of every predictor is within the axis.
+/// Share of each predictor within the axis.
 const INSIDE: f64 = 0.98;
 
-/// The share of the test part below each value of the first metric; nothing of spectra, whose SSIM has a figure of its own.
+/// Share of the test set below each value of the first metric; not for spectra, whose SSIM has its own figure.
 pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
     if setting.task().has_pixels {
         return None;
@@ -112,7 +112,7 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
         lines.push(Line::new(points(&setting.variants[0].runs, name), Style::floor(k)).named(name));
     }
     let x = Axis { name: headline.name.into(), ..Axis::default() };
-    let y = Axis { name: "share of the test part below".into(), ends: Some((0.0, 1.0)), log: false };
+    let y = Axis { name: "share of the test set below".into(), ends: Some((0.0, 1.0)), log: false };
     let percent = (INSIDE * 100.0).round() as u32;
     let chart = Chart { x, y, lines, ..Chart::default() };
     Figure::chart("distribution", setting, context! { axis => headline.name, percent }, chart)

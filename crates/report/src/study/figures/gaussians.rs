@@ -1,4 +1,4 @@
-//! N against the iteration: figure 2a of the paper.
+//! N against training steps: figure 2a of the paper.
 
 use super::Figure;
 use crate::draw::charts::{Axis, Band, Chart, Line, phases, stairs};
@@ -7,7 +7,7 @@ use minijinja::context;
 use pwrfgs_experiment::{Setting, Variant};
 use std::collections::BTreeMap;
 
-/// Marks on a line that show which it is.
+/// Number of marks per line.
 const MARKS: usize = 6;
 
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
@@ -28,7 +28,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
         }
     }
     let chart = Chart {
-        x: Axis { name: "training iteration".into(), ends: Some((0.0, end)), log: false },
+        x: Axis { name: "training step".into(), ends: Some((0.0, end)), log: false },
         y: Axis { name: "number of Gaussians N".into(), ends: None, log: true },
         bands,
         lines,
@@ -37,7 +37,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     Figure::chart("gaussians", setting, words, chart)
 }
 
-/// The phases, where all runs have the same.
+/// Phases, if they are equal in all runs.
 fn shared_phases(setting: &Setting) -> Vec<Band> {
     let schedule = |v: &Variant| {
         let t = &v.runs[0].pipeline.training;
@@ -48,7 +48,7 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
     if same { phases(&first.runs[0].pipeline.training) } else { Vec::new() }
 }
 
-/// Least, mean and largest N at each step that all runs of the variant have noted.
+/// Minimum, mean and maximum N at each step that all runs of the variant recorded.
 fn curves(variant: &Variant) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (step, n) in variant.runs.iter().flat_map(|r| r.curve_of(4)) {
@@ -60,7 +60,7 @@ fn curves(variant: &Variant) -> [Vec<(f64, f64)>; 3] {
     [extreme(f64::min), fold(&|all| all.iter().sum::<f64>() / all.len() as f64), extreme(f64::max)]
 }
 
-/// Some places on the curve; `shift` in 0..1 moves them, so that those of two lines do not coincide.
+/// Some points on the curve; `shift` in 0..1 moves them, so that the marks of two lines do not coincide.
 fn marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
     let place = |k: usize| end * (k as f64 + shift) / MARKS as f64;
     (0..MARKS)

@@ -1,4 +1,4 @@
-//! Time of a prediction by stage: stacked bars.
+//! Latency of a prediction by stage: stacked bars.
 
 use super::{COLUMN, Figure};
 use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, text_width, wrapped};
@@ -17,14 +17,14 @@ const STAGES: [(&str, &str); 4] = [
 ];
 const TOTAL: &str = "latency_total_ms";
 
-/// Height of a row, of every further line of its name, and of its bar.
+/// Heights of a row, of each further line of its name, and of its bar.
 const ROW: f64 = 21.0;
 const FURTHER: f64 = 12.0;
 const BAR: f64 = 13.0;
-/// Names of variants take so much at most.
+/// Maximum width of the names of variants.
 const NAMES: f64 = 130.0;
 
-/// One bar.
+/// Bar of one variant.
 struct Bar<'a> {
     label: &'a str,
     /// Milliseconds of each stage.
@@ -33,13 +33,13 @@ struct Bar<'a> {
 }
 
 impl<'a> Bar<'a> {
-    /// Of a variant; nothing where it was not timed.
+    /// Creates the bar of a variant; `None` if it was not timed.
     fn of(variant: &'a Variant) -> Option<Self> {
         let stages: Option<Vec<f64>> = STAGES.iter().map(|(_, key)| Some(variant.score(key)?.mean)).collect();
         Some(Self { label: &variant.label, stages: stages?, total: variant.score(TOTAL)? })
     }
 
-    /// Where its bar ends.
+    /// End of the bar.
     fn length(&self) -> f64 {
         self.stages.iter().sum()
     }
@@ -55,7 +55,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     Some(Figure::new("latency", setting, words, &draw(&bars, longest)))
 }
 
-/// What it was measured on.
+/// Machines of the measurements.
 fn machines(setting: &Setting) -> Vec<String> {
     distinct(setting.runs().map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)))
 }
@@ -95,12 +95,12 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
         canvas.text([x(begun) + 5.0, y + 4.0], Anchor::Start, bar.end());
     }
     canvas.line(&[[left, top], [left, bottom], [left + width, bottom]], thin);
-    canvas.text([left + width / 2.0, bottom + 32.0], Anchor::Middle, "time of a prediction [ms]");
+    canvas.text([left + width / 2.0, bottom + 32.0], Anchor::Middle, "latency of one prediction [ms]");
     legend.draw(&mut canvas, bottom + 36.0);
     canvas
 }
 
-/// A box with a thin dark border; nothing for a stage that took no time.
+/// Box with a thin dark border; nothing for a stage without time.
 fn boxed(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
     if size[0] >= 0.005 {
         canvas.rect(at, size, Paint::fill(Colour::hex(shade)).outlined(INK, 0.6));
@@ -108,10 +108,10 @@ fn boxed(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
 }
 
 impl Bar<'_> {
-    /// What stands at its end.
+    /// Text at the end of the bar.
     fn end(&self) -> String {
         match self.total.deviation {
-            // Two digits of the deviation, and as many of the mean.
+            // Two digits of the deviation, and as many decimals of the mean.
             Some(deviation) if deviation > 0.0 => {
                 let decimals = (1.0 - deviation.log10().floor()).clamp(0.0, 6.0) as usize;
                 format!("{:.decimals$} ± {deviation:.decimals$}", self.total.mean)

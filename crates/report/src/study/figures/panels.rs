@@ -11,10 +11,10 @@ use pwrfgs_experiment::{Setting, Variant, scores::MODEL};
 use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 
-/// At most so many variants are shown.
+/// Maximum number of shown variants.
 const MOST_ROOMS: usize = 6;
 
-/// Gaussians over the scene's point cloud with their Chamfer distances: figure 3 of the paper.
+/// Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
 pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let with = || setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0);
     let shown: Vec<&Variant> = with().take(MOST_ROOMS).collect();
@@ -48,7 +48,7 @@ pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> 
     Ok(Some(Figure::new("room", setting, words, &canvas)))
 }
 
-/// Draws panels beside each other, each with its name above and numbers below; returns where the row ends.
+/// Draws panels in a row, each with its name above and numbers below; returns the end of the row.
 fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     let mut bottom = top;
     let names: Vec<Vec<String>> = row.iter().map(|panel| wrapped(&panel.title, width - 10.0)).collect();
@@ -57,7 +57,7 @@ fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
         let (left, middle) = (k as f64 * width, (k as f64 + 0.5) * width);
         canvas.lines([middle, top + head / 2.0], Anchor::Middle, &names[k]);
         canvas.put([left, top + head], width / COLUMN, &panel.picture);
-        // The numbers of the axes leave room below.
+        // Leaves room for the numbers of the axes.
         let mut y = top + head + panel.picture.height * width / COLUMN - 8.0;
         let lines = std::iter::once(panel.numbers.as_str()).chain(panel.caption.split("; "));
         for line in lines.filter(|line| !line.is_empty()) {
@@ -71,27 +71,27 @@ fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     bottom
 }
 
-/// At most so many variants are shown.
+/// Maximum number of shown variants.
 const MOST_COLUMNS: usize = 5;
-/// Room for the names of rows and the axis of elevation.
+/// Margins for the names of rows and the elevation axis.
 const LEFT: f64 = 94.0;
-/// Between panels.
+/// Gap between panels.
 const GAP: f64 = 11.0;
 /// Width of the colour bar.
 const BAR: f64 = 160.0;
-/// No panel is wider.
+/// Maximum width of a panel.
 const WIDEST: f64 = 220.0;
 
-/// A test spectrum and what is predicted for it.
+/// Test spectrum with its predictions.
 struct Row {
     name: &'static str,
     id: u32,
     truth: Image,
-    /// Prediction and its SSIM, one a variant.
+    /// Prediction and its SSIM per variant.
     predicted: Vec<(Image, f64)>,
 }
 
-/// Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
+/// Spectra as measured and as predicted by each variant: figure 4 of the paper.
 pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let shown = &setting.variants[..setting.variants.len().min(MOST_COLUMNS)];
     let scores: Option<Vec<BTreeMap<u32, f64>>> = shown.iter().map(|v| v.runs[0].scores.by_id(MODEL, "ssim")).collect();
@@ -115,7 +115,7 @@ pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
 
-/// Best, median and worst by the scores of the first variant, among the ids that all have.
+/// Best, median and worst by the scores of the first variant, among the common ids.
 fn chosen(scores: &[BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     let Some(first) = scores.first() else { return Vec::new() };
     let mut common: Vec<(f64, u32)> =
@@ -145,7 +145,7 @@ fn draw_spectra(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canva
     for (k, row) in rows.iter().enumerate() {
         let bottom = top + height;
         let is_last = k + 1 == rows.len();
-        // Below the numbers of the axis in the last row.
+        // Below the numbers of the axis of the last row.
         let below = bottom + if is_last { 2.0 * LINE + 2.0 } else { LINE };
         for (column, image) in std::iter::once(&row.truth).chain(row.predicted.iter().map(|p| &p.0)).enumerate() {
             canvas.framed([x(column), top], [width, height], pixels(image, plane, Scale::Power));

@@ -1,4 +1,4 @@
-//! Rate ratio against signal-to-noise ratio: what steering by the prediction costs a weak and a strong transmitter.
+//! Rate ratio against signal-to-noise ratio: cost of steering by the prediction for weak and strong transmitters.
 
 use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
@@ -11,7 +11,7 @@ use pwrfgs_experiment::{Bench, Session, Setting, Silent};
 const LOW_DB: f64 = -20.0;
 const HIGH_DB: f64 = 30.0;
 const STEPS: usize = 20;
-/// At most so many test spectra of a run are predicted.
+/// Maximum number of predicted test spectra per run.
 const SAMPLES: usize = 200;
 
 pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
@@ -31,7 +31,7 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
             curves.push(curve(&bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?));
         }
         let mut line = Line::new(mean_of(&curves), Style::variant(k)).named(&variant.label);
-        // Every fourth, each line from another on.
+        // Every fourth point, with a different start per line.
         line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
         lines.push(line);
     }
@@ -42,7 +42,7 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
     Ok(Figure::chart("eta-snr", setting, words, chart))
 }
 
-/// The baselines, having seen training and validation, on the test part of the first run.
+/// Baselines, fitted to training and validation sets, on the test set of the first run.
 fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Line>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
@@ -56,17 +56,17 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
     run.pipeline.baselines.iter().enumerate().map(line).collect()
 }
 
-/// The ratios at which η is taken, dB.
+/// Signal-to-noise ratios at which η is computed, dB.
 fn snrs() -> impl Iterator<Item = f64> {
     (0..=STEPS).map(|k| LOW_DB + (HIGH_DB - LOW_DB) * k as f64 / STEPS as f64)
 }
 
-/// Mean over the samples of each measurement, at its ratio.
+/// Mean over samples of each measurement, at its signal-to-noise ratio.
 fn curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
     snrs().zip(measured.iter().map(|m| m.values.mean())).collect()
 }
 
-/// The mean of curves over the same places.
+/// Mean of curves over the same points.
 fn mean_of(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
     let height = |k: usize| curves.iter().map(|c| c[k].1).sum::<f64>() / curves.len() as f64;
     let first = curves.first().map_or(&[][..], Vec::as_slice);

@@ -1,4 +1,4 @@
-//! The first metric and the rate ratio against N, bytes and milliseconds: figure 2b of the paper, and ways to the same N.
+//! First metric and rate ratio against N, bytes and milliseconds: figure 2b of the paper, and methods at equal N.
 
 use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
@@ -7,15 +7,18 @@ use minijinja::context;
 use pwrfgs_core::Headline;
 use pwrfgs_experiment::{Race, Record, Setting, Variant, Way, scores::MODEL, statistics::Spread};
 
-/// Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field Construction", section
-/// IV-A, its source and table I, for weights of 0, 0.02 and 0.04 of the mask loss; with 0 it is WRF-GS started from
-/// the point cloud. The numbers belong to the measured spectra of NeRF2 (`s23`), split at random: 4,898 to train on,
-/// 1,225 to test, 200,000 steps. Whether its SSIM is a mean or a median the paper does not say; its figure 2b shows
-/// more points without their numbers.
+/// Published SSIM by N: Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field
+/// Construction", for mask penalties of 0, 0.02 and 0.04.
+///
+/// The text prints 0.642 at N = 8; the other values are only in its figure 2b, which has no numbers, and its LaTeX
+/// source. N = 65,469 is WRF-GS with the point cloud. The data are the measured spectra of NeRF2 (`s23`) with a random
+/// split, 4,898 for training and 1,225 for test, and 200,000 steps. The paper does not state whether its SSIM is a mean
+/// or a median.
 const PUBLISHED_SSIM: [(f64, f64); 3] = [(65_469.0, 0.899), (157.0, 0.850), (8.0, 0.642)];
+/// Published rate ratio η by N, from the same paper.
 const PUBLISHED_ETA: [(f64, f64); 1] = [(8.0, 0.9288)];
 
-/// A score that stands against N.
+/// Score that is plotted against N.
 struct Score {
     /// Key in `scores.csv`.
     key: &'static str,
@@ -45,7 +48,7 @@ pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
 
 fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if Race::of(setting).is_some() {
-        return None; // a mark and a name for each variant would be too many: figures of the race have a line a way
+        return None; // too many variants for marks with names: the figures of methods have one line per method
     }
     let points: Vec<Line> = setting.variants.iter().enumerate().filter_map(|(k, v)| point(v, k, score.key)).collect();
     if points.is_empty() {
@@ -61,23 +64,23 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// N and score over the seeds of a variant; nothing where no run has the score, or the method no Gaussians.
+/// N and score over the seeds of a variant; `None` without the score or without Gaussians.
 fn spreads(variant: &Variant, key: &str) -> Option<(Spread, Spread)> {
     let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.scores.value(MODEL, key)?)));
     let (n, score): (Vec<f64>, Vec<f64>) = scored.unzip();
     let n = Spread::of(&n)?;
-    // Without Gaussians there is no place on the axis.
+    // Methods without Gaussians have no place on the axis.
     if n.mean > 0.0 { Some((n, Spread::of(&score)?)) } else { None }
 }
 
-/// The mark of one variant with its bars.
+/// Mark of one variant with its bars.
 fn point(variant: &Variant, k: usize, key: &str) -> Option<Line> {
     let (n, score) = spreads(variant, key)?;
     let at = (n.mean, score.mean);
     let mut line = Line::new(Vec::new(), Style::variant(k)).named(&variant.label);
     line.marks = vec![at];
     if let (Some(dn), Some(ds)) = (n.deviation, score.deviation) {
-        // Less than one Gaussian has no place on a logarithmic axis.
+        // Fewer than one Gaussian have no place on a logarithmic axis.
         line.bars = vec![[((at.0 - dn).max(1.0), at.1), (at.0 + dn, at.1)], [(at.0, at.1 - ds), (at.0, at.1 + ds)]];
         line.bars.retain(|[a, b]| a != b);
     }
@@ -98,36 +101,36 @@ fn threads(setting: &Setting, key: &str) -> Vec<Line> {
     families.into_iter().map(|(_, points)| Line::new(points, Style::thread())).collect()
 }
 
-/// The label without its numbers, within words too.
+/// Label without its numbers, also within words.
 fn without_digits(label: &str) -> String {
     label.chars().filter(|c| !(c.is_ascii_digit() || ".-+".contains(*c))).collect()
 }
 
-/// Level lines over the whole width, with their names at the right.
+/// Horizontal lines over the whole width, with names at the right.
 pub(super) fn floors(setting: &Setting, key: &str) -> Vec<Line> {
     let line =
         |(k, name): (usize, &str)| Some(Line::level(setting.floor(name, key)?, Style::floor(k)).named_at_end(name));
     setting.floors().into_iter().enumerate().filter_map(line).collect()
 }
 
-/// Whether these are the measured spectra that the published numbers belong to, going by what the data call themselves:
-/// NeRF2's own name of the set.
+/// Whether these are the measured spectra of the published numbers, by the name of the data:
+/// the name that NeRF2 uses.
 fn is_s23(setting: &Setting) -> bool {
     let names = |title: &str| title.split(|c: char| !c.is_alphanumeric()).any(|word| word.eq_ignore_ascii_case("s23"));
     !setting.simulated && setting.runs().all(|run| names(&run.facts.data))
 }
 
-/// What the paper publishes.
+/// Published values.
 fn reference(score: &Score) -> Line {
     let mut line = Line::new(Vec::new(), Style::published()).named("published, s23");
     line.marks = score.published.to_vec();
     line
 }
 
-/// Ways that are drawn in a colour: the best, and the last one.
+/// Number of methods drawn in colour: the best, and the last.
 const SHOWN: usize = 7;
 
-/// What quality is paid with.
+/// Cost on the horizontal axis.
 struct Price {
     name: &'static str,
     axis: &'static str,
@@ -136,16 +139,16 @@ struct Price {
 
 const PRICES: [Price; 3] = [
     Price { name: "pareto-n", axis: "number of Gaussians N", of: |run| Some(run.facts.gaussians as f64) },
-    Price { name: "pareto-bytes", axis: "size of the model [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
-    Price { name: "pareto-ms", axis: "one prediction [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
+    Price { name: "pareto-bytes", axis: "model size [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
+    Price { name: "pareto-ms", axis: "latency [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
-/// Ways to the same numbers of Gaussians: the first metric against price number `K`: N, bytes or milliseconds.
+/// First metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds.
 pub(super) fn race<const K: usize>(setting: &Setting) -> Option<Figure> {
     let price = &PRICES[K];
     let mut race = Race::of(setting)?;
     let headline = setting.headline();
-    // What is worse than every floor wherever it was tried would take the whole axis.
+    // Methods that are always worse than all baselines would compress the axis.
     let worst = worst_floor(setting);
     let hopeless = |way: &Way<'_>| {
         let scores: Vec<f64> = way.places.iter().flatten().map(|(score, _)| score.mean).collect();
@@ -180,14 +183,14 @@ pub(super) fn race<const K: usize>(setting: &Setting) -> Option<Figure> {
     Figure::chart(price.name, setting, context! { axis, ways, shown, left_out, price => price.axis }, chart)
 }
 
-/// The mean score of the floor that is easiest to beat.
+/// Mean score of the worst baseline.
 fn worst_floor(setting: &Setting) -> Option<f64> {
     let headline = setting.headline();
     let of = |name: &str| setting.floor(name, headline.key);
     setting.floors().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
 }
 
-/// A way through its variants, with bars over seeds.
+/// Line of a method through its variants, with bars over seeds.
 fn way_line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> Option<Line> {
     let place = |variant: &&Variant| {
         let (paid, score) = (variant.spread(price.of)?, variant.score(key)?);

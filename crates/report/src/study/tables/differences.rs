@@ -1,4 +1,4 @@
-//! The table of paired differences against a reference.
+//! Table of paired differences from a reference.
 
 use super::scores::words;
 use super::{Column, Line, Mark, Shown, Table, title};
@@ -9,7 +9,7 @@ use pwrfgs_experiment::paired::{is_compared, signed};
 use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES};
 
-/// Every row less the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
+/// Differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
 pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row<'_>) -> Option<Table> {
     let shown = |m: &&MetricRow| m.is_per_sample() && is_compared(&m.key, comparison.setting.task());
     let mut metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(shown).collect();

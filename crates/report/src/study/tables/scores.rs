@@ -1,4 +1,4 @@
-//! The table of scores, that of all other metrics, and table I: latency by stage.
+//! Tables of scores, of further metrics, and of latency by stage (table I).
 
 use super::{Column, Line, Mark, Shown, Table, title};
 use crate::study::comparison::{
@@ -9,10 +9,10 @@ use minijinja::context;
 use pwrfgs_experiment::text::{fixed, grouped};
 use pwrfgs_experiment::{scores::MetricRow, statistics::Spread};
 
-/// A column to be.
+/// Requested column.
 pub(super) type Wanted<'a> = (&'a MetricRow, Statistic);
 
-/// A metric in words, and its unit.
+/// Name of a metric and its unit.
 pub(super) fn words(metric: &MetricRow) -> (String, String) {
     let key = metric.key.as_str();
     let words = match key {
@@ -34,7 +34,7 @@ pub(super) fn words(metric: &MetricRow) -> (String, String) {
     (words, metric.unit.clone())
 }
 
-/// Unit to print in and the factor to it, by the largest number.
+/// Printed unit and its factor, by the largest number.
 fn scale(unit: &str, largest: f64) -> (&str, f64) {
     match unit {
         "B" => ("kB", 1e-3),
@@ -43,7 +43,7 @@ fn scale(unit: &str, largest: f64) -> (&str, f64) {
     }
 }
 
-/// Decimals of a column: three digits of the largest number, at most three decimals; whole numbers of Gaussians.
+/// Decimals of a column: three digits of the largest number, at most three decimals; none for numbers of Gaussians.
 fn decimals(metric: &MetricRow, largest: f64) -> usize {
     if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || largest >= 100.0 {
         0
@@ -56,7 +56,7 @@ fn decimals(metric: &MetricRow, largest: f64) -> usize {
     }
 }
 
-/// One column of all rows: its head, and a cell each row.
+/// Column of all rows: its head and cells.
 fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Option<(Column, Vec<Shown>)> {
     let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
     let finite = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite());
@@ -82,8 +82,8 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
     let detail = match (statistic, unit) {
         (Statistic::Whole, "") => String::new(),
         (Statistic::Whole, unit) => format!("[{unit}]"),
-        (statistic, "") => statistic.words().into(),
-        (statistic, unit) => format!("{} [{unit}]", statistic.words()),
+        (statistic, "") => statistic.words(metric.higher_is_better).into(),
+        (statistic, unit) => format!("{} [{unit}]", statistic.words(metric.higher_is_better)),
     };
     let arrow = match metric.key.as_str() {
         TRAINED_ON => "",
@@ -93,8 +93,8 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
     Some((Column { title: words, detail, arrow }, cells))
 }
 
-/// Marks best and second best of those that compete. Numbers that are printed alike are equal: what cannot be seen does
-/// not decide. Several best leave no second; a single number is no best.
+/// Marks best and second best among competing rows. Values that round to the same printed number are
+/// ties. Several best leave no second best; a single number has no mark.
 pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[bool], higher_is_better: bool) {
     let means: Vec<(usize, f64)> =
         (0..cells.len()).filter(|i| competes[*i]).filter_map(|i| Some((i, spreads[i]?.mean))).collect();
@@ -112,7 +112,7 @@ pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[
     }
 }
 
-/// The columns that have a number, and all rows that have one in any of them.
+/// Columns with a number, and rows with a number in any of them.
 pub(super) fn filled(
     comparison: &Comparison<'_>,
     wanted: &[Wanted<'_>],
@@ -128,10 +128,10 @@ pub(super) fn filled(
     (columns.into_iter().map(|(column, _)| column).collect(), lines)
 }
 
-/// Numbers of a whole model that are shown first.
+/// Values of the whole model that are shown first.
 const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
-/// Whether a metric stands beside the first of its kind.
+/// Whether a metric is shown next to the first metric of its task.
 fn is_beside(metric: &MetricRow) -> bool {
     metric.key.starts_with("eta_") || metric.key == "snr_all_db"
 }
@@ -145,7 +145,7 @@ const STAGES: [&str; 6] = [
     "latency_total_ms",
 ];
 
-/// What a reader looks at first: the first metric of the kind, such as SSIM and η, N, size, latency and training time.
+/// Main table: the first metric of the task, such as SSIM, then η, N, size, latency and training time.
 pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
@@ -156,7 +156,7 @@ pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) 
     table("scores", "Scores", comparison, &wanted, same_machine)
 }
 
-/// Metrics that the table of scores leaves out.
+/// Table of metrics that the main table omits.
 pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let first = comparison.setting.headline().key;
     let shown = |m: &&MetricRow| m.key == first || is_beside(m) || is_time(m) || WHOLE.contains(&&*m.key);
@@ -165,7 +165,7 @@ pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool)
     table("further", "Further metrics", comparison, &wanted, same_machine)
 }
 
-/// Milliseconds of one prediction, stage by stage.
+/// Table of latency by stage, milliseconds.
 pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let wanted: Vec<Wanted<'_>> = STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
     let mut table = table("latency", "Latency of one prediction by stage", comparison, &wanted, same_machine)?;
@@ -181,7 +181,7 @@ fn all_statistics(metric: &MetricRow) -> impl Iterator<Item = Wanted<'_>> {
     statistics(metric).iter().map(move |statistic| (metric, *statistic))
 }
 
-/// The mean over test samples, or the number of the whole model.
+/// Mean over test samples, or the value of the whole model.
 fn first_statistic(metric: &MetricRow) -> Wanted<'_> {
     (metric, statistics(metric)[0])
 }
@@ -221,7 +221,7 @@ fn table(
 mod tests {
     use super::*;
 
-    /// Marks of a column of these printed numbers and means.
+    /// Marks of a column of printed numbers and means.
     fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<Mark> {
         let mut cells: Vec<Shown> =
             column.iter().map(|(value, _)| Shown { value: (*value).into(), ..Shown::default() }).collect();
