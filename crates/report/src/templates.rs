@@ -116,11 +116,11 @@ mod tests {
         let (name, reference, least, most) = ("differences", "a\nb\u{1b}", 3, 3);
         let words = context! { name, reference, least, most, replicates => 9, percent => 95, edge => "1", cubes => 20 };
         let said = sentences("legend.txt", words.clone());
-        assert!(said[0].starts_with("Row less a b\u{fffd}: mean") && said.len() == 4, "{said:#?}");
-        assert!(said[1].contains("cubes of 1 m (20 of them"), "{said:#?}");
+        assert!(said[0].starts_with("Row minus a b\u{fffd}: mean") && said.len() == 4, "{said:#?}");
+        assert!(said[1].contains("cubes of 1 m (20 with test"), "{said:#?}");
         let nowhere = context! { edge => None::<String>, observations => "channels", ..words };
         let said = sentences("legend.txt", nowhere);
-        assert!(said[1].contains("single channels (20 of them), because positions are unknown"), "{said:#?}");
+        assert!(said[1].contains("single channels (20), because positions are unknown"), "{said:#?}");
     }
 
     #[test]

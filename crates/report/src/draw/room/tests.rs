@@ -34,7 +34,7 @@ fn gaussians_outside_the_room_are_counted_and_not_drawn() {
     let cloud = snapshot([[1.0, 1.0, 1.0], [3.9, 0.1, 1.9], [9.0, 1.0, 1.0], [1.0, 1.0, -7.0]]);
     let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert_eq!(circles(&panel), 2);
-    assert_eq!(panel.caption, "2 of 4 lie outside the frame");
+    assert_eq!(panel.caption, "2 of 4 are outside the frame");
     assert!(panel.numbers.starts_with("N = 4"));
 }
 
@@ -49,7 +49,7 @@ fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
     for points in [0, 5] {
         let (data, partition) = room(points);
         let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
-        assert_eq!((circles(&panel), panel.caption.as_str()), (1, "3 of 4 lie outside the frame"));
+        assert_eq!((circles(&panel), panel.caption.as_str()), (1, "3 of 4 are outside the frame"));
         assert!(!svg(&panel).contains("NaN") && !svg(&panel).contains("inf"));
     }
 }
@@ -58,8 +58,8 @@ fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
 fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
     let (data, partition) = room(0);
     let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]).chain([[1e4, 0.0, 0.0]]));
-    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("In the end", &cloud, &data);
-    assert_eq!((circles(&panel), panel.caption.as_str()), (200, "1 of 201 lie outside the frame"));
+    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("Final", &cloud, &data);
+    assert_eq!((circles(&panel), panel.caption.as_str()), (200, "1 of 201 are outside the frame"));
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn a_picture_stays_small() {
     let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
     let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert!(svg(&panel).len() < 300_000, "{} bytes", svg(&panel).len());
-    assert_eq!(panel.caption, "the 3,000 most opaque are drawn");
+    assert_eq!(panel.caption, "only the 3,000 most opaque are drawn");
     // Of equals, those drawn come from everywhere.
     let quarter = |k: usize| scattered(65_000)[..GAUSSIANS].iter().filter(|i| **i / 16_250 == k).count();
     assert!((0..4).all(|k| (700..800).contains(&quarter(k))));
@@ -115,7 +115,7 @@ fn along_the_line_of_sight_it_is_a_ring() {
     let view = View::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
     // From straight up, turned by 63 degrees in the vertical plane of the eye.
     let axis = [58f64.to_radians().sin(), 58f64.to_radians().cos(), 0.0];
-    for (degrees, shapes, meaning) in [(63.0, 2, "out of"), (63.0 - 180.0, 2, "into"), (20.0, 3, "boresight")] {
+    for (degrees, shapes, meaning) in [(63.0, 2, "towards"), (63.0 - 180.0, 2, "away"), (20.0, 3, "boresight")] {
         let receiver = Receiver::new(&turned(axis, degrees), &view, 0.5);
         let mut canvas = Canvas::new(10.0, 10.0);
         receiver.draw(&mut canvas, [5.0, 5.0]);
