@@ -218,12 +218,7 @@ fn values_for_all_runs_are_checked_together_with_those_of_the_axes() {
     let here = folder.path();
     succeed(here, &["sweep", "e.ron", "--dry-run"]);
     write(&here.join("e.ron"), of_target("(label: \"none\")"));
-    refuse(
-        here,
-        &["sweep", "e.ron", "--dry-run"],
-        2,
-        &["e.ron:2:7: set: pruners: `TopK` needs training.target"],
-    );
+    refuse(here, &["sweep", "e.ron", "--dry-run"], 2, &["e.ron:2:7: set: pruners: `TopK` needs training.target"]);
     let set = ["--set", "pruners=[TopK(score: Opacity)]"];
     refuse(
         here,

@@ -21,8 +21,7 @@ const MESH_ADVICE: &str = "check the path of the mesh";
 /// Reads the surface of a mesh file; polygons are cut into triangles.
 ///
 /// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points
-/// are
-///   ignored, and free-form surfaces are an error.
+///   are ignored, and free-form surfaces are an error.
 /// * `.ply`: ascii or binary of either byte order, with an element `face` and its list `vertex_indices`.
 ///
 /// # Errors

@@ -1,15 +1,14 @@
 //! Data sources, point clouds, splits and baselines.
 //!
 //! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] NumPy arrays; [`Teacher`] simulates
-//! spectra
-//!   of known Gaussians.
+//!   spectra of known Gaussians.
 //! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplink and downlink channels of a base station,
 //!   both in the NeRF2 layout; [`Channels`] reads channels from a NumPy array.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] split transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
 //! * [`MeanSpectrum`], [`NearestNeighbours`], [`Kriging`], [`LogDistance`] and [`Zero`] are the baselines of each
-//! table.
+//!   table.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

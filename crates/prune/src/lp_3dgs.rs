@@ -20,8 +20,8 @@ const IMPORTANCE: &str = "lp_importance";
 /// of any transmitter, as in RadSplat; S̃ is the median. The ratio S/S̃ multiplies the odds of a learned logit m.
 /// During training, the light that a Gaussian absorbs is multiplied by the relaxed sample σ((m + ln(S/S̃) +
 /// g)/temperature) with logistic noise g. The loss gains lambda times the mean keep probability. Prune steps keep the
-/// Gaussians with a probability of at least one half. S is measured at each prune step; before the first it counts as
-/// 1. Source: LP-3DGS, Zhang et al., NeurIPS 2024, section 3.2, whose Gumbel-sigmoid mask finds the share to prune by
+/// Gaussians with a probability of at least one half. S is measured at each prune step and is 1 before the first.
+/// Source: LP-3DGS, Zhang et al., NeurIPS 2024, section 3.2, whose Gumbel-sigmoid mask finds the share to prune by
 /// itself.
 ///
 /// ```

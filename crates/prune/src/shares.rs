@@ -1,5 +1,5 @@
 //! Pruners that remove a share at each prune step, by the effect of a Gaussian on the spectra: blending weight
-//! (LightGaussian), contributed signal (SignalContribution), or sensitivity (SpeedySplat).
+//! (LightGaussian), contributed signal (`SignalContribution`), or sensitivity (`SpeedySplat`).
 
 use crate::rounds::{asked, check_shares, check_weight, needs, quantile, share_at, without_share};
 use pwrfgs_core::{

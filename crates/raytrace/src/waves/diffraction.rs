@@ -34,10 +34,9 @@ pub struct Sides {
 /// * `angles`: φ′ of the source and φ of the receiver about the edge, radians, from face 0 through air, in [0, nπ].
 /// * `sin_beta`: sine of the angle between ray and edge.
 /// * `sides`: reflection and transmission of the two faces, at angles chosen by the caller. With cos θ = sin β sin α,
-/// where
+///   where
 ///   α is min(φ, φ′) at face 0 and nπ - max(φ, φ′) at face n, the reflected rays are continuous at the boundaries and
-/// the
-///   coefficients are reciprocal.
+///   the coefficients are reciprocal.
 ///
 /// The gain of the path is λ/(4π)·D/√(ss′(s + s′)), without the phase e^{-jk(s + s′)}. With ê along the edge so that φ
 /// turns by the right hand about it, k̂′ and k̂ along the ray before and after, φ̂′ = -ê×k̂′/sin β, φ̂ = ê×k̂/sin β,
