@@ -1,6 +1,6 @@
 import { penOf } from "./spectrum.js";
 
-/** Lines on axes: `lines` are `{ points: [[x, y], ..], colour, dash, dots, name }`. */
+/** Draws lines on axes: `lines` are `{ points: [[x, y], ..], colour, dash, dots, name }`. */
 export function drawChart(canvas, { x, y, lines }, ink) {
   const [width, height] = [420, 220];
   const pen = penOf(canvas, width, height);
@@ -51,7 +51,7 @@ function drawChartLine(pen, { points, colour, dash = [], dots = false }, place) 
   pen.lineWidth = 1;
 }
 
-/** A ring, or a cross for what is dashed: print needs no colour. */
+/** Draws a ring, or a cross on dashed lines: print needs no colour. */
 function strokeChartDot(pen, u, v, cross) {
   pen.setLineDash([]);
   pen.beginPath();
@@ -72,7 +72,7 @@ function chartEnds(values) {
   return [low - air, high + air];
 }
 
-/** Round numbers between two ends, five or so. */
+/** About five round numbers between two ends. */
 function chartTicks(low, high) {
   const raw = (high - low) / 5;
   const unit = 10 ** Math.floor(Math.log10(raw));
@@ -82,13 +82,13 @@ function chartTicks(low, high) {
   return ticks;
 }
 
-/** A number in few letters, with a true minus. */
+/** Short notation of a number, with a minus sign. */
 export function chartNumber(value) {
   const text = Math.abs(value) >= 1e5 ? value.toExponential(0) : String(Number(value.toPrecision(6)));
   return text.replace("-", "−");
 }
 
-/** What a channel [2 A, F] looks like: dB of the strongest antenna over the subcarriers, and its power over the delay. */
+/** Curves of a channel [2 A, F]: dB of the strongest antenna over subcarriers, and power delay profile. */
 export function channelCurves(picture, height, width, hz) {
   const antennas = height / 2;
   const power = (a, f) => picture[2 * a * width + f] ** 2 + picture[(2 * a + 1) * width + f] ** 2;
@@ -104,7 +104,7 @@ export function channelCurves(picture, height, width, hz) {
   return { magnitude, over: width > 1 ? "MHz" : "antenna", delays: delayProfile(picture, best, width, hz) };
 }
 
-/** Power over the delay in nanoseconds, of evenly spaced subcarriers; nothing where there are few. */
+/** Power delay profile in nanoseconds for evenly spaced subcarriers; null for few subcarriers. */
 function delayProfile(picture, antenna, width, hz) {
   if (width < 4 || hz.length !== width) return [];
   const spacing = (hz[width - 1] - hz[0]) / (width - 1);

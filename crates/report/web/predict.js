@@ -1,9 +1,9 @@
 /*
- * Predicts from a model file in the page itself, step by step as docs/model-format.md has it, in double precision.
+ * Predicts from a model file in the page, step by step as in docs/model-format.md, in double precision.
  * Arrays are flat, row by row; N Gaussians, W columns, H rows.
  */
 
-/** `Name(field: 1, other: Waves(count: 2), third: None)` as an object; the name is under "". */
+/** Parses `Name(field: 1, other: Waves(count: 2), third: None)` to an object; the key "" holds the name. */
 function parseRon(text) {
   const tokens = text.match(/[A-Za-z_]\w*|[-+]?[\d.]+(?:[eE][-+]?\d+)?|[():,]/g);
   const value = () => {
@@ -14,7 +14,7 @@ function parseRon(text) {
     if (tokens[0] === "(") {
       tokens.shift();
       while (tokens[0] !== ")") {
-        const named = tokens[1] === ":"; // the one value of `Octaves(5)` has no name and is kept under 0
+        const named = tokens[1] === ":"; // the single value of `Octaves(5)` has no name and gets the key 0
         const key = named ? tokens[0] : 0;
         tokens.splice(0, named ? 2 : 0);
         fields[key] = value();
@@ -27,7 +27,7 @@ function parseRon(text) {
   return value();
 }
 
-/** x, sin x, cos x, sin 2x, cos 2x, sin 4x, ..: blocks of three numbers. */
+/** Encoding x, sin x, cos x, sin 2x, cos 2x, sin 4x, ..: blocks of three numbers. */
 function octavesOf(x, frequencies) {
   const all = [...x];
   for (let f = 0; f < frequencies; f++) {
@@ -36,7 +36,7 @@ function octavesOf(x, frequencies) {
   return all;
 }
 
-/** x times `scale`, then sine and cosine of the product of x with each wave vector [count, 3]. */
+/** Encoding: x times `scale`, then sine and cosine of the product of x with each wave vector [count, 3]. */
 function wavesOf(x, vectors, scale) {
   const all = x.map((v) => v * scale);
   for (let i = 0; i < vectors.length; i += 3) {
@@ -46,7 +46,7 @@ function wavesOf(x, vectors, scale) {
   return all;
 }
 
-/** A layer of the network: weight [out, in] times x plus bias, with ReLU where it is wanted. */
+/** Network layer: weight [out, in] times x plus bias, optionally with ReLU. */
 class NetworkLayer {
   constructor(file, name) {
     this.weight = file.get(`network.${name}.weight`);
@@ -73,7 +73,7 @@ class NetworkLayer {
   }
 }
 
-/** Adds nothing. */
+/** Deformation without changes. */
 class FixedDeformation {
   constructor() {
     this.keepsGeometry = true;
@@ -148,7 +148,7 @@ class FactoredDeformation {
 
 const DEFORMATIONS = { Fixed: FixedDeformation, Mlp: MlpDeformation, Factored: FactoredDeformation };
 
-/** Rotation matrix, row by row, of a quaternion by the formula for unit ones, whatever its length. */
+/** Rotation matrix, row by row, of a quaternion, by the formula for unit quaternions. */
 function rotationOf(w, x, y, z) {
   return [
     1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -157,14 +157,14 @@ function rotationOf(w, x, y, z) {
   ];
 }
 
-/** First tile and the one after the last that meet a square of this radius, along one axis of `count` pixels. */
+/** First tile, and the one after the last, that overlap a square of this radius along one axis of `count` pixels. */
 function tilesOf(centre, radius, count) {
   const most = Math.ceil(count / 16);
   const bounded = (v) => Math.min(most, Math.max(0, Math.trunc(v)));
   return [bounded((centre - radius) / 16), bounded((centre + radius + 15) / 16)];
 }
 
-/** Pixel, two rows of the Jacobian, and whether it may be drawn, of a place in the receiver's frame. */
+/** Projects a position in the receiver frame: pixel, two rows of the Jacobian, and whether it is visible. */
 function mercatorPoint(settings, [x, y, z], { width, height, angles }) {
   const elevation = angles[1];
   const r = Math.hypot(x, y, z);
@@ -183,7 +183,7 @@ function mercatorPoint(settings, [x, y, z], { width, height, angles }) {
   };
 }
 
-/** The same as the released WRF-GS has it. */
+/** Projection of the released WRF-GS. */
 function releasedPoint(settings, [x, y, z], { width, height }) {
   const [r, rho] = [Math.hypot(x, y, z), Math.hypot(x, z)];
   const [longitude, latitude] = [Math.atan2(x, z), Math.asin(Math.min(1, Math.max(-1, y / (r + 1e-7))))];
@@ -196,11 +196,11 @@ function releasedPoint(settings, [x, y, z], { width, height }) {
   };
 }
 
-/** Gaussians on the picture: those that are drawn, with pixel, covariance, distance, radius and direction. */
+/** Projected visible Gaussians with pixel, covariance, distance, radius and direction. */
 function projectGaussians(model, scales, quats) {
   const { pose, means, n, plane, projector } = model;
   const [x, y, z, w] = pose.orientation.map((v) => v / Math.hypot(...pose.orientation));
-  const frame = rotationOf(w, x, y, z); // its columns are the receiver's axes
+  const frame = rotationOf(w, x, y, z); // columns are the receiver axes
   const place = pose.position.map((v, k) => v - model.origin[k]);
   const mercator = projector[""] === "Mercator";
   const splats = [];
@@ -218,7 +218,7 @@ function projectGaussians(model, scales, quats) {
   return splats.sort((a, b) => a.depth - b.depth || a.i - b.i);
 }
 
-/** J Rᵀ M (J Rᵀ M)ᵀ: the upper triangle. */
+/** Upper triangle of J Rᵀ M (J Rᵀ M)ᵀ. */
 function covarianceOf(jacobian, frame, turn, scales) {
   const rows = [0, 3].map((from) => {
     const [p, q, s] = [0, 1, 2].map((k) => jacobian[from + k]);
@@ -229,7 +229,7 @@ function covarianceOf(jacobian, frame, turn, scales) {
   return [dot(rows[0], rows[0]), dot(rows[0], rows[1]), dot(rows[1], rows[1])];
 }
 
-/** Whether it touches the picture; notes its radius. */
+/** Sets the radius; returns whether the Gaussian overlaps the image. */
 function splatReaches(splat, { width, height }, mercator) {
   const [a, b, c] = splat.cov;
   const [middle, det] = [(a + c) / 2, a * c - b * b];
@@ -243,7 +243,7 @@ function splatReaches(splat, { width, height }, mercator) {
   return across[0] < across[1] && up[0] < up[1];
 }
 
-/** What alpha blending gives each pixel of each Gaussian: lists of pixels and weights γ·T, front to back. */
+/** Alpha blending: lists of pixels and weights γ·T per Gaussian, front to back. */
 function blendingWeights(model, splats, opacities) {
   const { width, height } = model.plane;
   const light = new Float64Array(width * height).fill(1);
@@ -266,7 +266,7 @@ function blendingWeights(model, splats, opacities) {
   });
 }
 
-/** Calls `act` with every pixel at which a Gaussian has a γ of 1/255 or more. */
+/** Calls `act` for every pixel with γ of at least 1/255. */
 function eachPixel({ pixel, cov, radius }, opacity, { width, height, wraps }, tiled, act) {
   const [a, b, c] = cov;
   const det = a * c - b * b;
@@ -291,7 +291,7 @@ function eachPixel({ pixel, cov, radius }, opacity, { width, height, wraps }, ti
   }
 }
 
-/** Antennas [K, 3] of an array, wavelengths. */
+/** Antenna positions of an array, wavelengths, [K, 3]. */
 function antennasOf({ rows, columns, spacing_wavelengths: spacing }) {
   const all = [];
   for (let i = 0; i < rows; i++) {
@@ -300,7 +300,7 @@ function antennasOf({ rows, columns, spacing_wavelengths: spacing }) {
   return all;
 }
 
-/** What a Gaussian leaves on each antenna, [2, K]: real and imaginary parts. */
+/** Field of a Gaussian on each antenna: real and imaginary parts, [2, K]. */
 function waveOf(splat, antennas, rasterizer, { angles }) {
   const radians = Math.PI / 180;
   const u = splat.v.map((v) => v / splat.distance);
@@ -324,7 +324,7 @@ function waveOf(splat, antennas, rasterizer, { angles }) {
   return wave;
 }
 
-/** exp(-j 2π p·u) / K of every pixel and antenna, [2, H W, K]. */
+/** Steering vectors exp(-j 2π p·u) / K per pixel and antenna, [2, H W, K]. */
 function steeringOf(antennas, { width, height, angles }) {
   const count = antennas.length;
   const table = [new Float64Array(width * height * count), new Float64Array(width * height * count)];
@@ -341,9 +341,9 @@ function steeringOf(antennas, { width, height, angles }) {
   return table;
 }
 
-/** One model, ready to predict spectra. */
+/** Model that predicts spectra. */
 export class Predictor {
-  /** Why a file cannot be predicted here; null where it can. */
+  /** Reason why the page cannot predict with a file, or null. */
   static refuses({ note }) {
     const { kind, receivers } = note?.links ?? {};
     const plain = note?.format === "pwrfgs-model" && kind === "Spectrum" && receivers.length === 1;
@@ -355,7 +355,7 @@ export class Predictor {
     return null;
   }
 
-  /** Works out once what no transmitter changes. */
+  /** Computes values that do not depend on the transmitter. */
   constructor(file) {
     const why = Predictor.refuses(file);
     if (why) throw new Error(`the page cannot predict with this model: ${why}`);
@@ -381,9 +381,8 @@ export class Predictor {
   }
 
   /**
-   * The spectrum of a transmitter at `tx`, metres in the world frame: `picture` [H, W], not clamped; of each Gaussian
-   * `strengths` [N], the grey value that it would give alone, `scales`, `quats` and `opacities`. The next call writes to the
-   * same arrays.
+   * Predicts the spectrum of a transmitter at `tx`, metres in the world frame: `picture` [H, W], not clamped; per Gaussian
+   * `strengths` [N] (its grey value alone), `scales`, `quats` and `opacities`. The next call overwrites these arrays.
    */
   predict(tx) {
     const local = tx.map((v, k) => Math.fround(v - this.origin[k]));
@@ -399,7 +398,7 @@ export class Predictor {
     return { picture: this.picture, strengths: this.strengths, scales, quats, opacities: Float32Array.from(this.opacities) };
   }
 
-  /** Scales and rotations with what the transmitter adds. */
+  /** Scales and rotations with the changes for the transmitter. */
   geometry({ scaling, rotation }) {
     const { physical } = this;
     const scales = this.base.scales.map((v, k) => v + (scaling ? scaling[k] : 0));
@@ -415,7 +414,7 @@ export class Predictor {
     return { scales: physical ? scales.map((v) => Math.max(1e-4, v)) : scales, quats };
   }
 
-  /** [N, 2]. */
+  /** Signals, [N, 2]. */
   signals({ signal }) {
     const { physical } = this;
     return Float64Array.from(this.base.signals, (v, k) => {
@@ -424,7 +423,7 @@ export class Predictor {
     });
   }
 
-  /** What follows from the geometry alone. */
+  /** Values that depend only on the geometry. */
   prepare({ scales, quats }) {
     const splats = projectGaussians(this, scales, quats);
     if (this.blends) return blendingWeights(this, splats, this.opacities);
@@ -444,7 +443,7 @@ export class Predictor {
     }
   }
 
-  /** Waves on the antennas, and the array steered to every pixel. */
+  /** Adds the waves on the antennas and steers the array to every pixel. */
   hear(drawn, signals) {
     const count = this.antennas.length;
     const [x, y] = [new Float64Array(count), new Float64Array(count)];

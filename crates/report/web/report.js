@@ -2,7 +2,7 @@ import { FileSource } from "./source.js";
 import { Stage } from "./stage.js";
 import { makeTablesSortable } from "./tables.js";
 
-/** Brings a report to life: its tables can be sorted, and its room turned. */
+/** Makes the tables of a report sortable and starts its 3D view. */
 export function startReport() {
   makeTablesSortable(document);
   const place = document.querySelector("[data-source=file]");

@@ -1,13 +1,13 @@
 /*
- * A small renderer of a room in WebGL2: Gaussians as ellipsoids, points, lines, triangles, and a transmitter to drag.
- * Vectors are arrays of three metres; z is up. Matrices are columns, as WebGL wants them.
+ * Renderer of a room in WebGL2: Gaussians as ellipsoids, points, lines, triangles, and a transmitter to drag.
+ * Vectors are arrays of three numbers in metres; z is up. Matrices are column-major, as in WebGL.
  */
 
 function vec3Sub(a, b) {
   return [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 }
 
-/** a + k b. */
+/** Vector a + k b. */
 function vec3Add(a, b, k = 1) {
   return [a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]];
 }
@@ -35,14 +35,14 @@ function mat4Multiply(a, b) {
   return out;
 }
 
-/** `half` is the tangent of half the angle upwards. */
+/** Perspective matrix; `half` is the tangent of half the vertical angle of view. */
 function mat4Perspective(half, aspect, near, far) {
   const f = 1 / half;
   const d = near - far;
   return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (near + far) / d, -1, 0, 0, (2 * near * far) / d, 0]);
 }
 
-/** From the room to an eye with these axes. */
+/** Matrix from the room to the view with these axes. */
 function mat4View(eye, [x, y, z]) {
   const at = (axis) => -vec3Dot(axis, eye);
   return new Float32Array([x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, at(x), at(y), at(z), 1]);
@@ -109,15 +109,15 @@ void main() {
 }`;
 
 const ROOM_FOV = 0.75;
-/** A picture rests when nothing has asked for a frame for so long, ms. */
+/** Time without requested frames after which the view is at rest, ms. */
 const ROOM_REST = 1500;
-/** As many Gaussians are always drawn. */
+/** Minimum number of drawn Gaussians. */
 const ROOM_LEAST = 1500;
-/** Pixels from the transmitter in which it is grasped. */
+/** Distance within which the pointer grasps the transmitter, pixels. */
 const ROOM_GRASP = 22;
 const ROOM_TRANSMITTER = [204, 0, 119];
 
-/** The room on a canvas. Throws where the browser has no WebGL2. */
+/** Room on a canvas. Throws if the browser has no WebGL2. */
 export class Room {
   constructor(canvas) {
     this.canvas = canvas;
@@ -143,7 +143,7 @@ export class Room {
     this.sizes.observe(canvas);
   }
 
-  /** Compiles what draws; again after the browser has taken the context away. */
+  /** Compiles the shaders, again after a lost context. */
   prepare() {
     const { gl } = this;
     this.pointProgram = roomProgram(gl, ROOM_POINT_VERTEX, ROOM_POINT_FRAGMENT);
@@ -154,14 +154,14 @@ export class Room {
     }
   }
 
-  /** Colours from 0 to 1 of what is behind, and of axes. */
+  /** Sets the colours of background and axes, from 0 to 1. */
   setTheme(ground) {
     this.ground = ground;
     if (this.bounds) this.drawBox();
     this.redraw();
   }
 
-  /** The corners of the room, metres: its box is drawn, and the first look holds it. */
+  /** Sets the corners of the room, metres: draws its box and fits it to the first view. */
   setBounds(low, high) {
     this.bounds = [low, high];
     const target = low.map((v, k) => (v + high[k]) / 2);
@@ -170,7 +170,7 @@ export class Room {
     this.redraw();
   }
 
-  /** The twelve edges, and a grid on the floor in whole metres. */
+  /** Twelve edges, and a grid of whole metres on the floor. */
   drawBox() {
     const [low, high] = this.bounds;
     const ends = [];
@@ -191,19 +191,19 @@ export class Room {
   }
 
   /**
-   * A layer of points: `positions` [N, 3], `colours` [N, 4], `size` in pixels, `shape` "dot", "square" or "ring"; `onTop` of
-   * everything, or behind what is nearer; or null.
+   * Sets a layer of points: `positions` [N, 3], `colours` [N, 4], `size` in pixels, `shape` "dot", "square" or "ring";
+   * `onTop` disables hiding by nearer objects; or null.
    */
   setPoints(name, layer) {
     this.replace(this.layers, name, layer);
   }
 
-  /** A layer of lines: `positions` [K, 2, 3], `colours` [K, 4]; or null. */
+  /** Sets a layer of lines: `positions` [K, 2, 3], `colours` [K, 4]; or null. */
   setLines(name, layer) {
     this.replace(this.lines, name, layer);
   }
 
-  /** Puts a layer in the place of the one of this name, whose memory is given back. */
+  /** Replaces the layer of this name and frees its memory. */
   replace(layers, name, layer) {
     this.free(layers.get(name));
     layers.delete(name);
@@ -215,21 +215,21 @@ export class Room {
     layer?.buffers?.forEach((buffer) => this.gl.deleteBuffer(buffer));
   }
 
-  /** A mesh that one looks through: `positions` [T, 3, 3] and one `colour` from 0 to 1; or null. */
+  /** Sets a transparent mesh: `positions` [T, 3, 3] and one `colour` from 0 to 1; or null. */
   setTriangles(layer) {
     this.free(this.triangles);
     this.triangles = layer && { ...layer, buffers: null };
     this.redraw();
   }
 
-  /** `means`, `scales` [N, 3], `quats` [N, 4] as w, x, y, z, `colours` [N, 4]; or null. */
+  /** Sets the Gaussians: `means`, `scales` [N, 3], `quats` [N, 4] as w, x, y, z, `colours` [N, 4]; or null. */
   setGaussians(layer) {
     this.free(this.gaussians);
     this.gaussians = layer && { ...roomLargestFirst(layer), buffers: null };
     this.redraw();
   }
 
-  /** How many standard deviations an ellipsoid reaches. */
+  /** Radius of the ellipsoids in standard deviations. */
   setSpread(spread) {
     this.spread = spread;
     this.redraw();
@@ -242,7 +242,7 @@ export class Room {
     this.setLines("stem", { positions: new Float32Array([...place, ...down]), colours: new Uint8Array([...ROOM_TRANSMITTER, 255]), onTop: true });
   }
 
-  /** A ring around a measured sample, or nothing. */
+  /** Sets the ring around a measured sample, or removes it. */
   setSelected(place) {
     this.markLayer("selected", place, 20, "ring");
   }
@@ -275,7 +275,7 @@ export class Room {
     this.onView();
   }
 
-  /** Asks for a frame; what moves is drawn in less detail where all of it would be slow, and whole once it rests. */
+  /** Requests a frame. A moving view is drawn with fewer Gaussians if needed, a view at rest with all. */
   redraw() {
     this.asked ??= requestAnimationFrame((now) => {
       this.asked = null;
@@ -285,7 +285,7 @@ export class Room {
     });
   }
 
-  /** Finds out how many Gaussians a moving picture has time for. */
+  /** Adapts the number of Gaussians of a moving view to the frame time. */
   pace(since) {
     clearTimeout(this.resting);
     if (!this.gaussians) return;
@@ -306,12 +306,12 @@ export class Room {
     return this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight);
   }
 
-  /** Tangent of half the angle of view, upwards; the shorter side of the canvas has the same in any case. */
+  /** Tangent of half the vertical angle of view; constant for the shorter side of the canvas. */
   half() {
     return Math.tan(ROOM_FOV / 2) / Math.min(1, this.aspect());
   }
 
-  /** The eye, its axes (right, up, back) and the matrix from the room to the screen. */
+  /** Camera position, its axes (right, up, back) and the matrix from room to screen. */
   camera() {
     const { yaw, pitch, distance, target } = this.looking;
     const back = [Math.cos(pitch) * Math.cos(yaw), Math.cos(pitch) * Math.sin(yaw), Math.sin(pitch)];
@@ -350,7 +350,7 @@ export class Room {
     this.lastFrameMs = performance.now() - begun;
   }
 
-  /** Points, lines or triangles, `corners` of them a colour. */
+  /** Draws points, lines or triangles, with one colour per `corners` vertices. */
   drawLayer(layer, mode, corners, camera, ratio) {
     const { gl } = this;
     const program = this.pointProgram;
@@ -393,14 +393,14 @@ export class Room {
     }
   }
 
-  /** Where a place is on the canvas, CSS pixels from its corner; null behind the eye. */
+  /** Position on the canvas, CSS pixels from its corner; null behind the camera. */
   project(place, m = this.camera().matrix) {
     const [x, y, w] = [0, 1, 3].map((r) => m[r] * place[0] + m[4 + r] * place[1] + m[8 + r] * place[2] + m[12 + r]);
     if (w <= 0) return null;
     return [((x / w + 1) / 2) * this.canvas.clientWidth, ((1 - y / w) / 2) * this.canvas.clientHeight];
   }
 
-  /** The ray through a place on the canvas. */
+  /** Ray through a position on the canvas. */
   ray([x, y]) {
     const { eye, axes } = this.camera();
     const half = this.half();
@@ -409,7 +409,7 @@ export class Room {
     return [eye, vec3Unit(vec3Add(vec3Add(vec3Add([0, 0, 0], axes[0], u), axes[1], v), axes[2], -1))];
   }
 
-  /** Listens to mouse, pen and fingers. */
+  /** Handles mouse, pen and touch. */
   listen() {
     const { canvas } = this;
     this.fingers = new Map();
@@ -477,7 +477,7 @@ export class Room {
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
-  /** Metres at the target for a pixel. */
+  /** Metres per pixel at the target. */
   metresAPixel(distance = this.looking.distance) {
     return (2 * this.half() * distance) / Math.max(1, this.canvas.clientHeight);
   }
@@ -488,7 +488,7 @@ export class Room {
     this.look({ target: vec3Add(vec3Add(this.looking.target, right, -dx * metres), up, dy * metres) });
   }
 
-  /** In its horizontal plane, or by its height. */
+  /** Moves the transmitter in its horizontal plane, or changes its height. */
   dragTransmitter(at, dy, vertical) {
     const { eye } = this.camera();
     const place = [...this.transmitter];
@@ -500,13 +500,13 @@ export class Room {
       const t = (place[2] - from[2]) / along[2];
       const hit = vec3Add(from, along, t);
       if (Math.abs(along[2]) > 0.03 && t > 0) [place[0], place[1]] = hit;
-      else return; // the plane is seen from its edge
+      else return; // the plane is edge-on
     }
     this.transmitter = this.within(place);
     this.onTransmitter(this.transmitter);
   }
 
-  /** Not farther out than half a room. */
+  /** Limits a position to half a room outside the room. */
   within(place) {
     if (!this.bounds) return place;
     const [low, high] = this.bounds;
@@ -516,7 +516,7 @@ export class Room {
     });
   }
 
-  /** Tells of the nearest point within 9 pixels that can be picked. */
+  /** Reports the nearest pickable point within 9 pixels. */
   pick(at) {
     let best = { far: 9 };
     const { matrix } = this.camera();
@@ -537,7 +537,7 @@ export class Room {
   }
 }
 
-/** The same Gaussians, the largest first: the others are left out first where time is short. */
+/** Gaussians sorted by size: the smallest are omitted first to save time. */
 function roomLargestFirst({ means, scales, quats, colours }) {
   const n = means.length / 3;
   const size = Float32Array.from({ length: n }, (_, i) => Math.max(scales[3 * i], scales[3 * i + 1], scales[3 * i + 2]));
@@ -564,7 +564,7 @@ function roomAttribute(gl, place, buffer, size, type, divisor) {
   gl.vertexAttribDivisor(place, divisor);
 }
 
-/** A colour for each corner. */
+/** Colours, one per vertex. */
 function roomColours({ colours, colour }, count, corners) {
   const all = new Uint8Array(4 * count);
   for (let i = 0; i < count; i++) {

@@ -3,7 +3,7 @@ import { Predictor } from "./predict.js";
 import { structuralSimilarity } from "./ssim.js";
 import { strongestPixel } from "./spectrum.js";
 
-/** What a page knows, from the program behind it (`pwrfgs view`). Positions are metres in the world frame. */
+/** Data of a page from the server of `pwrfgs view`. Positions are metres in the world frame. */
 export class ServerSource {
   constructor() {
     this.free = this.predicts = true;
@@ -41,7 +41,7 @@ export class ServerSource {
     return this.fetch("curve", { side });
   }
 
-  /** Tells of news of runs under way, and when the program has gone. */
+  /** Reports events of runs in progress, and the end of the server. */
   listen(news, gone) {
     const events = new EventSource("events");
     events.onmessage = (event) => news(JSON.parse(event.data));
@@ -49,7 +49,7 @@ export class ServerSource {
   }
 }
 
-/** What a page knows, from what lies in it (`report.html`). */
+/** Data of a page from its own file (`report.html`). */
 export class FileSource {
   constructor() {
     const bytes = (id) => {
@@ -97,7 +97,7 @@ export class FileSource {
 
   listen() {}
 
-  /** A picture that lies in the page, grey values from 0 to 1. */
+  /** Image in the page, grey values from 0 to 1. */
   stored(name, link) {
     return Float32Array.from(this.spectra.get(`${name}.${link}`), (byte) => byte / 255);
   }
@@ -107,7 +107,7 @@ export class FileSource {
     return [0, 1, 2].map((k) => at[3 * link + k] + this.known.note.origin[k]);
   }
 
-  /** Of the samples whose spectra lie in the page. */
+  /** Predicts a sample whose spectrum is in the page. */
   nearest(tx) {
     let best = null;
     for (const link of this.links ?? this.known.get("links.id").keys()) {

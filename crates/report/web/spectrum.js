@@ -1,11 +1,11 @@
-/** A table of 256 colours [256, 3] as pixels of a canvas. */
+/** Converts a table of 256 colours [256, 3] to canvas pixels. */
 export function paletteOf(rgb) {
   const bytes = new Uint8ClampedArray(4 * 256);
   for (let i = 0; i < 256; i++) bytes.set([rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2], 255], 4 * i);
   return new Uint32Array(bytes.buffer);
 }
 
-/** One spectrum drawn as a map (azimuth by elevation) and as the sky over the receiver. */
+/** Spectrum drawn as a map (azimuth by elevation) and as the sky above the receiver. */
 export class SpectrumView {
   /** `plane` is that of the room's note; `palette` 256 colours from `low` to `high`. */
   constructor(map, sky, plane, palette, low, high) {
@@ -82,7 +82,7 @@ export class SpectrumView {
 const [MAP_WIDTH, MAP_LEFT, MAP_TOP, MAP_FOOT] = [360, 44, 6, 34];
 const SKY_SIDE = 200;
 
-/** A pen on a canvas of this size in CSS pixels, cleared; letters are those of the page. */
+/** Cleared 2D context of a canvas of this size in CSS pixels, with the font of the page. */
 export function penOf(canvas, width, height) {
   const ratio = Math.min(2, globalThis.devicePixelRatio || 1);
   const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
@@ -137,14 +137,14 @@ function drawSkyAxes(pen, [cx, cy], radius, ink) {
   pen.fillText("180°", cx - radius - 5, cy + 4);
 }
 
-/** A ring of radius r. */
+/** Adds a ring of radius r. */
 export function strokeRing(pen, x, y, r) {
   pen.beginPath();
   pen.arc(x, y, r, 0, 2 * Math.PI);
   pen.stroke();
 }
 
-/** A ring or a cross, white on a dark halo. */
+/** Draws a ring or a cross, white on a dark halo. */
 function drawSpectrumMark(pen, x, y, cross) {
   for (const [style, width] of [["rgba(0, 0, 0, 0.75)", 3.4], ["#fff", 1.6]]) {
     [pen.strokeStyle, pen.lineWidth] = [style, width];
@@ -162,7 +162,7 @@ function drawSpectrumMark(pen, x, y, cross) {
   pen.lineWidth = 1;
 }
 
-/** For each pixel of the disc four pixels of the picture and their parts; -1 outside of it. */
+/** Per pixel of the disc, four pixels of the image and their weights; -1 outside. */
 function skyTable(plane, side) {
   const [azimuth, elevation] = plane.angles;
   const { width, height, wraps } = plane;

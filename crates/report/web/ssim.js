@@ -1,6 +1,6 @@
 /**
- * Structural similarity of two pictures [height, width] with values from 0 to 1, as the program reports it: uniform windows of
- * 7 x 7 pixels inside the picture, sample covariance. Small pictures have the largest odd window that fits.
+ * Structural similarity of two images [height, width] with values from 0 to 1, as in the scores: uniform windows of 7 x 7
+ * pixels inside the image, sample covariance. Small images use the largest odd window that fits.
  */
 export function structuralSimilarity(a, b, width, height) {
   const window = [7, 5, 3, 1].find((side) => side <= Math.min(width, height));
@@ -50,7 +50,7 @@ function ssimOfWindow(sums, n) {
   return ((2 * x * y + c1) * (2 * cov + c2)) / ((x * x + y * y + c1) * (vx + vy + c2));
 }
 
-/** A grey value as metrics and pictures see it. */
+/** Clamps a grey value as metrics and images do. */
 export function clampGrey(value) {
   return value < 0 ? 0 : value > 1 ? 1 : value;
 }

@@ -3,7 +3,7 @@ import { SpectrumView, paletteOf, strongestPixel } from "./spectrum.js";
 import { drawChart, channelCurves, chartNumber } from "./chart.js";
 import { ServerSource } from "./source.js";
 
-/** Colours of parts of the data, of what goes and what stays: told apart by the colour-blind (Okabe and Ito). */
+/** Colours of sets and of removed and kept Gaussians, for the colour-blind (Okabe and Ito). */
 const PART_COLOURS = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [140, 146, 158]];
 const PART_NAMES = ["training", "validation", "test", "unused"];
 const TEST = 2;
@@ -11,10 +11,10 @@ const GOES = [213, 94, 0];
 const STAYS = [0, 114, 178];
 const MEASURED_LINE = "#0072b2";
 const PREDICTED_LINE = "#d55e00";
-/** Metres of an arrow key. */
+/** Step of an arrow key, metres. */
 const STRIDE = 0.1;
 
-/** One half: a room and what its model predicts. */
+/** One half of the page: a room and the predictions of its model. */
 class StageSide {
   constructor(stage, place, about) {
     Object.assign(this, { stage, place, about });
@@ -35,7 +35,7 @@ class StageSide {
     return this.root.querySelector(`[data-${name}]`);
   }
 
-  /** A figure for a picture, made when it is first wanted. */
+  /** Figure for an image, created on first use. */
   figure(name, title, palette, low, high) {
     if (!this.figures[name]) {
       const figure = this.stage.template("figure").querySelector("figure");
@@ -53,7 +53,7 @@ class StageSide {
     return this.figures[name];
   }
 
-  /** Loads the Gaussians of the moment, or as the transmitter makes them, and colours them. */
+  /** Loads and colours the Gaussians of the snapshot, or of the model for the transmitter. */
   async loadGaussians(tx) {
     const { stage } = this;
     if (!this.room || this.about.floor || !this.about.gaussians) return;
@@ -66,7 +66,7 @@ class StageSide {
     this.drawGaussians(all, await this.fates(moment));
   }
 
-  /** Who is there in the next snapshot; null where nobody knows. */
+  /** IDs of the Gaussians in the next snapshot; null if unknown. */
   async fates(moment) {
     const { moments } = this.about;
     if (moment === null || moment + 1 >= moments.length || !this.gaussians.has("births")) return null;
@@ -87,7 +87,7 @@ class StageSide {
     this.room.setGaussians({ means, scales: all.get("scales"), quats: all.get("quats"), colours });
   }
 
-  /** Shows what was predicted, what was measured nearest, and their difference. */
+  /** Shows prediction, nearest measurement and their difference. */
   show(found, truth) {
     const { has_pixels: pixels, is_scalar: scalar } = this.stage.note;
     if (pixels) this.showSpectra(found, truth);
@@ -142,7 +142,7 @@ class StageSide {
     drawChart(delays.map, { x: "ns", y: "dB", lines: lines("delays") }, this.stage.ink);
   }
 
-  /** What is heard of a transmitter anywhere at this height, as squares in the room. */
+  /** Shows the radio map at this height as squares in the room. */
   async showMap(z, receiver) {
     if (!this.room || this.stage.note.has_pixels || !this.stage.source.map || !this.about.by_position) return;
     const pack = await this.stage.source.map(this.place, z, receiver);
@@ -161,7 +161,7 @@ class StageSide {
     this.stage.drawLegend();
   }
 
-  /** Loss and N of a run under way. */
+  /** Shows loss and N of a run in progress. */
   async showCurve() {
     if (!this.about.running) return;
     const curve = (await this.stage.source.curve(this.place)).get("curve");
@@ -181,7 +181,7 @@ function openRoom(canvas) {
   }
 }
 
-/** The whole: one transmitter, one side or two. */
+/** Stage: one transmitter, one or two sides. */
 export class Stage {
   constructor(root, source) {
     Object.assign(this, { root, source, sides: [], abouts: [], updates: 0, times: { page: 0, prediction: 0 } });
@@ -221,7 +221,7 @@ export class Stage {
     this.root.dataset.ready = "yes";
   }
 
-  /** Samples as they can be stepped through: [link, ..] in the order wanted. */
+  /** Samples to step through: [link, ..] in the selected order. */
   placeLinks() {
     const has = this.known.has("links.tx");
     this.positions = has ? this.known.get("links.tx") : new Float32Array(0);
@@ -236,13 +236,13 @@ export class Stage {
     if (first !== undefined) this.goTo(first, false);
   }
 
-  /** The first test sample of the receiver that is listened to; any where there is none. */
+  /** First test sample of the selected receiver, else any sample. */
   firstLink() {
     const all = this.ordered("id");
     return all.find((i) => this.parts[i] === TEST) ?? all[0];
   }
 
-  /** Links of the receiver that is listened to, sorted. */
+  /** Sorted links of the selected receiver. */
   ordered(order) {
     const own = this.source.links ?? Array.from(this.ids.keys());
     const links = own.filter((i) => this.receivers[i] === this.receiver);
@@ -259,7 +259,7 @@ export class Stage {
     if (ask) this.moved();
   }
 
-  /** Metres in the world frame. */
+  /** Transmitter position, metres in the world frame. */
   world(tx) {
     return tx.map((v, k) => v + this.note.origin[k]);
   }
@@ -325,7 +325,7 @@ export class Stage {
     this.find("moment").setAttribute("aria-valuetext", this.find("moment-title").textContent);
   }
 
-  /** The snapshot a side shows; null at the end. */
+  /** Snapshot of a side; null for the final model. */
   momentOf(side) {
     return this.moment !== null && this.moment < (side.about.moments?.length ?? 0) ? this.moment : null;
   }
@@ -344,7 +344,7 @@ export class Stage {
     this.reloadGaussians();
   }
 
-  /** Loads Gaussians anew; the last wish wins. */
+  /** Reloads the Gaussians; the last request wins. */
   async reloadGaussians() {
     const wish = (this.wish = (this.wish ?? 0) + 1);
     for (const side of this.sides) {
@@ -418,7 +418,7 @@ export class Stage {
     this.drawLegend();
   }
 
-  /** What colours mean, in words. */
+  /** Legend of the colours. */
   drawLegend() {
     const mark = ([r, g, b], text) => {
       const dot = document.createElement("i");
@@ -446,7 +446,7 @@ export class Stage {
     return [all[3 * index], all[3 * index + 1], all[3 * index + 2]];
   }
 
-  /** RGBA of each Gaussian. */
+  /** RGBA colours of the Gaussians. */
   coloursOf(all, n, fates) {
     const colours = new Uint8Array(4 * n);
     const names = { opacity: "opacities", strength: "strengths", contribution: "contributions", mask: "gates" };
@@ -472,7 +472,7 @@ export class Stage {
     this.firstView = this.sides.find((side) => side.room)?.room.view;
   }
 
-  /** The sample itself, or the nearest that can be shown. */
+  /** Sample itself, or the nearest sample that can be shown. */
   pickable(link) {
     const { links } = this.source;
     if (!links || links.includes(link)) return link;
@@ -504,7 +504,7 @@ export class Stage {
     this.moved();
   }
 
-  /** The transmitter stands elsewhere: everything follows, as often as the program answers. */
+  /** Moves the transmitter and updates predictions as fast as the source answers. */
   moved() {
     this.sides.forEach((side) => side.room?.setTransmitter(this.tx));
     this.world(this.tx).forEach((v, k) => (this.root.querySelector(`[data-tx="${k}"]`).value = v.toFixed(2)));
@@ -545,7 +545,7 @@ export class Stage {
     if (["strength", "contribution"].includes(this.colouring) && this.moment === null) await this.reloadGaussians();
   }
 
-  /** What is heavier than a prediction, once the transmitter rests. */
+  /** Updates slower parts once the transmitter is at rest. */
   async settle() {
     clearTimeout(this.resting);
     this.resting = setTimeout(async () => {
@@ -565,7 +565,7 @@ export class Stage {
     }
   }
 
-  /** What was observed of a link, kept. */
+  /** Measurement of a link, cached. */
   async truth(side, link) {
     const key = `${side} ${link}`;
     if (!this.truths.has(key)) {
@@ -575,14 +575,14 @@ export class Stage {
     return this.truths.get(key);
   }
 
-  /** A sample in words, where nothing is predicted. */
+  /** Description of a sample without prediction. */
   aboutSample(link) {
     const score = this.scores[link];
     const scored = Number.isFinite(score) ? `${this.note.score.name} ${chartNumber(Number(score.toFixed(3)))}` : "not scored";
     return link === null ? "" : `sample ${this.ids[link]}, ${PART_NAMES[this.parts[link]]}, ${scored}`;
   }
 
-  /** The numbers of a prediction. */
+  /** Description of a prediction. */
   sentence({ note, has }, truth) {
     const degrees = (pair) => pair && pair.map((v) => `${Math.round(v)}°`).join(" / ").replace(/-/g, "−");
     const parts = [];
@@ -609,7 +609,7 @@ export class Stage {
     }
   }
 
-  /** News of a run under way. */
+  /** Handles an event of a run in progress. */
   async hear(news) {
     const side = this.sides[news.side];
     if (!side) return;

@@ -1,4 +1,4 @@
-/** Lets the columns of tables of scores be sorted: a click, Enter or Space on a head; again for the other way. */
+/** Makes score tables sortable: click, Enter or Space on a column head; again to reverse. */
 export function makeTablesSortable(root) {
   for (const table of root.querySelectorAll("table.scores")) {
     const rows = table.tHead ? [...table.tHead.rows] : [];
@@ -29,7 +29,7 @@ function sortTable(table, cell, column) {
   };
   const before = (a, b) => {
     const [x, y] = [key(a), key(b)];
-    if (typeof x !== typeof y) return typeof x === "number" ? -1 : 1; // what is no number comes last
+    if (typeof x !== typeof y) return typeof x === "number" ? -1 : 1; // values that are not numbers come last
     const order = typeof x === "number" ? x - y : x.localeCompare(y);
     return rising ? order : -order;
   };

@@ -1,6 +1,6 @@
 /**
- * Reads a safetensors file: a model, or what the program sends. Gives `note`, the JSON that the header holds under "pwrfgs",
- * and `get(name)`, `shape(name)`, `has(name)`, `names()`. Numbers of 16 bits are widened.
+ * Reads a safetensors file: a model, or data from the server. Returns `note`, the JSON under "pwrfgs" in the header, and
+ * `get(name)`, `shape(name)`, `has(name)`, `names()`. 16-bit numbers are converted to 32 bits.
  */
 export function readTensors(file) {
   const bytes = file instanceof Uint8Array ? file : new Uint8Array(file);
@@ -22,12 +22,12 @@ function tensorOf(entry, data, name) {
   const type = TENSOR_TYPES[entry.dtype];
   const [from, to] = entry.data_offsets;
   if (!type || to > data.length) throw new Error(`tensor ${name}: damaged or of an unsupported type`);
-  const own = data.slice(from, to); // a copy of its own begins where every type may begin
+  const own = data.slice(from, to); // a copy is aligned for every type
   const values = new type(own.buffer, own.byteOffset, own.byteLength / type.BYTES_PER_ELEMENT);
   return entry.dtype === "F16" ? Float32Array.from(values, widenHalf) : values;
 }
 
-/** The number that 16 bits stand for. */
+/** Converts a 16-bit float. */
 function widenHalf(bits) {
   const [sign, exponent, fraction] = [bits & 0x8000 ? -1 : 1, (bits >> 10) & 31, bits & 1023];
   if (exponent === 0) return sign * fraction * 2 ** -24;

@@ -22,13 +22,13 @@ impl Canvas {
         let scale = width_mm * POINTS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| Short(length * scale));
         let mut page = Page::default();
-        // PDF counts upwards from the foot of the page.
+        // In PDF, y points up from the bottom of the page.
         page.put(format_args!("{scale:.6} 0 0 -{scale:.6} 0 {height} cm 1 j\n"));
         page.shapes(&self.shapes);
         let mut file = File::new();
         file.object("<</Type/Catalog/Pages 2 0 R>>");
         file.object("<</Type/Pages/Kids[3 0 R]/Count 1>>");
-        // The page is object 3, what it draws object 4; masks and images follow.
+        // Object 3 is the page, object 4 its content; masks and images follow.
         let mut images = String::new();
         let mut next = 5;
         for (k, pixels) in page.images.iter().enumerate() {
@@ -78,7 +78,7 @@ impl<'a> Page<'a> {
                     let (k, bottom) = (self.images.len(), Short(y + height));
                     let [x, width, height] = [*x, *width, *height].map(Short);
                     self.images.push(pixels);
-                    // Pixels cover, whatever the last paint let through.
+                    // Images are opaque, whatever the last paint was.
                     let opaque = self.opacity([1.0; 2]);
                     self.put(format_args!("q /A{opaque} gs {width} 0 0 -{height} {x} {bottom} cm /I{k} Do Q\n"));
                 }
@@ -133,7 +133,7 @@ impl<'a> Page<'a> {
             match *step {
                 Step::Move(p) => self.put(format_args!("{} {} m ", Short(p[0]), Short(p[1]))),
                 Step::Line(p) => self.put(format_args!("{} {} l ", Short(p[0]), Short(p[1]))),
-                // A parabola is a cubic whose handles reach two thirds of the way.
+                // A quadratic curve is a cubic with handles at two thirds.
                 Step::Quad(c, p) => {
                     let handle = |end: Point| [0, 1].map(|k| end[k] + (c[k] - end[k]) * 2.0 / 3.0);
                     self.curve(handle(last), handle(p), p);

@@ -181,7 +181,7 @@ impl DrawingBackend for Hand<'_> {
 
     fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> Drawn {
         let [x, y] = point(at);
-        // From the place that is named down to the base line; the middle is that of small letters.
+        // From the given position down to the base line; the centre is that of small letters.
         let down = TEXT
             * match style.anchor().v_pos {
                 VPos::Top => 0.76,

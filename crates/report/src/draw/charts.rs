@@ -174,7 +174,7 @@ impl Chart {
             if b < frame.right {
                 canvas.line(&[[b, frame.top], [b, frame.bottom]], Paint::stroke(Colour::hex(0xa0_a4ac), 1.0));
             }
-            // A name wider than its band begins above the band, one line higher than those that fit.
+            // A name wider than its range starts above it, one line higher than names that fit.
             if b - a > text_width(band.name) {
                 canvas.text([f64::midpoint(a, b), frame.top - 9.0], Anchor::Middle, band.name);
             } else {

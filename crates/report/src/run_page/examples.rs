@@ -43,7 +43,7 @@ pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let scores = if let Some(scores) = run.record.scores.samples(MODEL, headline.key) {
         scores.to_vec()
     } else {
-        // The pipeline does not name this metric.
+        // The pipeline does not contain this metric.
         let mut scores = Vec::with_capacity(part.len());
         each(run, part, |_, truth, prediction| scores.push(data.task().score(prediction, truth)));
         scores

@@ -52,7 +52,7 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
         write_atomically(&out.join(name), bytes)?;
     }
     for old in before.files.difference(&names) {
-        // The user may have removed it already.
+        // The user may have removed the file already.
         _ = std::fs::remove_file(out.join(old));
     }
     // Removes the folder of figures if it is empty.
@@ -155,7 +155,7 @@ mod tests {
         }
         assert!(write(&whole("report")).unwrap_err().is_input());
         assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
-        // A link in place of a file is refused where it is not ours, and is replaced, not followed, where it is.
+        // A link in place of a file is rejected if it is not listed; if it is listed, it is replaced and not followed.
         std::os::unix::fs::symlink(&precious, folder.path().join("report.csv")).unwrap();
         assert!(write(folder.path()).unwrap_err().to_string().contains("report.csv: not a file of the report"));
         own(folder.path(), BTreeSet::from(["report.csv".to_owned()])).unwrap();

@@ -44,7 +44,7 @@ fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
     let cloud = snapshot([[1.0, 1.0, 1.0], [7.9, 1.0, 1.0], [1.0, -3.9, 5.9]]);
     let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert_eq!((circles(&panel), panel.caption.as_str()), (3, ""));
-    // What is nowhere is told, and bends no frame.
+    // Positions that are not finite are counted and do not change the frame.
     let cloud = snapshot([[1.0, 1.0, 1.0], [Real::NAN, 1.0, 1.0], [1.0, Real::INFINITY, 1.0], [1e30, 1.0, 1.0]]);
     for points in [0, 5] {
         let (data, partition) = room(points);
@@ -69,7 +69,7 @@ fn a_picture_stays_small() {
     let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert!(svg(&panel).len() < 300_000, "{} bytes", svg(&panel).len());
     assert_eq!(panel.caption, "only the 3,000 most opaque are drawn");
-    // Of equals, those drawn come from everywhere.
+    // Among equal Gaussians, the drawn ones are spread over all places.
     let quarter = |k: usize| scattered(65_000)[..GAUSSIANS].iter().filter(|i| **i / 16_250 == k).count();
     assert!((0..4).all(|k| (700..800).contains(&quarter(k))));
 }
@@ -113,7 +113,7 @@ fn the_arrow_points_where_the_receiver_looks() {
 #[test]
 fn along_the_line_of_sight_it_is_a_ring() {
     let view = View::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
-    // From straight up, turned by 63 degrees in the vertical plane of the eye.
+    // From straight up, turned by 63 degrees in the vertical plane of the viewer.
     let axis = [58f64.to_radians().sin(), 58f64.to_radians().cos(), 0.0];
     for (degrees, shapes, meaning) in [(63.0, 2, "towards"), (63.0 - 180.0, 2, "away"), (20.0, 3, "boresight")] {
         let receiver = Receiver::new(&turned(axis, degrees), &view, 0.5);

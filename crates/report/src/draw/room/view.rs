@@ -45,7 +45,7 @@ impl View {
         }
         let [left, top, right, bottom] = MARGINS.map(|m| m * text);
         let scale = ((WIDTH - left - right) / (most[0] - least[0])).min(MOST_HEIGHT / (most[1] - least[1]));
-        // Narrow boxes stand in the middle.
+        // Narrow boxes are centred.
         let spare = WIDTH - left - right - scale * (most[0] - least[0]);
         let corner = [least[0] - (left + spare / 2.0) / scale, most[1] + top / scale];
         Self {
@@ -89,7 +89,7 @@ impl View {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
         canvas.letters.size = self.text;
         let (low, high) = (self.low, self.high);
-        // The eye is where x is large and y small: the walls of small x and of large y are behind.
+        // The viewer is at large x and small y: the walls at small x and large y are behind.
         let at = |x: f64, y: f64, z: f64| self.place([x, y, z]);
         let [floor, top] = [low[2], high[2]]
             .map(|z| [at(low[0], low[1], z), at(high[0], low[1], z), at(high[0], high[1], z), at(low[0], high[1], z)]);
@@ -98,7 +98,7 @@ impl View {
             canvas.polygon(face, Paint::fill(Colour::hex(fill)).outlined(Colour::hex(0xc9_cdd5), 0.7));
         }
         let em = self.text;
-        // Larger text, fewer numbers.
+        // Larger text leaves room for fewer numbers.
         let most = ((60.0 / em) as usize).clamp(2, 6);
         let o = self.origin;
         let ticks = [0, 1, 2].map(|k| few_ticks(low[k] - o[k], high[k] - o[k], most));
@@ -124,7 +124,7 @@ impl View {
             from => format!("{} − {from} [m]", ["x", "y", "z"][k]),
         };
         mark(at(middle(0), low[1], low[2]), [-1.3, 2.6], Anchor::Middle, &title(0));
-        // A long title stands below the numbers.
+        // A long title goes below the numbers.
         let (shift, anchor) = if o[1] == 0.0 { ([2.3, 2.3], Anchor::Middle) } else { ([-0.5, 3.9], Anchor::Start) };
         mark(at(high[0], middle(1), low[2]), shift, anchor, &title(1));
         let [x, y] = at(low[0], low[1], middle(2));
