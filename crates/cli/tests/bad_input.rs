@@ -20,7 +20,7 @@ fn missing_and_unreadable_files_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     refuse(here, &["run", "nowhere.ron"], 2, &["cannot read nowhere.ron"]);
-    refuse(here, &["run", "."], 2, &[".: is a folder without pipeline.ron"]);
+    refuse(here, &["run", "."], 2, &[".: not a run folder: no pipeline.ron"]);
     refuse(here, &["predict", "no.safetensors", "--tx", "0,0,0", "--out", "o"], 2, &["cannot read no.safetensors"]);
     refuse(here, &["evaluate", "no.safetensors"], 2, &["cannot read no.safetensors"]);
     write(&here.join("text.safetensors"), "no model");
@@ -204,7 +204,7 @@ fn mistakes_in_positions_are_named_with_line_and_column() {
     csv("x,y,z\n1,2,3\n1,2\n", &["tx.csv:3:1", "2 fields"]);
     csv("x,y,z\n1,NaN,3\n", &["tx.csv:2:2", "`NaN`", "`y`"]);
     csv("x,y,z\n1,2,inf\n", &["tx.csv:2:3"]);
-    csv("x,y,z\n", &["tx.csv", "no row"]);
+    csv("x,y,z\n", &["tx.csv", "no positions"]);
     csv("", &["tx.csv"]);
     refuse(here, &["predict", model, "--tx", "1,2", "--out", "o"], 2, &["--tx 1,2"]);
     refuse(here, &["predict", model, "--out", "o"], 2, &["--tx"]);

@@ -66,7 +66,7 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     measured(here);
     std::fs::rename(here.join("data"), here.join("my \"data\"")).unwrap();
     let said = stdout(&succeed(here, &["init", "my \"data\""]));
-    assert!(said.contains("6 spectra of 12 x 6 pixels: 3 to train on, 1 to validate, 2 to test"), "{said}");
+    assert!(said.contains("6 spectra of 12 x 6 pixels: 3 training, 1 validation, 2 test"), "{said}");
     let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
     for words in [
         "split: Official(",
@@ -130,7 +130,7 @@ fn shells_and_manuals_know_every_command() {
     assert_eq!(std::fs::read_to_string(here.join("man1/pwrfgs-run.1")).unwrap(), page);
     write(&here.join("man1/pwrfgs-run.1"), "notes of mine\n");
     std::fs::remove_file(here.join("man1/pwrfgs.1")).unwrap();
-    refuse(here, &["man", "--out", "man1"], 2, &["man1/pwrfgs-run.1", "is not replaced", "--out"]);
+    refuse(here, &["man", "--out", "man1"], 2, &["man1/pwrfgs-run.1", "not replaced", "--out"]);
     assert_eq!(std::fs::read_to_string(here.join("man1/pwrfgs-run.1")).unwrap(), "notes of mine\n");
     assert!(!here.join("man1/pwrfgs.1").exists(), "all or none");
 }

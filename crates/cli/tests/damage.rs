@@ -55,7 +55,7 @@ fn a_run_folder_is_resumed_and_repeated_by_its_name() {
     succeed(here, &["run", "r", "--out", "again", "-q"]);
     let model = |run: &str| std::fs::read(here.join(run).join("model.safetensors")).unwrap();
     assert!(model("r") == model("again"));
-    refuse(here, &["run", "."], 2, &["is a folder without pipeline.ron"]);
+    refuse(here, &["run", "."], 2, &["not a run folder: no pipeline.ron"]);
     let plan = String::from_utf8(succeed(here, &["check", "p.ron", "--scale", "0.5"]).stdout).unwrap();
     for words in
         ["30 of 2 transmitters", "prune from step 11 to 20", "LearnableMask, OpacityThreshold", "8 at the start"]

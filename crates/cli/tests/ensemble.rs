@@ -30,11 +30,11 @@ fn several_models_predict_as_one_and_show_where_they_differ() {
     assert_eq!((npy(&here.join("stack/spectra.npy")).1, npy(&here.join("stack/spread.npy")).1), (both, spread));
 
     let table = stdout(&succeed(here, &["evaluate", models[0], models[1]]));
-    assert!(table.contains("ssim") && table.contains("2 models, the mean of their predictions"), "{table}");
+    assert!(table.contains("ssim") && table.contains("mean of 2 models"), "{table}");
     assert!(table.contains("member 1") && table.contains("member 2") && table.contains("rank correlation"), "{table}");
     succeed(here, &["evaluate", models[0], models[1], "--out", "x"]);
     let page = std::fs::read_to_string(here.join("x/report.html")).unwrap();
-    assert!(page.contains("Does a large spread mean a large error?"));
+    assert!(page.contains("Error against ensemble spread"));
     assert!(here.join("x/confidence.csv").is_file());
     succeed(
         here,
@@ -134,9 +134,7 @@ fn a_joined_sweep_is_scored_and_saved_as_one_model() {
     assert_eq!(confidence.lines().count(), 1 + tested("runs/both/joined/samples.csv").len());
     let page = std::fs::read_to_string(own.join("report.html")).unwrap();
     let link = "../net=wide,seed=0/report.html";
-    assert!(
-        page.contains(link) && own.join(link).is_file() && page.contains("Does a large spread mean a large error?")
-    );
+    assert!(page.contains(link) && own.join(link).is_file() && page.contains("Error against ensemble spread"));
 
     // What is lost is made again, to the same bytes.
     let (model, before) = (std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own));

@@ -115,8 +115,8 @@ fn a_pose_that_is_none_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     for (receiver, orientation, words) in [
-        ("0,0", "0,0,0,1", "--receiver 0,0: give three finite numbers of at most 1e8 in metres"),
-        ("0,0,0", "0,0,1", "--orientation 0,0,1: give a unit quaternion x,y,z,w"),
+        ("0,0", "0,0,0,1", "--receiver 0,0: expected x,y,z in metres, each at most 1e8"),
+        ("0,0,0", "0,0,1", "--orientation 0,0,1: expected a unit quaternion x,y,z,w"),
         ("0,0,0", "0,0,0,2", "orientation of the receiver: the quaternion has length 2"),
     ] {
         let pose = ["--receiver", receiver, "--orientation", orientation, "--out", "data"];
@@ -136,7 +136,7 @@ fn a_shape_that_does_not_suit_its_angles_is_refused_as_readers_refuse_it() {
     write(&here.join("tx.npy"), array(Number::F64, &[20, 3], tx));
     let import = arguments("s.npy", "tx.npy", &["--out", "mine"]);
     refuse(here, &import, 2, &["s.npy: is 36 x 18 pixels", "such as --elevation -90,90 for a full sphere"]);
-    for (elevation, words) in [("-90", "give two numbers in degrees"), ("0,200", "degrees from -90 to 90")] {
+    for (elevation, words) in [("-90", "expected two numbers in degrees"), ("0,200", "degrees from -90 to 90")] {
         refuse(here, &[&import[..], &["--elevation", elevation]].concat(), 2, &[words]);
     }
     assert!(!here.join("mine").exists());

@@ -66,7 +66,7 @@ fn rejects_what_is_no_data() {
     let here = folder.path();
     write(&here.join("small.ron"), SMALL);
     write(&here.join("notes/a.txt"), "mine");
-    refuse(here, &["inspect", "notes"], 2, &["notes", "received powers or channels", "give a folder of data"]);
+    refuse(here, &["inspect", "notes"], 2, &["notes", "received powers or channels", "name a data folder"]);
     refuse(here, &["inspect", "nowhere.ron"], 2, &["nowhere.ron"]);
     refuse(
         here,

@@ -59,7 +59,7 @@ const COMMANDS: [(&str, &[(&str, &str)]); 13] = [
     ("predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND", &[NO_POSITION]),
     (
         "predict run/KIND/model.safetensors --tx 1.5,1,1.2 --stacked --out stacked/KIND",
-        &[NO_POSITION, ("powers", "leave --stacked out")],
+        &[NO_POSITION, ("powers", "remove --stacked")],
     ),
     ("map run/KIND/model.safetensors --plane z=1.2 --step 0.5 --bounds 1,3,0,2 --out map/KIND", &[NO_POSITION]),
     ("export run/KIND/model.safetensors --npz KIND.npz --ply KIND.ply --half KIND.half", &[]),

@@ -269,7 +269,7 @@ fn maps_powers(here: &Path) {
         "{list}"
     );
     let said = succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
-    assert!(stderr(&said).contains("--bounds changes it"), "{}", stderr(&said));
+    assert!(stderr(&said).contains("set --bounds to change this"), "{}", stderr(&said));
     assert_eq!(names(&here.join("side")).len(), 3);
     for (arguments, words) in [
         (&["--plane", "w=1"][..], &["--plane w=1", "such as z=1.2"][..]),

@@ -41,7 +41,7 @@ fn places_are_given_back_as_they_were_given() {
     let said = succeed(here, &["evaluate", "r/model.safetensors"]);
     assert!(stdout(&said).contains("ssim") && !stderr(&said).contains("another receiver"), "{}", stderr(&said));
     let said = succeed(here, &["export", "r/model.safetensors", "--ply", "m.ply", "--npz", "m.npz", "--tx", tx]);
-    assert!(stderr(&said).contains("count from 500000, 5399999, 100"), "{}", stderr(&said));
+    assert!(stderr(&said).contains("relative to 500000, 5399999, 100"), "{}", stderr(&said));
     let ply = String::from_utf8_lossy(&std::fs::read(here.join("m.ply")).unwrap()).into_owned();
     assert!(ply.contains("\ncomment origin 500000 5399999 100\n"), "{ply}");
     let mut archive = zip::ZipArchive::new(std::fs::File::open(here.join("m.npz")).unwrap()).unwrap();

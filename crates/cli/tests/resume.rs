@@ -95,7 +95,7 @@ fn an_interrupted_run_says_how_to_go_on() {
     let output = child.wait_with_output().unwrap();
     let said = crate::common::stderr(&output);
     assert_eq!(output.status.code(), Some(130), "{said}");
-    assert!(said.contains("stopped after step") && said.contains("the same command goes on"), "{said}");
+    assert!(said.contains("stopped after step") && said.contains("repeat the command to resume"), "{said}");
     succeed(here, &["run", "p.ron", "--out", "r", "-q", "--threads", "1"]);
     same_end(&here.join("r"), whole());
 }

@@ -115,7 +115,7 @@ fn a_stopped_run_goes_on_with_other_metrics() {
     child.kill().unwrap();
     assert!(!child.wait().unwrap().success());
     let said = succeed(here, &["run", "p.ron", "--out", "killed", "--set", "metrics=[L1()]"]);
-    assert!(stderr(&said).contains("going on after step"), "{}", stderr(&said));
+    assert!(stderr(&said).contains("resuming after step"), "{}", stderr(&said));
     let model = |run: &str| std::fs::read(here.join(run).join("model.safetensors")).unwrap();
     assert!(model("whole") == model("killed"));
     assert!(!text(&here.join("killed/pipeline.ron")).contains("Ssim"));

@@ -160,7 +160,7 @@ fn ctrl_c_ends_commands_while_their_data_are_simulated() {
     let source = "Simulated(scene: \"closet.ron\", samples: 1_000_000)";
     fs::write(folder.join("small.ron"), crate::common::SMALL.replace(data, source)).unwrap();
     fs::create_dir(folder.join("cache")).unwrap();
-    for (command, words) in [("run", ["stopping where", "the same command goes on"]), ("check", ["stopped"; 2])] {
+    for (command, words) in [("run", ["stopped", "repeat the command to resume"]), ("check", ["stopped"; 2])] {
         let mut program = pwrfgs(folder);
         program.args([command, "small.ron"]).env("PWRFGS_CACHE", folder.join("cache"));
         let child = program.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -252,9 +252,9 @@ fn every_layout_is_written() {
         assert!(folder.join(layout).join("manifest.json").is_file(), "{layout}");
     }
     for (more, expected) in [
-        (&["--layout", "rssi", "--npy"][..], "--npy is for spectra"),
-        (&["--snr-db", "30"], "--snr-db is for channels; add --layout channels"),
-        (&["--layout", "csi", "--noise-db", "3"], "--noise-db is for powers"),
+        (&["--layout", "rssi", "--npy"][..], "--npy: supported only for spectra"),
+        (&["--snr-db", "30"], "--snr-db: supported only for channels; add --layout channels"),
+        (&["--layout", "csi", "--noise-db", "3"], "--noise-db: supported only for received powers"),
         (&["--layout", "rssi", "--noise-db", "NaN"], "`noise_db` is NaN"),
         (&["--layout", "wifi"], "invalid value 'wifi'"),
     ] {

@@ -67,7 +67,7 @@ fn every_combination_is_run_once_and_variants_change_what_they_name() {
     // The same command finds all of it done.
     let before: Vec<_> = RUNS.map(|run| written(&sweep.join(run).join("run.json"))).into();
     let again = succeed(here, &["sweep", "e.ron"]);
-    assert_eq!(stderr(&again).matches("finished before").count(), 4, "{}", stderr(&again));
+    assert_eq!(stderr(&again).matches("already finished").count(), 4, "{}", stderr(&again));
     assert_eq!(RUNS.map(|run| written(&sweep.join(run).join("run.json"))).to_vec(), before);
     // An experiment that grows keeps what it has.
     write(&here.join("e.ron"), EXPERIMENT.replace("seeds: [4]", "seeds: [4, 5]"));
@@ -135,7 +135,7 @@ fn shards_share_the_runs_out() {
     succeed(here, &["sweep", "e.ron", "--shard", "1/3"]);
     assert_eq!(RUNS.map(there), [true; 4]);
     refuse(here, &["sweep", "e.ron", "--only", "lambda=0.02,start=fw,seed=4"], 2, &["did you mean", RUNS[2]]);
-    refuse(here, &["sweep", "e.ron", "--jobs", "9", "--threads", "2"], 2, &["give at most 2"]);
+    refuse(here, &["sweep", "e.ron", "--jobs", "9", "--threads", "2"], 2, &["set at most 2"]);
 }
 
 #[test]

@@ -129,7 +129,7 @@ fn pages_open_on_a_test_sample_name_the_set_and_move_together() {
     };
     let [model, baseline] = said("train").try_into().unwrap();
     assert!(model.starts_with("SSIM 0.") && model.contains("(training), 0.00 m away"), "{model}");
-    assert!(baseline.starts_with("not scored: the baseline learned from sample "), "{baseline}");
+    assert!(baseline.starts_with("not scored: the baseline was fitted to sample "), "{baseline}");
     let [_, baseline] = said("test").try_into().unwrap();
     assert!(baseline.starts_with("SSIM ") && baseline.contains("(test), 0.00 m away"), "{baseline}");
     page.eval(&format!("{stage}.goTo({stage}.ordered('id')[3])"));
@@ -404,7 +404,7 @@ fn what_cannot_be_viewed_is_told() {
     write(&path.join("broken.safetensors"), "no model");
     std::fs::create_dir(path.join("empty")).unwrap();
     refuse(path, &["view", "nothing"], 2, &["nothing"]);
-    refuse(path, &["view", "empty"], 2, &["is no run folder"]);
+    refuse(path, &["view", "empty"], 2, &["not a run folder"]);
     refuse(path, &["view", "broken.safetensors"], 2, &["broken.safetensors"]);
     refuse(path, &["view", "run", "NearestNeighbour"], 2, &["NearestNeighbours"]);
     refuse(path, &["view", "run", "LogDistance()"], 2, &["is no baseline of"]);
