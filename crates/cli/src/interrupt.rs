@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 /// Exit code of an interrupted program, by the convention of shells.
 pub(crate) const INTERRUPTED: u8 = 130;
-const AT_ONCE: &str = "stopped immediately; repeat the command to resume from the last checkpoint";
+const AT_ONCE: &str = "stopped immediately; repeat the command to resume";
 /// Time for work other than training to stop.
 const GRACE: Duration = Duration::from_secs(1);
 /// Interval between checks for running trainings.

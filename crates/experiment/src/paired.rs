@@ -55,7 +55,7 @@ impl Paired {
         }
         let arrow = |higher: bool| if higher { "↑" } else { "↓" };
         let heads = metrics.iter().flat_map(|(key, higher)| [format!("{key} {}", arrow(*higher)), String::new()]);
-        let head = ["model less".to_owned()].into_iter().chain(heads).collect();
+        let head = ["model minus".to_owned()].into_iter().chain(heads).collect();
         let line = |baseline: &&str| {
             let find = |key: &str| self.rows.iter().find(|row| row.baseline == *baseline && row.metric == key);
             let cells = metrics.iter().flat_map(|(key, _)| match find(key) {
