@@ -1,6 +1,6 @@
-//! Draws the figures that compare runs: `cargo run -p pwrfgs --example figures -- OUT RUN..`, where each `RUN` is the folder of a
-//! run or of a sweep.
-#![allow(clippy::print_stdout)] // it is a program
+//! Draws the figures of a comparison of runs: `cargo run -p pwrfgs --example figures -- OUT RUN..`. Each `RUN` is a run
+//! folder or a sweep folder.
+#![allow(clippy::print_stdout)] // example program
 
 use pwrfgs::report::{Study, figures};
 use std::path::PathBuf;

@@ -1,12 +1,12 @@
 //! Loads a model, predicts at many positions, and writes one array `[positions, rows, columns]` for NumPy:
-//! `cargo run --release -p pwrfgs --example predict -- MODEL.safetensors [SPECTRA.npy]`. Several models make an ensemble.
-#![allow(clippy::print_stdout)] // it is a program
+//! `cargo run --release -p pwrfgs --example predict -- MODEL.safetensors [SPECTRA.npy]`. Several models form an ensemble.
+#![allow(clippy::print_stdout)] // example program
 
 use pwrfgs::core::{Query, npy::npy_header_as};
 use pwrfgs::prelude::*;
 use std::path::Path;
 
-/// 10 × 10 positions in one plane, metres.
+/// Grid of 10 × 10 positions in one plane, metres.
 fn positions() -> Vec<[f64; 3]> {
     (0..100).map(|i| [0.3 + 0.15 * f64::from(i % 10), 0.5 + 0.1 * f64::from(i / 10), 1.0]).collect()
 }
@@ -18,7 +18,7 @@ fn main() -> Result<()> {
 
     let members = models.iter().map(|path| pwrfgs::model::file::read(Path::new(path))).collect::<Result<Vec<_>>>()?;
     let ensemble = Ensemble::new(members).map_err(Error::Config)?;
-    let prepared: Prepared<'_> = ensemble.prepare(); // what no transmitter changes is worked out once
+    let prepared: Prepared<'_> = ensemble.prepare(); // computes values that do not depend on the transmitter
     let spectra = prepared.predict_many(&positions().into_iter().map(Query::from).collect::<Vec<_>>());
 
     let ImagePlane { width, height, .. } = prepared.plane();

@@ -1,11 +1,11 @@
-//! A cloud of one's own, projected and blended, and the derivative of a pixel in every centre:
+//! Renders a custom cloud and differentiates a pixel with respect to the centres of the Gaussians:
 //! `cargo run --release -p pwrfgs --example render -- [PICTURE.png]`.
-#![allow(clippy::print_stdout)] // it is a program
+#![allow(clippy::print_stdout)] // example program
 
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, Mercator};
 
-/// Two Gaussians, 3 m from a receiver that looks straight up; the one behind shines past the one in front.
+/// Creates two Gaussians about 3 m above a receiver that faces up; the rear one is partly visible.
 fn cloud() -> Primitives {
     Primitives {
         means: vec![[1.5, 1.0, 2.4], [1.2, 1.8, 2.5]],
@@ -15,7 +15,7 @@ fn cloud() -> Primitives {
     }
 }
 
-/// Two real channels a Gaussian: real and imaginary part.
+/// Signals of the Gaussians: real and imaginary part.
 const SIGNALS: [Real; 4] = [1.0, 0.3, -0.2, 0.7];
 const CHANNELS: usize = 2;
 
@@ -34,7 +34,7 @@ fn main() {
     let out = std::env::args().nth(1).unwrap_or_else(|| "render.png".into());
     image::save_buffer(&out, &image.to_bytes(), 360, 90, image::ExtendedColorType::L8).expect("a folder to write to");
 
-    // A pixel beside the strongest, where the picture is steep; its cotangent is 1 and all others' are 0.
+    // A pixel next to the strongest pixel, where the spectrum is steep: cotangent 1, all others 0.
     let pixel = image.argmax() + 6;
     let mut d_image = vec![0.0; image.pixels.len()];
     d_image[pixel] = 1.0;
@@ -49,6 +49,6 @@ fn main() {
         let up = draw(&moved, &plane).2.pixels[pixel];
         moved.means[i][0] -= 0.010;
         let difference = (up - draw(&moved, &plane).2.pixels[pixel]) / 0.010;
-        println!("Gaussian {i}: d pixel / d x = {:.4} a metre, by moving it {difference:.4}", d[0]);
+        println!("Gaussian {i}: d pixel / d x = {:.4} per metre, by finite difference {difference:.4}", d[0]);
     }
 }

@@ -1,6 +1,6 @@
-//! Trains on arrays in memory, with a loop of one's own and a curve:
+//! Trains on arrays in memory with a custom training loop, and prints the loss:
 //! `cargo run --release -p pwrfgs --example train -- [MODEL.safetensors]`.
-#![allow(clippy::print_stdout)] // it is a program
+#![allow(clippy::print_stdout)] // example program
 
 use glam::DVec3;
 use pwrfgs::core::ssim;
@@ -15,7 +15,7 @@ const PIPELINE: &str = "Pipeline(
         optimizer: (network: Constant(0.01), opacity_logits: Constant(0.05), log_scales: Constant(0.02))),
 )";
 
-/// A data source that makes its arrays itself. *Simulated*: one blob, where the transmitter is.
+/// Data source with generated arrays. *Simulated*: one lobe in the direction of the transmitter.
 #[derive(Debug, Serialize, Deserialize, JsonSchema)]
 struct Lobes {}
 
@@ -38,7 +38,7 @@ impl DataSource for Lobes {
         let samples = samples.collect();
         let spectra = Spectra::grey((90, 24), pixels)?;
         let data = Dataset::new("arrays", Pose::IDENTITY, Vec::new(), samples, spectra)?;
-        Ok(Dataset { simulation: Some(Simulation::default()), ..data }) // leave this out where you have measured
+        Ok(Dataset { simulation: Some(Simulation::default()), ..data }) // omit for measured data
     }
 }
 

@@ -64,7 +64,7 @@ fn a_plugin_of_ones_own_is_swept_by_name() {
     };
     let listed = run(&["plugins", "GumbelMask"]);
     assert!(listed.contains("Pruner (field `pruners`)") && listed.contains("temperature: 0.5"), "{listed}");
-    assert!(listed.contains("// How far gates are from 0 and 1"), "its comments are told: {listed}");
+    assert!(listed.contains("// Temperature of the relaxation"), "its comments are printed: {listed}");
 
     // The shipped sweep, as it stands and then as small as it can be.
     let file = |name: &str| example.join(name).to_str().unwrap().to_owned();

@@ -1,26 +1,25 @@
-//! A stochastic mask: a gate that is open with probability σ(m), relaxed so that m can be learned.
+//! Stochastic mask: a gate that is open with probability σ(m), with a relaxation that makes m learnable.
 
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs::core::rng;
 use pwrfgs::prelude::*;
 
-/// The column of gate logits m.
+/// Column of gate logits m.
 const COLUMN: &str = "gumbel_logits";
-/// Uniform draws keep this distance from 0 and 1: the noise stays within ±13.8.
+/// Minimum distance of uniform samples from 0 and 1, which limits the noise to ±13.8.
 const EDGE: Real = 1e-6;
 
-/// One gate a Gaussian that is thrown like a coin at every step: open with probability σ(m), m learned (Gumbel or binary concrete mask).
+/// Learns one stochastic gate per Gaussian, open with probability σ(m) (Gumbel or binary concrete mask).
 ///
-/// The throw is relaxed (the binary concrete distribution of Maddison et al. and Jang et al., ICLR 2017): with u uniform
-/// in (0, 1) and the logistic noise g = ln u − ln(1−u), which is the difference of two Gumbel draws, the gate is
-/// y = σ((m + g)/temperature), and y > 1/2 with probability σ(m). So a Gaussian that the picture needs is missed
-/// whenever its gate falls shut, and m rises; one that is not needed is pressed down by the penalty
-/// lambda · mean σ(m), the expected part of open gates. Where m < 0, more often shut than open, the gate is 0: the
-/// Gaussian is not drawn, cannot come back, and is discarded at the next prune step. What stays is drawn with its gate
-/// open from fine-tuning on.
+/// Each step draws one relaxed Bernoulli sample per Gaussian (binary concrete distribution: Maddison et al. and Jang et
+/// al., ICLR 2017). With u uniform in (0, 1) and logistic noise g = ln u − ln(1−u), the difference of two Gumbel samples,
+/// the gate is y = σ((m + g)/temperature), and y > 1/2 with probability σ(m). If the spectrum needs a Gaussian, closed
+/// gates increase the loss, and m rises. The penalty lambda · mean σ(m), the expected share of open gates, lowers m of
+/// other Gaussians. If m < 0, the gate is 0: the Gaussian is not drawn, cannot return, and is removed at the next prune
+/// step. During fine-tuning, all gates are open.
 ///
-/// Use it beside `LearnableMask`, whose gate has no noise, to see whether noise finds fewer Gaussians for the same
-/// quality. A lower temperature makes gates nearer to 0 and 1 and their derivatives rarer; a larger lambda leaves fewer.
+/// Compare it with `LearnableMask`, whose gate has no noise. A lower temperature moves gates closer to 0 and 1 and makes
+/// gradients rarer; a larger lambda keeps fewer Gaussians.
 ///
 /// ```
 /// # use my_pruner as _;
@@ -33,11 +32,11 @@ const EDGE: Real = 1e-6;
 pub struct GumbelMask {
     /// Weight λ of the penalty, 0 or more.
     pub lambda: Real,
-    /// How far gates are from 0 and 1: from 0.2 to 5.
+    /// Temperature of the relaxation, from 0.2 to 5: lower values move gates closer to 0 and 1.
     pub temperature: Real,
-    /// m at the start, above 0; σ(3) is 0.95.
+    /// Initial logit m, above 0; σ(3) is 0.95.
     pub initial_logit: Real,
-    /// Adam's rate for m.
+    /// Learning rate of m (Adam).
     pub learning_rate: Real,
 }
 
@@ -62,7 +61,7 @@ impl Pruner for GumbelMask {
         if moment.phase == Phase::Finetune {
             return None;
         }
-        // A stream of this step and of this pruner alone: a run that goes on after a crash throws the same coins.
+        // One random stream per step and pruner: a resumed run draws the same samples.
         let mut random = rng::stream(moment.seed, "pruner GumbelMask", moment.step);
         let noise = (0..cloud.len()).map(|_| logistic(rng::uniform(&mut random))).collect();
         let y = ((cloud.column(COLUMN) + cloud.constant(noise)) / self.temperature).sigmoid();
@@ -83,23 +82,23 @@ impl Pruner for GumbelMask {
     fn check(&self) -> Result<(), String> {
         let Self { lambda, temperature, initial_logit, learning_rate } = self;
         if !(lambda.is_finite() && *lambda >= 0.0) {
-            return Err(format!("`lambda` is {lambda}; give 0 or more, such as 0.01: a larger one prunes more"));
+            return Err(format!("`lambda` is {lambda}, expected 0 or more; set e.g. 0.01 (larger values prune more)"));
         }
-        // Below, a gate that falls shut could be 0 in single precision, which says that it never opens again.
+        // Below 0.2, a closed gate could be 0 in single precision, which means that it cannot reopen.
         if !(0.2..=5.0).contains(temperature) {
-            return Err(format!("`temperature` is {temperature}; give a number from 0.2 to 5, such as 0.5"));
+            return Err(format!("`temperature` is {temperature}, expected 0.2 to 5; set e.g. 0.5"));
         }
         if !(initial_logit.is_finite() && *initial_logit > 0.0) {
-            return Err(format!("`initial_logit` is {initial_logit}; give a number above 0, such as 3.0"));
+            return Err(format!("`initial_logit` is {initial_logit}, expected a number above 0; set e.g. 3.0"));
         }
         if !(learning_rate.is_finite() && *learning_rate > 0.0) {
-            return Err(format!("`learning_rate` is {learning_rate}; give a positive number, such as 0.01"));
+            return Err(format!("`learning_rate` is {learning_rate}, expected a positive number; set e.g. 0.01"));
         }
         Ok(())
     }
 }
 
-/// Logistic noise of a uniform draw.
+/// Logistic noise from a uniform sample.
 fn logistic(u: Real) -> Real {
     let u = u.clamp(EDGE, 1.0 - EDGE);
     u.ln() - (1.0 - u).ln()

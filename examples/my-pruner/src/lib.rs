@@ -1,4 +1,4 @@
-//! Plugins of one's own for pwrfgs. `use my_pruner as _;` in a program links them.
+//! Custom plugins for pwrfgs. `use my_pruner as _;` links them into a program.
 
 mod gumbel_mask;
 

@@ -1,4 +1,4 @@
-//! The gate's formula and derivative, and that what is drawn is what is kept.
+//! Tests of the formula and gradient of the gate, and that drawn and kept Gaussians agree.
 
 use super::*;
 use dfdx::prelude::{AsArray, Backward, SumTo};
@@ -33,7 +33,7 @@ fn the_gate_is_a_relaxed_coin() {
         let expected = if *m < 0.0 { 0.0 } else { expected };
         assert!((*y as f64 - expected).abs() < 1e-4, "m = {m}: {y} is not {expected}");
     }
-    // Open with probability σ(m): a thousand throws each, three standard deviations.
+    // Open with probability σ(m): a thousand samples each, three standard deviations.
     for (k, m) in [0.0, 0.8, 1.6].into_iter().enumerate() {
         let open = found.iter().skip(k).step_by(4).filter(|y| **y > 0.5).count() as Real / 1000.0;
         let p = sigmoid(m);
@@ -85,7 +85,7 @@ fn the_penalty_presses_on_every_gate() {
 
 #[test]
 fn what_is_drawn_is_kept_and_what_is_kept_is_drawn() {
-    // At the lowest temperature, where gates fall shut hardest; at the edge, and far from it.
+    // At the lowest temperature, where gates are closest to 0; at the edge, and far from it.
     let mask = GumbelMask { temperature: 0.2, ..GumbelMask::default() };
     let near = (-2000..2000).map(|i| i as Real * Real::EPSILON);
     let logits: Vec<Real> = near.chain([-0.0, 9.0, -9.0, Real::MIN_POSITIVE, -Real::MIN_POSITIVE]).collect();
@@ -96,7 +96,7 @@ fn what_is_drawn_is_kept_and_what_is_kept_is_drawn() {
         let drawn: Vec<bool> = gate(&mask, &logits, step).iter().map(|y| *y != 0.0).collect();
         assert_eq!(drawn, kept, "step {step}");
     }
-    // The hardest throw that the noise allows.
+    // The largest noise.
     assert!(sigmoid(logistic(0.0) / 0.2) > 0.0 && logistic(1.0).is_finite());
     assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &moment(0, Phase::Prune)), logits);
 }
