@@ -80,7 +80,7 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
     let few: Vec<&str> = few.iter().flat_map(|set| ["--set", set]).collect();
     succeed(here, &[&["run", "my--data-.ron", "-q"][..], &few].concat());
-    refuse(here, &["init", "my \"data\""], 2, &["my--data-.ron", "nothing is overwritten", "--out"]);
+    refuse(here, &["init", "my \"data\""], 2, &["my--data-.ron", "not overwritten", "--out"]);
     assert_eq!(std::fs::read_to_string(here.join("my--data-.ron")).unwrap(), text);
     refuse(here, &["init", "nowhere"], 2, &["nowhere"]);
     assert!(!here.join("nowhere.ron").exists());

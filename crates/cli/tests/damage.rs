@@ -57,8 +57,7 @@ fn a_run_folder_is_resumed_and_repeated_by_its_name() {
     assert!(model("r") == model("again"));
     refuse(here, &["run", "."], 2, &["not a run folder: no pipeline.ron"]);
     let plan = String::from_utf8(succeed(here, &["check", "p.ron", "--scale", "0.5"]).stdout).unwrap();
-    for words in
-        ["30 of 2 transmitters", "prune from step 11 to 20", "LearnableMask, OpacityThreshold", "8 at the start"]
+    for words in ["30 of 2 transmitters", "prune from step 11 to 20", "LearnableMask, OpacityThreshold", "8 initially"]
     {
         assert!(plan.contains(words), "{words}: {plan}");
     }

@@ -149,7 +149,7 @@ fn a_joined_sweep_is_scored_and_saved_as_one_model() {
     assert!(stdout(&succeed(here, &["sweep", "e.ron"])).contains("member wide-0"));
     let other = ["run", "runs/both/joined", "--set", "metrics=[L1()]"];
     refuse(here, &other, 2, &["joined: holds the joined model of a sweep", "`pwrfgs sweep`"]);
-    refuse(here, &["run", "runs/both"], 2, &["runs/both: is the folder of a sweep", "`pwrfgs sweep`"]);
+    refuse(here, &["run", "runs/both"], 2, &["runs/both: folder of a sweep", "`pwrfgs sweep`"]);
     assert_eq!(written(), before, "nothing is left to do");
 
     assert!(stdout(&succeed(here, &["evaluate", "runs/both/joined/model.safetensors"])).contains("member wide-0"));

@@ -46,7 +46,7 @@ fn folders(here: &Path) {
     write(&here.join("uplinks/base-station.yml"), base_station_yaml(&[[0.0; 3], [0.06, 0.0, 0.0]]));
 }
 
-const NO_POSITION: (&str, &str) = ("uplinks", "in place of a transmitter");
+const NO_POSITION: (&str, &str) = ("uplinks", "instead of a transmitter");
 
 /// Commands in the order of a user, KIND for the kind of data; who cannot do them, and the words that say so.
 const COMMANDS: [(&str, &[(&str, &str)]); 13] = [
@@ -115,5 +115,5 @@ fn every_command_takes_every_kind_of_data_or_refuses_it() {
         refuse(here, &["evaluate", &model, "--set", data], 2, &["the data are"]);
         refuse(here, &["run", &format!("{kind}.ron"), "--set", data, "--out", "other"], 2, &["the data are"]);
     }
-    refuse(here, &["check", "powers"], 2, &["give a pipeline file, or the folder of a run"]);
+    refuse(here, &["check", "powers"], 2, &["name a pipeline file or a run folder"]);
 }

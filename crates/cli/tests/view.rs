@@ -407,7 +407,7 @@ fn what_cannot_be_viewed_is_told() {
     refuse(path, &["view", "empty"], 2, &["not a run folder"]);
     refuse(path, &["view", "broken.safetensors"], 2, &["broken.safetensors"]);
     refuse(path, &["view", "run", "NearestNeighbour"], 2, &["NearestNeighbours"]);
-    refuse(path, &["view", "run", "LogDistance()"], 2, &["is no baseline of"]);
+    refuse(path, &["view", "run", "LogDistance()"], 2, &["not available for spectra"]);
 }
 
 #[test]
