@@ -57,7 +57,7 @@ def test_powers_and_channels(tmp_path):
     [
         (dict(), "give one of spectra, rssi and csi"),
         (dict(spectra=spectra(), rssi=np.zeros(30)), "give one of"),
-        (dict(spectra=spectra(29)), "spectra has shape [29, 12, 36], and [30, any, any]"),
+        (dict(spectra=spectra(29)), "spectra has shape [29, 12, 36], expected [30, any, any]"),
         (dict(spectra=2 * spectra()), "spectra are linear, from 0 to 1"),
         (dict(spectra=np.full((30, 12, 36), np.nan, np.float32)), "is NaN"),
         (dict(spectra=spectra().transpose(0, 2, 1)), "s.transpose(0, 2, 1)"),
@@ -139,7 +139,7 @@ def test_antennas_are_where_the_receiver_says():
     csi = np.ones((3, 2, 2), np.complex64)
     with pytest.raises(pwrfgs.InputError, match="channels have 2 antennas, and receiver `receiver` has 1"):
         pwrfgs.Dataset.from_arrays(tx, csi=csi, frequencies_hz=hz)
-    with pytest.raises(pwrfgs.InputError, match=r"give places \[A, 3\]"):
+    with pytest.raises(pwrfgs.InputError, match=r"expected positions \[A, 3\]"):
         pwrfgs.Receiver(antennas=[(0, 0)])
     receiver = pwrfgs.Receiver(position=(0, 0, 2), antennas=[(0, 0, 0), (0.1, 0, 0)])
     data = pwrfgs.Dataset.from_arrays(tx, csi=csi, frequencies_hz=hz, receivers=[receiver])
@@ -192,7 +192,7 @@ def test_a_law_of_distance_a_receiver():
         found = pwrfgs.baselines.log_distance(data, tx[:5], receiver=name)
         assert np.allclose(found, rssi[:5, receiver], atol=1e-3)
         assert not np.allclose(pwrfgs.baselines.log_distance(data, tx[:5], receiver=receiver, per_receiver=False), found, atol=0.1)
-    with pytest.raises(pwrfgs.InputError, match="no receiver 'r2'; there are r0, r1"):
+    with pytest.raises(pwrfgs.InputError, match=r"unknown receiver 'r2' \(expected one of r0, r1\)"):
         pwrfgs.baselines.knn(data, tx, receiver="r2")
     with pytest.raises(pwrfgs.InputError, match="one part of it"):
         pwrfgs.baselines.knn(data, tx, data.split("random"))
