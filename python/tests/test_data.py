@@ -194,5 +194,5 @@ def test_a_law_of_distance_a_receiver():
         assert not np.allclose(pwrfgs.baselines.log_distance(data, tx[:5], receiver=receiver, per_receiver=False), found, atol=0.1)
     with pytest.raises(pwrfgs.InputError, match=r"unknown receiver 'r2' \(expected one of r0, r1\)"):
         pwrfgs.baselines.knn(data, tx, receiver="r2")
-    with pytest.raises(pwrfgs.InputError, match="one part of it"):
+    with pytest.raises(pwrfgs.InputError, match="one of its sets"):
         pwrfgs.baselines.knn(data, tx, data.split("random"))

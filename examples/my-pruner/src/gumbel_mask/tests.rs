@@ -121,6 +121,6 @@ fn settings_that_cannot_work_are_refused() {
         ("learning_rate", "0"),
     ] {
         let why = Plugin::<dyn Pruner>::parse(&format!("GumbelMask({field}: {wrong})")).unwrap_err();
-        assert!(why.contains(&format!("`{field}`")) && why.contains("; give "), "{why}");
+        assert!(why.contains(&format!("`{field}`")) && why.contains("; set "), "{why}");
     }
 }
