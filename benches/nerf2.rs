@@ -6,7 +6,8 @@
 #![allow(clippy::print_stdout)] // what it prints is what it is for
 
 use pwrfgs::core::{
-    Asked, Conditions, Frame, GaussianCloud, Link, MethodVjp, Origin, Parameters, Pixels, Pose, Projector, rng,
+    Conditions, GaussianCloud, Link, MeasurementSetup, MethodVjp, ObservationRequest, Origin, Parameters, PixelSubset,
+    Pose, Projector, rng,
 };
 use pwrfgs::prelude::*;
 use std::time::Instant;
@@ -20,54 +21,60 @@ fn main() {
     let method: Plugin<dyn Method> = Plugin::parse("Nerf2()").expect("a plugin");
     let bare: Plugin<dyn Method> = Plugin::parse("Nerf2(cache_mb: 0)").expect("a plugin");
     let plane = Plugin::<dyn Projector>::parse("Mercator()").expect("a plugin").plane(360, 90);
-    let frame = Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane);
+    let setup = MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane);
     let (weights, cloud) = (
-        method.layout(&frame).expect("a frame of spectra").init(&mut rng::stream(1, "weights", 0)),
+        method.layout(&setup).expect("a frame of spectra").init(&mut rng::stream(1, "weights", 0)),
         GaussianCloud::zeros(0),
     );
-    let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &weights };
+    let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
     let random = &mut rng::stream(2, "transmitters", 0);
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();
     let links: Vec<Link> = (0..RAYS).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-    let asked = |count: usize| Asked {
+    let request = |count: usize| ObservationRequest {
         conditions: Conditions::new(3, &conditions[..3 * count]),
         links: &links[..count],
-        pixels: Pixels::All,
+        pixels: PixelSubset::All,
     };
     let samples = 360.0 * 90.0 * 64.0;
 
     if std::env::args().any(|word| word == "step") {
-        return step(&method, &frame, &p, &asked(RAYS), random);
+        return step(&method, &setup, &p, &request(RAYS), random);
     }
     // What cannot show is left out, and with fresh weights nothing is hidden: this is the most that it takes.
-    let (ready, seconds) = timed(1, || method.prepare(&frame, &p));
-    say("what no transmitter changes, once", seconds, samples * (WHOLE - LEFT));
-    let (_, seconds) = timed(5, || method.predict(&frame, &p, &asked(1), &ready));
-    say("a spectrum after that", seconds, samples * LEFT);
+    let (ready, seconds) = timed(1, || method.prepare(&setup, &p));
+    print_time("what no transmitter changes, once", seconds, samples * (WHOLE - LEFT));
+    let (_, seconds) = timed(5, || method.predict(&setup, &p, &request(1), &ready));
+    print_time("a spectrum after that", seconds, samples * LEFT);
     drop(ready);
-    let (_, one) = timed(1, || bare.predict(&frame, &p, &asked(1), &None));
-    say("a spectrum, nothing kept", one, samples * WHOLE);
-    let (_, five) = timed(1, || bare.predict(&frame, &p, &asked(5), &None));
-    say("each further one of five", (five - one) / 4.0, samples * LEFT);
+    let (_, one) = timed(1, || bare.predict(&setup, &p, &request(1), &None));
+    print_time("a spectrum, nothing kept", one, samples * WHOLE);
+    let (_, five) = timed(1, || bare.predict(&setup, &p, &request(5), &None));
+    print_time("each further one of five", (five - one) / 4.0, samples * LEFT);
 
-    step(&method, &frame, &p, &asked(RAYS), random);
+    step(&method, &setup, &p, &request(RAYS), random);
 }
 
 /// Forward and back over random rays of as many spectra.
-fn step(method: &Plugin<dyn Method>, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>, random: &mut rng::Rng) {
-    let places: Vec<usize> = (0..RAYS).map(|_| rng::below(random, frame.numbers())).collect();
-    let most = method.cost(frame, RAYS, 1).links_at_once;
+fn step(
+    method: &Plugin<dyn Method>,
+    setup: &MeasurementSetup,
+    p: &Parameters<'_>,
+    request: &ObservationRequest<'_>,
+    random: &mut rng::Rng,
+) {
+    let places: Vec<usize> = (0..RAYS).map(|_| rng::below(random, setup.numbers())).collect();
+    let most = method.cost(setup, RAYS, 1).links_at_once;
     let (_, seconds) = timed(3, || {
         let mut sums = MethodVjp::zeros(p);
-        for (links, places) in asked.links.chunks(most).zip(places.chunks(most)) {
-            let part = Asked { links, pixels: Pixels::Own(places), ..*asked };
-            let observed = method.forward(frame, p, &part);
+        for (links, places) in request.links.chunks(most).zip(places.chunks(most)) {
+            let part = ObservationRequest { links, pixels: PixelSubset::Own(places), ..*request };
+            let observed = method.forward(setup, p, &part);
             let d = observed.numbers.clone();
-            method.vjp(frame, p, &part, observed, &d, &mut sums);
+            method.vjp(setup, p, &part, observed, &d, &mut sums);
         }
         sums.weights
     });
-    say("a step of 8,192 rays", seconds, 3.0 * RAYS as f64 * 64.0 * WHOLE);
+    print_time("a step of 8,192 rays", seconds, 3.0 * RAYS as f64 * 64.0 * WHOLE);
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or(" unknown");
     println!("most memory: {}", peak.trim());
@@ -90,6 +97,6 @@ fn timed<T>(runs: usize, mut run: impl FnMut() -> T) -> (T, f64) {
     }
 }
 
-fn say(what: &str, seconds: f64, products: f64) {
+fn print_time(what: &str, seconds: f64, products: f64) {
     println!("{what:<36} {seconds:8.3} s, {:6.1} · 10⁹ multiply-adds a second", products / seconds / 1e9);
 }

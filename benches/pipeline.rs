@@ -10,7 +10,7 @@ mod scene;
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{
-    DeformationInputs, Frame, ImagePlane, Origin, Pose, Query, Receiver, RenderVjp, Sampling, Task, rng,
+    DeformationInputs, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Sampling, Task, rng,
 };
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::{Ensemble, Model, Stages};
@@ -52,18 +52,18 @@ fn links(criterion: &mut Criterion) {
             projector: Plugin::parse("Mercator()").expect("a plugin"),
             rasterizer: Plugin::parse("AlphaBlending()").expect("a plugin"),
             calibration: Calibration::Physical,
-            readout: Readout::Received { sky_deg, filter_deg2: 30.0 },
+            readout: Readout::ReceivedPower { sky_deg, filter_deg2: 30.0 },
         };
         let place = |k: usize| [k as f64 % 7.0, k as f64 / 4.0, 2.5];
         let receiver = |k| Receiver::new(format!("g{k}"), Pose { position: place(k), ..Pose::IDENTITY });
-        let frame = Frame {
+        let setup = MeasurementSetup {
             origin: Origin::ZERO,
             receivers: (0..21).map(receiver).collect(),
             task: Task::Power,
             plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
             frequencies_hz: Vec::new(),
         };
-        let stages = Stages::new(splatting, frame);
+        let stages = Stages::new(splatting, setup);
         let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));
         let model = Model { stages, cloud: seeded_cloud(500), weights };
         let (ready, queries) = (model.prepare(), (0..21).map(|r| Query::at(TX, r)).collect::<Vec<_>>());

@@ -3,11 +3,11 @@
 //! The Python package sets a [`Host`] that can run them. Programs without a host can read and report such a pipeline
 //! and predict with its model; training, and splits or scores by Python classes, are errors.
 
-use pwrfgs_core::tape::{TraceScalar, Traced};
+use pwrfgs_core::tape::{TraceScalar, TracedCloud};
 use pwrfgs_core::{
-    Baseline, CloudStats, Dataset, Error, Evaluation, Gate, GaussianCloud, ImagePlane, Initializer, JsonSchema, Known,
-    Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, PrunerTraits, Real, Result, Scene, Seen, Split,
-    Task, rng::Rng,
+    Baseline, CloudStats, Dataset, Error, Evaluation, FittingSet, Gate, GaussianCloud, ImagePlane, Initializer,
+    InitializerInput, JsonSchema, Measurement, Metric, Needs, Partition, Predict, Pruner, PrunerTraits, Real, Result,
+    Scene, Split, StepContext, Task, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
@@ -89,30 +89,30 @@ impl Pruner for Python {
         self.host().and_then(|host| host.pruner(self)).map_or_else(unavailable, |own| own.traits())
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        self.as_pruner().map_or_else(|| vec![true; cloud.len()], |own| own.keep(cloud, stats, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        self.as_pruner().map_or_else(|| vec![true; cloud.len()], |own| own.keep(cloud, stats, context))
     }
 
-    fn needs(&self, cloud: &GaussianCloud, moment: &Moment) -> Needs {
-        self.as_pruner().map_or_else(Needs::nothing, |own| own.needs(cloud, moment))
+    fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
+        self.as_pruner().map_or_else(Needs::nothing, |own| own.needs(cloud, context))
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        self.as_pruner()?.gate(cloud, moment)
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
+        self.as_pruner()?.gate(cloud, context)
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        self.as_pruner()?.penalty(cloud, moment)
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        self.as_pruner()?.penalty(cloud, context)
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, moment: &Moment) {
+    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {
         if let Some(own) = self.as_pruner() {
-            own.update(cloud, stats, moment);
+            own.update(cloud, stats, context);
         }
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
-        self.as_pruner().map_or_else(|| cloud.opacity_logits.clone(), |own| own.score(cloud, stats, moment))
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
+        self.as_pruner().map_or_else(|| cloud.opacity_logits.clone(), |own| own.score(cloud, stats, context))
     }
 }
 
@@ -122,8 +122,8 @@ impl Initializer for Python {
         self.host()?.initializer(self)?.initialize(scene, plane, rng)
     }
 
-    fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
-        self.host()?.initializer(self)?.search(seen, rng)
+    fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+        self.host()?.initializer(self)?.search(input, rng)
     }
 }
 
@@ -153,7 +153,7 @@ impl Baseline for Python {
         self.host()?.baseline(self)?.check_data(data)
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.host()?.baseline(self)?.fit(data, known)
     }
 }

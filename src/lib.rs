@@ -9,7 +9,7 @@
 //! let text = std::fs::read_to_string("pipelines/quickstart.ron").expect("run in the checkout");
 //! let pipeline = Pipeline::parse(&text, "pipelines/quickstart.ron".as_ref())?;
 //! let stop = std::sync::atomic::AtomicBool::new(false);
-//! let outcome = pwrfgs::run(&pipeline, "pipelines".as_ref(), "runs/first".as_ref(), &mut Silent, &stop)?;
+//! let outcome = pwrfgs::run(&pipeline, "pipelines".as_ref(), "runs/first".as_ref(), &mut NoopObserver, &stop)?;
 //! println!("{outcome:?}");
 //! # Ok(())
 //! # }
@@ -42,10 +42,10 @@ use std::sync::atomic::AtomicBool;
 
 /// Function that creates the report of a run; `None` without the feature `report`.
 #[cfg(feature = "report")]
-pub const PAGE: Option<experiment::Page> = Some(report::page);
+pub const PAGE: Option<experiment::PageBuilder> = Some(report::page);
 /// Function that creates the report of a run; `None` without the feature `report`.
 #[cfg(not(feature = "report"))]
-pub const PAGE: Option<experiment::Page> = None;
+pub const PAGE: Option<experiment::PageBuilder> = None;
 
 /// Runs a pipeline, see [`experiment::run`], with the report of this build.
 ///
@@ -57,22 +57,23 @@ pub fn run(
     out: &Path,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
-) -> Result<experiment::Outcome> {
+) -> Result<experiment::RunOutcome> {
     experiment::run(pipeline, base, out, &mut experiment::Session { observer, stop, page: PAGE })
 }
 
 /// Imports for plugins and small programs.
 pub mod prelude {
     pub use pwrfgs_core::schemars;
-    pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
+    pub use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud};
     pub use pwrfgs_core::{
-        Baseline, Budget, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Edit, Elevation, Error,
-        Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, JsonSchema, Known, Link,
-        Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose, Predict,
-        Primitives, Progress, Projector, Pruner, PrunerTraits, Query, Rasterizer, Real, Receiver, Render, Result, Row,
-        Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Task, Values, rng,
+        Baseline, Budget, CloudEdit, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Elevation,
+        Error, Evaluation, FittingSet, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, JsonSchema, Link,
+        Measurement, MeasurementSetup, Method, Metric, Needs, Observations, Origin, Partition, PassStatistics, Phase,
+        Plugin, Pose, Predict, Primitives, Progress, Projector, Pruner, PrunerTraits, Query, Rasterizer, Real,
+        Receiver, Render, Result, RowOrigin, Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split,
+        Statistic, StepContext, Task, Values, rng,
     };
-    pub use pwrfgs_experiment::{Observer, Silent};
+    pub use pwrfgs_experiment::{NoopObserver, Observer};
     pub use pwrfgs_methods::Readout;
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Stages};
     pub use pwrfgs_pipeline::Pipeline;

@@ -6,16 +6,16 @@ set -eu
 cd "$(dirname "$0")/.."
 
 # What waits more than it computes, or takes long, runs beside the rest, and is told at the end.
-beside=(a_plugin_of_ones_own_is_swept_by_name a_sweep_on_slurm_ends_as_one_without
-    a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped
-    a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later
-    ten_thousand_broken_files_are_told_from_whole_ones)
+beside=(a_plugin_of_ones_own_is_swept_by_name slurm_sweep_equals_local_sweep
+    run_killed_at_any_write_resumes_to_identical_result
+    reports_full_disk_at_any_write_and_run_resumes
+    rejects_ten_thousand_mutated_files)
 # The program and the Python package are here for their dependencies alone: with them all crates of others are those of the
 # first pass, and the Python package in double precision is built of these.
 formulas=(-p pwrfgs -p pwrfgs-core -p pwrfgs-methods -p pwrfgs-networks -p pwrfgs-prune -p pwrfgs-raster -p pwrfgs-train -p pwrfgs-cli
     -p pwrfgs-python)
 # Tests of files, texts and whole runs: no formula, so single precision is enough.
-once=(baselines:: changes:: determinism:: documentation:: examples:: figures:: inspect:: learning:: maps:: own_baseline::
+once=(baselines:: changes:: determinism:: documentation:: examples:: figures:: inspect:: learning:: maps:: names:: own_baseline::
     pipelines:: registry:: repeatability:: stopping:: streaming:: structure:: supply_chain::)
 
 notes=$(mktemp -d)

@@ -187,9 +187,9 @@ fn sixteen_gaussians_reproduce_measured_pictures_to_their_rounding() {
         let w = weights_of(&lags, sample as u64);
         let rms_of = |w: &[f64]| {
             let (splats, signals) = sixteen_waves(&plane, w);
-            let heard = Readout::Magnitude.forward(&array.forward(&splats, &signals, 2, &plane).pixels, 360 * 90);
+            let received = Readout::Magnitude.forward(&array.forward(&splats, &signals, 2, &plane).pixels, 360 * 90);
             let errors =
-                heard.iter().zip(&picture.pixels).map(|(h, g)| (f64::from(*h) - offset - f64::from(*g)).powi(2));
+                received.iter().zip(&picture.pixels).map(|(h, g)| (f64::from(*h) - offset - f64::from(*g)).powi(2));
             (errors.sum::<f64>() / picture.pixels.len() as f64).sqrt()
         };
         // The other solution: conjugate and reverse.
@@ -260,7 +260,7 @@ fn waves_need_two_channels_and_a_plane_with_angles() {
 }
 
 #[test]
-fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
+fn ensemble_is_mean_of_members_with_deviation() {
     let models = vec![train("", 1), train("", 3)];
     let tx = [0.3, 0.1, 0.7];
     let pictures: Vec<Image> = models.iter().map(|m| m.predict(tx).clamped()).collect();

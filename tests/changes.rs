@@ -25,12 +25,12 @@ fn changed(arguments: &[&str]) -> Vec<String> {
 
 fn refused(arguments: &[&str]) -> String {
     let mut pipeline = base();
-    let said = pipeline.set_all(arguments).unwrap_err().to_string();
+    let message = pipeline.set_all(arguments).unwrap_err().to_string();
     assert_eq!(pipeline.to_ron(), base().to_ron(), "a refused change changes nothing");
     for internal in ["Misfit", "Checked"] {
-        assert!(!said.contains(internal), "{said}");
+        assert!(!message.contains(internal), "{message}");
     }
-    said
+    message
 }
 
 #[test]
@@ -39,13 +39,13 @@ fn changes_are_checked_once_after_all_of_them() {
     let lines = ["densify_until: 500,", "prune_until: 2000,"];
     assert_eq!(changed(&both), lines);
     assert_eq!(changed(&[both[1], both[0]]), lines);
-    let said = refused(&["training.batch=3", "training.densify_until=500"]);
+    let message = refused(&["training.batch=3", "training.densify_until=500"]);
     assert!(
-        said.starts_with("--set training.batch=3 and --set training.densify_until=500: `prune_until` is below"),
-        "{said}"
+        message.starts_with("--set training.batch=3 and --set training.densify_until=500: `prune_until` is below"),
+        "{message}"
     );
-    let said = refused(&["training.prune_until=30", "training.densify_until=35"]);
-    assert!(said.starts_with("--set training.prune_until=30 and --set training.densify_until=35: "), "{said}");
+    let message = refused(&["training.prune_until=30", "training.densify_until=35"]);
+    assert!(message.starts_with("--set training.prune_until=30 and --set training.densify_until=35: "), "{message}");
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn every_place_has_a_path() {
 }
 
 #[test]
-fn what_a_shell_would_eat_may_be_left_out() {
+fn quotes_around_set_values_are_optional() {
     assert_eq!(changed(&["data.root=own/a"]), ["root: \"own/a\","]);
     assert_eq!(changed(&["data.root=\"own/a\""]), ["root: \"own/a\","]);
     assert_eq!(changed(&[r"data.root=C:\own"]), [r#"root: "C:\\own","#]);
@@ -72,11 +72,11 @@ fn what_a_shell_would_eat_may_be_left_out() {
     assert_eq!(changed(&["name=b-1"]), ["name: \"b-1\","]);
     assert_eq!(changed(&["split=Random", "split.test=0.3"]), ["split: Random(", "test: 0.3,"]);
     assert_eq!(changed(&["split=Random()"]), ["split: Random(", "test: 0.2,"]);
-    assert_eq!(changed(&["pruners=[TopK()]", "training.target=5", "pruners.TopK.score=Opacity"]).len(), 3);
+    assert_eq!(changed(&["pruners=[TopK()]", "training.target_count=5", "pruners.TopK.score=Opacity"]).len(), 3);
 }
 
 #[test]
-fn what_cannot_be_is_told_with_what_can() {
+fn invalid_changes_list_valid_alternatives() {
     let cases: [(&str, &[&str]); 19] = [
         ("training.steps", &["path.to.field=value"]),
         ("training.step=5", &["`training` has no field `step`", "did you mean `steps`?"]),
@@ -99,9 +99,12 @@ fn what_cannot_be_is_told_with_what_can() {
         ("pruners.0.lambda=-1", &["`lambda` is -1"]),
     ];
     for (argument, words) in cases {
-        let said = refused(&[argument]);
-        assert!(said.starts_with(&format!("--set {argument}: ")), "{said}");
-        assert!(words.iter().all(|word| said.to_lowercase().contains(&word.to_lowercase())), "{argument}: {said}");
+        let message = refused(&[argument]);
+        assert!(message.starts_with(&format!("--set {argument}: ")), "{message}");
+        assert!(
+            words.iter().all(|word| message.to_lowercase().contains(&word.to_lowercase())),
+            "{argument}: {message}"
+        );
     }
     let long = refused(&[&format!("name=({}", "x".repeat(1_000_000))]);
     assert!(long.len() < 1000, "an argument is not repeated at any length");

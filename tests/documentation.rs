@@ -1,7 +1,7 @@
 //! What the program says of itself comes from the source: every plugin, setting and field has its words there.
 use crate::common::OF_TESTS;
-use pwrfgs::core::docs::{Body, Docs, Field, Kind, Variant};
-use pwrfgs::core::plugin::Family;
+use pwrfgs::core::docs::{DocBody, DocField, DocKind, DocVariant, Docs};
+use pwrfgs::core::plugin::PluginFamily;
 use pwrfgs::experiment::sweep::Experiment;
 use pwrfgs::prelude::*;
 use std::collections::BTreeSet;
@@ -15,8 +15,8 @@ fn look(docs: &'static Docs, seen: &mut BTreeSet<&'static str>, faults: &mut Vec
         faults.push(format!("{} says nothing", docs.name));
     }
     match docs.body {
-        Body::Fields(fields) => fields.iter().for_each(|f| look_at_field(docs.name, f, seen, faults)),
-        Body::Variants(variants) => {
+        DocBody::Fields(fields) => fields.iter().for_each(|f| look_at_field(docs.name, f, seen, faults)),
+        DocBody::Variants(variants) => {
             for variant in variants {
                 if variant.text.trim().is_empty() {
                     faults.push(format!("{}::{} says nothing", docs.name, variant.name));
@@ -28,7 +28,7 @@ fn look(docs: &'static Docs, seen: &mut BTreeSet<&'static str>, faults: &mut Vec
     }
 }
 
-fn look_at_field(owner: &str, field: &Field, seen: &mut BTreeSet<&'static str>, faults: &mut Vec<String>) {
+fn look_at_field(owner: &str, field: &DocField, seen: &mut BTreeSet<&'static str>, faults: &mut Vec<String>) {
     let place = format!("{owner}.{}", field.name);
     let text = field.text.to_lowercase();
     if text.trim().is_empty() {
@@ -47,18 +47,18 @@ fn look_at_field(owner: &str, field: &Field, seen: &mut BTreeSet<&'static str>, 
     kind(&place, &field.kind, seen, faults);
 }
 
-fn kind(place: &str, it: &Kind, seen: &mut BTreeSet<&'static str>, faults: &mut Vec<String>) {
+fn kind(place: &str, it: &DocKind, seen: &mut BTreeSet<&'static str>, faults: &mut Vec<String>) {
     match it {
-        Kind::Of(docs) => look(docs, seen, faults),
-        Kind::Optional(inner) | Kind::List(inner) | Kind::Map(inner) => kind(place, inner, seen, faults),
-        Kind::Tuple(parts) => parts.iter().for_each(|part| kind(place, part, seen, faults)),
-        Kind::Plain("value") => faults.push(format!("{place} takes a value whose type its schema does not say")),
-        Kind::Plain(_) => {}
-        Kind::Plugin(name) => {
+        DocKind::Of(docs) => look(docs, seen, faults),
+        DocKind::Optional(inner) | DocKind::List(inner) | DocKind::Map(inner) => kind(place, inner, seen, faults),
+        DocKind::Tuple(parts) => parts.iter().for_each(|part| kind(place, part, seen, faults)),
+        DocKind::Plain("value") => faults.push(format!("{place} takes a value whose type its schema does not say")),
+        DocKind::Plain(_) => {}
+        DocKind::Plugin(name) => {
             if !seen.insert(name) {
                 return;
             }
-            let family = Family::find(name).unwrap_or_else(|| panic!("{name} is no kind of plugins"));
+            let family = PluginFamily::find(name).unwrap_or_else(|| panic!("{name} is no kind of plugins"));
             for member in (family.members)().iter().filter(|m| !OF_TESTS.contains(&m.name)) {
                 match member.docs {
                     // Two plugins of different kinds may share a name.
@@ -71,10 +71,10 @@ fn kind(place: &str, it: &Kind, seen: &mut BTreeSet<&'static str>, faults: &mut 
 }
 
 #[test]
-fn every_field_of_every_plugin_and_setting_says_what_it_is() {
+fn every_field_of_plugins_and_settings_is_documented() {
     let (mut seen, mut faults) = (BTreeSet::new(), Vec::new());
-    kind("a pipeline", &Kind::Of(Docs::of::<Pipeline>()), &mut seen, &mut faults);
-    kind("an experiment", &Kind::Of(Docs::of::<Experiment>()), &mut seen, &mut faults);
+    kind("a pipeline", &DocKind::Of(Docs::of::<Pipeline>()), &mut seen, &mut faults);
+    kind("an experiment", &DocKind::Of(Docs::of::<Experiment>()), &mut seen, &mut faults);
     assert!(faults.is_empty(), "{faults:#?}");
     let found = ["Training", "Optimizer", "Densify", "Loss", "Schedule", "Readout", "Calibration", "Pruner", "Slurm"];
     assert!(found.iter().all(|name| seen.contains(name)), "{seen:?}");
@@ -124,9 +124,9 @@ enum Choice {
 #[test]
 fn reads_every_sort_of_field_and_variant_from_a_schema() {
     let docs = Docs::of::<Sorts>();
-    let told: Vec<String> = docs.fields().iter().map(|f| format!("{}: {}", f.name, f.kind.words())).collect();
+    let described: Vec<String> = docs.fields().iter().map(|f| format!("{}: {}", f.name, f.kind.words())).collect();
     assert_eq!(
-        told,
+        described,
         [
             "counts: list of whole number or None",
             "folder: path or None",
@@ -137,16 +137,16 @@ fn reads_every_sort_of_field_and_variant_from_a_schema() {
         ]
     );
     assert!(docs.text == "Fields of every sort." && docs.fields().iter().all(|f| f.optional));
-    let Body::Variants(variants) = &docs.fields()[2].kind.docs().unwrap().body else { panic!("{docs:?}") };
-    let told = |v: &Variant| {
+    let DocBody::Variants(variants) = &docs.fields()[2].kind.docs().unwrap().body else { panic!("{docs:?}") };
+    let described = |v: &DocVariant| {
         let fields: Vec<String> =
             v.fields.iter().map(|f| format!("{} {} {}", f.name, f.kind.words(), f.optional)).collect();
         format!("{} {:?} {} {}", v.name, v.text, v.named, fields.join(", "))
     };
-    let mut told: Vec<String> = variants.iter().map(told).collect();
-    told.sort();
+    let mut described: Vec<String> = variants.iter().map(described).collect();
+    described.sort();
     assert_eq!(
-        told,
+        described,
         [
             "Alone \"The first.\" false ",
             "Named \"A name.\" true text text false, count whole number true",

@@ -61,28 +61,28 @@ fn a_full_sphere_trains_in_front_and_behind_either_way_up() {
 }
 
 #[test]
-fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
+fn rejects_elevations_that_model_cannot_draw() {
     let data = sphere((-90.0, 90.0).into());
     let partition = Partition { train: vec![0, 1, 2], test: vec![3, 4], ..Partition::default() };
     let refused = |settings: &str| {
         let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}, {settings}"));
         pipeline.trainer(&data, &partition).err().unwrap().to_string()
     };
-    let said = refused("projector: WrfgsCompat()");
+    let message = refused("projector: WrfgsCompat()");
     assert!(
-        said.contains("the projector does not support the elevations of these spectra, -90 to 90 degrees"),
-        "{said}"
+        message.contains("the projector does not support the elevations of these spectra, -90 to 90 degrees"),
+        "{message}"
     );
     let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}"));
     let half = sphere(Elevation::UPPER);
     let model = pipeline.trainer(&half, &partition).unwrap().model();
-    let (ensemble, mut silent) = (Ensemble::of(model.clone()), Silent);
+    let (ensemble, mut silent) = (Ensemble::of(model.clone()), NoopObserver);
     let session = &mut Session::new(&mut silent);
-    let said = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &data, &partition, session);
-    let said = said.unwrap_err().to_string();
+    let message = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &data, &partition, session);
+    let message = message.unwrap_err().to_string();
     assert!(
-        said.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),
-        "{said}"
+        message.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),
+        "{message}"
     );
     // A file whose plane is none of its projector's.
     let mut model = model;
@@ -90,6 +90,9 @@ fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
     angles.0.step = 1e300;
     let folder = tempfile::tempdir().unwrap();
     file::write(&folder.path().join("m"), &model).unwrap();
-    let said = file::read(&folder.path().join("m")).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("plane: the projector does not support its angles"), "{said}");
+    let message = file::read(&folder.path().join("m")).unwrap_err();
+    assert!(
+        message.is_input() && message.to_string().contains("plane: the projector does not support its angles"),
+        "{message}"
+    );
 }

@@ -28,8 +28,8 @@ fn arrays_in_memory_train_a_model_that_predicts_at_many_positions() {
     let [model, floor] = numbers(curve.lines().last().unwrap())[..] else { panic!("{curve}") };
     assert!(model > 0.93 && model > floor + 0.1, "{curve}");
 
-    let said = run(folder.path(), "predict", &["room.safetensors", "spectra.npy"]);
-    assert!(said.ends_with("spectra.npy: 100 spectra of 24 rows and 90 columns\n"), "{said}");
+    let message = run(folder.path(), "predict", &["room.safetensors", "spectra.npy"]);
+    assert!(message.ends_with("spectra.npy: 100 spectra of 24 rows and 90 columns\n"), "{message}");
     let (shape, spectra) = pwrfgs::core::testing::npy(&std::fs::read(folder.path().join("spectra.npy")).unwrap());
     assert_eq!(shape, [100, 24, 90]);
     let model = pwrfgs::model::file::read(&folder.path().join("room.safetensors")).unwrap();
@@ -40,12 +40,12 @@ fn arrays_in_memory_train_a_model_that_predicts_at_many_positions() {
 #[test]
 fn a_cloud_of_ones_own_is_drawn_and_differentiated() {
     let folder = tempfile::tempdir().unwrap();
-    let said = run(folder.path(), "render", &["room.png"]);
+    let message = run(folder.path(), "render", &["room.png"]);
     assert_eq!(image::image_dimensions(folder.path().join("room.png")).unwrap(), (360, 90));
-    let derivatives: Vec<Vec<f64>> = said.lines().skip(1).map(numbers).collect();
-    assert_eq!(derivatives.len(), 2, "{said}");
+    let derivatives: Vec<Vec<f64>> = message.lines().skip(1).map(numbers).collect();
+    assert_eq!(derivatives.len(), 2, "{message}");
     for pair in derivatives {
         let (exact, by_difference) = (pair[0], pair[1]);
-        assert!(exact != 0.0 && (exact - by_difference).abs() < 0.01 * exact.abs() + 2e-4, "{said}");
+        assert!(exact != 0.0 && (exact - by_difference).abs() < 0.01 * exact.abs() + 2e-4, "{message}");
     }
 }

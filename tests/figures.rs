@@ -25,7 +25,7 @@ fn sweep(folder: &Path) {
             ));
             let name = format!("{lambda}-{seed}");
             let stop = AtomicBool::new(false);
-            pwrfgs::run(&pipeline, Path::new("."), &folder.join(&name), &mut Silent, &stop).unwrap();
+            pwrfgs::run(&pipeline, Path::new("."), &folder.join(&name), &mut NoopObserver, &stop).unwrap();
             runs.push(ListedRun { folder: name, labels: vec![("lambda".into(), label.into())], seed });
         }
     }
@@ -33,7 +33,7 @@ fn sweep(folder: &Path) {
 }
 
 #[test]
-fn every_figure_stands_by_itself() {
+fn figures_are_self_contained() {
     let folder = tempfile::tempdir().unwrap();
     sweep(folder.path());
     let study = Study::read(&[folder.path().into()]).unwrap();
@@ -104,8 +104,8 @@ fn published_numbers_belong_to_s23(mut study: Study) {
 /// Whatever a label holds, pages and documents show it and nothing obeys it.
 fn labels_stay_text(folder: &Path) {
     let (study, out) = (Study::read(&[folder.into()]).unwrap(), folder.join("report"));
-    let said = pwrfgs::report::write(&study, None, &out, &mut Silent).unwrap();
-    assert!(!said.contains('\u{1b}') && said.contains("<script>"), "a terminal gets the words alone: {said}");
+    let message = pwrfgs::report::write(&study, None, &out, &mut NoopObserver).unwrap();
+    assert!(!message.contains('\u{1b}') && message.contains("<script>"), "a terminal gets the words alone: {message}");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
     let html = read("report.html");
     assert!(

@@ -47,13 +47,13 @@ fn a_closed_gate_equals_an_absent_gaussian() {
             assert_eq!(gated.d_weights, without.d_weights, "{deformation}");
             let row = gated.d_cloud.select(&[closed]);
             assert_eq!(row, row.zeros_like(), "{deformation}: what is not drawn has no derivative");
-            assert_eq!(gated.seen.visible[closed], 0.0);
+            assert_eq!(gated.stats.visible[closed], 0.0);
         }
     }
 }
 
 #[test]
-fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
+fn invisible_gaussians_change_neither_image_nor_derivative() {
     for deformation in ["Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)", "Factored(width: 16)"] {
         let stages = stages(deformation, Readout::Magnitude);
         let weights = Arc::new(stages.layout().init(&mut rng::stream(2, "network", 0)));
@@ -126,7 +126,7 @@ fn pruning_open_gates_is_the_identity() {
 }
 
 #[test]
-fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
+fn pruning_to_zero_stops_unless_target_is_one() {
     for pruners in [
         "OpacityThreshold(epsilon: 0.99)",
         "LearnableMask(lambda: 1, learning_rate: 3)",
@@ -138,7 +138,7 @@ fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
         let failed = (0..12).find_map(|_| trainer.step().err());
         assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
 
-        let pipeline = training(&format!("TopK(), {pruners}"), "prune_every: 6, target: 1");
+        let pipeline = training(&format!("TopK(), {pruners}"), "prune_every: 6, target_count: 1");
         let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         let mut counts = Vec::new();
         while !trainer.finished() {
@@ -154,7 +154,7 @@ fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
 
 #[test]
 fn the_best_is_the_one_its_pruner_scores_highest() {
-    let pipeline = training("TopK(score: Opacity), OpacityThreshold(epsilon: 0.99)", "prune_every: 6, target: 1");
+    let pipeline = training("TopK(score: Opacity), OpacityThreshold(epsilon: 0.99)", "prune_every: 6, target_count: 1");
     let (data, partition) = data_of(&pipeline);
     let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let mut before = trainer.model().cloud;

@@ -6,14 +6,14 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Cache, ColumnSpec, DeformationInputs, DeformationTraits, Frame, GaussianCloud, ImagePlane, Link, Receiver,
-    Sampling, Task, rng, sigmoid,
+    Cache, ColumnSpec, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, MeasurementSetup,
+    Receiver, Sampling, Task, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{
-    Batch, ChannelLoss, Errors, LinkLoss, LossAndGradients, Objective, RenderingLoss, loss_and_gradients,
+    Batch, ChannelLoss, LinkLoss, LossAndGradients, Objective, PixelLoss, RenderingLoss, loss_and_gradients,
 };
 use std::sync::Arc;
 
@@ -28,13 +28,13 @@ struct Factor {}
 
 #[typetag::serde]
 impl Pruner for Factor {
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         vec![true; cloud.len()]
     }
     fn traits(&self) -> PrunerTraits {
         PrunerTraits { columns: vec![ColumnSpec::learned("factor", 1.0, 0.01)], ..PrunerTraits::default() }
     }
-    fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
+    fn gate(&self, cloud: &TracedCloud, _: &StepContext) -> Option<Gate> {
         Some(cloud.column("factor").into())
     }
 }
@@ -183,19 +183,19 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let mut step = Step::new("Fixed()", Readout::Magnitude, 1, 0.0, 11);
     let method: Plugin<dyn Method> = plugin(method);
     let kind = method.traits().task.unwrap();
-    let base = Stages { method, frame: step.stages.frame.clone() };
+    let base = Stages { method, setup: step.stages.setup.clone() };
     let plane = if kind == Task::Spectrum {
-        base.frame.plane.clone()
+        base.setup.plane.clone()
     } else {
         ImagePlane { width: size.0, height: size.1, wraps: false, angles: None, sampling: Sampling::WHOLE }
     };
     let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
-    let frame = Frame { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.frame.clone() };
-    let stages = Stages { frame, ..base };
+    let setup = MeasurementSetup { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.setup.clone() };
+    let stages = Stages { setup, ..base };
     step.weights = stages.layout().init(&mut rng::stream(12, "network", 0));
     let (width, random) = (stages.method.traits().inputs, &mut rng::stream(13, "links", 0));
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
-    let numbers = LINKS.len() * stages.frame.numbers();
+    let numbers = LINKS.len() * stages.setup.numbers();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
     step.batch = Batch { conditions, width, links: LINKS.to_vec(), truths, ..Batch::default() };
     step.stages = Arc::new(stages);
@@ -218,9 +218,12 @@ const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(cou
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
-    for power in [Errors::Absolute, Errors::Squared] {
-        let mut step =
-            links(&splats(NETWORK, "Received(sky_deg: 20, filter_deg2: 120.0)"), (1, 1), Box::new(LinkLoss { power }));
+    for power in [PixelLoss::Absolute, PixelLoss::Squared] {
+        let mut step = links(
+            &splats(NETWORK, "ReceivedPower(sky_deg: 20, filter_deg2: 120.0)"),
+            (1, 1),
+            Box::new(LinkLoss { power }),
+        );
         let offsets = step.weights.len() - 4;
         step.weights[offsets..].copy_from_slice(&[0.3, -0.2, 1.8, 2.2]);
         step.check(&format!("Received, {power:?}"), None);
@@ -257,10 +260,10 @@ fn virtual_transmitters_differentiate() {
         let mut step = links(&splatted_channel(NETWORK), (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
         let mut stages = Stages::clone(&step.stages);
         stages.method = plugin(&format!("VirtualTransmitters(order: {order})"));
-        stages.frame.receivers.truncate(1);
+        stages.setup.receivers.truncate(1);
         step.weights = Vec::new();
         step.batch.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-        step.batch.truths.truncate(3 * stages.frame.numbers());
+        step.batch.truths.truncate(3 * stages.setup.numbers());
         step.cloud.complete(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);
         let own = step.cloud.extra.iter_mut().filter(|column| column.name == "harmonics");

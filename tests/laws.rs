@@ -79,7 +79,7 @@ fn pruners_answer_and_score_every_gaussian() {
             assert_eq!(keep.len(), n, "{name}");
             assert_eq!(keep, pruner.keep(&cloud, &stats, &MOMENT), "{name}");
             assert_eq!(pruner.score(&cloud, &stats, &MOMENT).len(), n, "{name}");
-            let traced = Traced::new(&cloud);
+            let traced = TracedCloud::new(&cloud);
             if let Some(gate) = pruner.gate(&traced, &MOMENT).map(Gate::factor) {
                 assert!(values(&gate).len() == n && finite(&values(&gate)), "{name}");
             }
@@ -156,7 +156,7 @@ fn baselines_predict_pictures_of_the_right_size() {
     let data = data();
     let train: Vec<usize> = (0..30).collect();
     for (name, baseline) in all::<dyn Baseline>() {
-        let fitted = match baseline.fit(&data, Known::train(&train)) {
+        let fitted = match baseline.fit(&data, FittingSet::train(&train)) {
             Ok(fitted) => fitted,
             Err(e) if ["LogDistance", "RayTracing", "Ridge", "Zero"].contains(&name) => {
                 assert!(e.is_input(), "they need powers, spectra of a known room, features, channels: {e}");

@@ -1,6 +1,6 @@
 //! Powers and channels at several receivers: the same bits whatever happens, and one path with the spectra.
 
-use pwrfgs::core::{Channels, Features, Known};
+use pwrfgs::core::{Channels, Features, FittingSet};
 use pwrfgs::model::{Ensemble, Model, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::prelude::*;
@@ -51,14 +51,14 @@ fn pipeline(fields: &str) -> Pipeline {
     Pipeline::parse(&text, Path::new("links.ron")).unwrap()
 }
 
-const POWERS: &str = "data: Nerf2Rssi(root: \"none\"), initializer: Site(count: 40), \
+const POWERS: &str = "data: Nerf2Rssi(root: \"none\"), initializer: AroundReceivers(count: 40), \
     deformation: Factored(depth: 2, width: 16, tx_encoding: Wavelengths(count: 2, longest_m: 12.0, shortest_m: 6.0)), \
     pruners: [OpacityThreshold(epsilon: 0.28)], training: (steps: 40, batch: 8, dropout: 0.1, densify_until: 5, prune_until: 20, \
     prune_every: 5, densify: (every: 0))";
 const WAVES: &str = "data: Channels(root: \"none\"), initializer: MatchingPursuit(most: 2, hold_out: 0, reach: 0.2, step: 0.3), \
     method: VirtualTransmitters(order: 1), pruners: [LearnableMask()], training: (steps: 30, batch: 8, densify_until: 0, \
     prune_until: 10, prune_every: 5, densify: (every: 0), optimizer: (means: Constant(0.0001), signals: Constant(0.001)))";
-const UPLINK: &str = "data: Nerf2Csi(root: \"none\"), initializer: Site(count: 12, near: 0.0), \
+const UPLINK: &str = "data: Nerf2Csi(root: \"none\"), initializer: AroundReceivers(count: 12, near: 0.0), \
     deformation: Factored(depth: 1, width: 8, tx_encoding: Features(width: 4), position_encoding: Waves(count: 8, reach: 2.0)), \
     training: (steps: 30, batch: 8, densify_until: 0, prune_until: 0, densify: (every: 0))";
 
@@ -114,7 +114,7 @@ fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
         let path = folder.path().join(name);
         file::write(&path, model).unwrap();
         let read = file::read(&path).unwrap();
-        assert_eq!(read.stages.frame, model.stages.frame, "{name}");
+        assert_eq!(read.stages.setup, model.stages.setup, "{name}");
         let (ready, ensemble) = (read.prepare(), Ensemble::new(vec![model.clone(), model.clone()]).unwrap());
         let queries: Vec<Query<'_>> = (0..data.len()).map(|i| data.query(i)).collect();
         let (many, both) = (ready.predict_many(&queries), ensemble.prepare().predict_many(&queries));
@@ -134,7 +134,7 @@ fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
 }
 
 #[test]
-fn every_kind_learns_what_there_is_to_learn() {
+fn every_task_is_learned() {
     for ((name, _, data, partition), model) in cases().into_iter().zip(models()) {
         let error = |predict: &dyn Predict| -> f64 {
             let of = |&i: &usize| {
@@ -144,7 +144,7 @@ fn every_kind_learns_what_there_is_to_learn() {
             partition.test.iter().map(of).sum()
         };
         let floor: Plugin<dyn Baseline> = Plugin::parse("MeanSpectrum()").unwrap();
-        let mean = floor.fit(&data, Known::train(&partition.train)).unwrap();
+        let mean = floor.fit(&data, FittingSet::train(&partition.train)).unwrap();
         let (own, floor) = (error(model), error(&*mean));
         assert!(own < 0.25 * floor, "{name}: squared error {own} against {floor} of the mean");
     }
@@ -180,32 +180,35 @@ fn powers_begin_with_the_law_that_fits_best() {
 
 #[test]
 fn parts_of_different_kinds_are_refused_at_their_place() {
-    let said = |text: &str| Pipeline::parse(text, Path::new("a.ron")).unwrap_err().to_string();
-    let mixed =
-        "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: Site(),\n    readout: Magnitude,\n)";
-    assert!(said(mixed).starts_with("a.ron:5:14: readout: it predicts spectra, but the data are received powers"));
+    let message = |text: &str| Pipeline::parse(text, Path::new("a.ron")).unwrap_err().to_string();
+    let mixed = "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: AroundReceivers(),\n    readout: Magnitude,\n)";
+    assert!(message(mixed).starts_with("a.ron:5:14: readout: it predicts spectra, but the data are received powers"));
     let metric = mixed.replace("readout: Magnitude", "metrics: [PowerError(), Ssim()]");
     assert!(
-        said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` does not support received powers as metric"),
+        message(&metric).starts_with("a.ron:5:14: metrics: `Ssim` does not support received powers as metric"),
         "{}",
-        said(&metric)
+        message(&metric)
     );
     let floor = mixed.replace("readout: Magnitude", "baselines: [MeanSpectrum(), Zero()]");
     assert!(
-        said(&floor).starts_with("a.ron:5:16: baselines: `Zero` does not support received powers as baseline"),
+        message(&floor).starts_with("a.ron:5:16: baselines: `Zero` does not support received powers as baseline"),
         "{}",
-        said(&floor)
+        message(&floor)
     );
-    let search = mixed.replace("Site()", "MatchingPursuit()").replace("    readout: Magnitude,\n", "");
+    let search = mixed.replace("AroundReceivers()", "MatchingPursuit()").replace("    readout: Magnitude,\n", "");
     assert!(
-        said(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` does not support received powers"),
+        message(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` does not support received powers"),
         "{}",
-        said(&search)
+        message(&search)
     );
     let method = mixed.replace("readout: Magnitude", "method: VirtualTransmitters()");
-    assert!(said(&method).starts_with("a.ron:5:13: method: it predicts channels"), "{}", said(&method));
-    let pictures = mixed.replace("Nerf2Rssi()", "Teacher()").replace("Magnitude", "Received()");
-    assert!(said(&pictures).contains("it predicts received powers, but the data are spectra"), "{}", said(&pictures));
+    assert!(message(&method).starts_with("a.ron:5:13: method: it predicts channels"), "{}", message(&method));
+    let pictures = mixed.replace("Nerf2Rssi()", "Teacher()").replace("Magnitude", "ReceivedPower()");
+    assert!(
+        message(&pictures).contains("it predicts received powers, but the data are spectra"),
+        "{}",
+        message(&pictures)
+    );
     let fits = mixed.replace("    readout: Magnitude,\n", "");
     let metrics = Pipeline::parse(&fits, Path::new("a.ron")).unwrap().metrics;
     assert!(pwrfgs::core::plugin::to_ron(&metrics[0]).starts_with("PowerError"));

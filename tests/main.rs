@@ -18,6 +18,7 @@ mod laws;
 mod learning;
 mod links;
 mod maps;
+mod names;
 mod nerf2;
 mod own_baseline;
 mod pipelines;

@@ -91,7 +91,7 @@ fn a_teacher_on_a_map_is_the_teacher_at_home() {
 }
 
 #[test]
-fn a_model_that_knows_no_origin_keeps_its_bytes_and_a_wild_origin_is_refused() {
+fn model_without_origin_round_trips_and_extreme_origin_is_rejected() {
     let pipeline = pipeline(
         "data: Teacher(gaussians: 4, samples: 8, width: 48, height: 12), initializer: Grid(count: 4), training: (steps: 3)",
     );
@@ -105,6 +105,6 @@ fn a_model_that_knows_no_origin_keeps_its_bytes_and_a_wild_origin_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.safetensors");
     file::write(&path, &model).unwrap();
-    let said = file::read(&path).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("the origin is 1e9 m, beyond 1e8 m"), "{said}");
+    let message = file::read(&path).unwrap_err();
+    assert!(message.is_input() && message.to_string().contains("the origin is 1e9 m, beyond 1e8 m"), "{message}");
 }

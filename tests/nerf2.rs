@@ -3,8 +3,8 @@
 use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Asked, Conditions, Frame, GaussianCloud, ImagePlane, Link, MethodVjp, Origin, Parameters, Pixels, Receiver,
-    Sampling, Task, rng,
+    Conditions, GaussianCloud, ImagePlane, Link, MeasurementSetup, MethodVjp, ObservationRequest, Origin, Parameters,
+    PixelSubset, Receiver, Sampling, Task, rng,
 };
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -15,7 +15,7 @@ const SETTINGS: &str = "depth: 7, width: 8, samples: 20, azimuths: 7, elevations
 /// A small network, and where it listens: two receivers.
 struct Room {
     method: Plugin<dyn Method>,
-    frame: Frame,
+    setup: MeasurementSetup,
     weights: Vec<Real>,
     conditions: Vec<Real>,
 }
@@ -43,25 +43,29 @@ impl Room {
             Task::Power => plain(1, 1),
             Task::Channel => plain(3, 2),
         };
-        let frame =
-            Frame { receivers, task: kind, frequencies_hz, ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
-        let weights = method.layout(&frame).unwrap().init(&mut rng::stream(3, "network", 0));
+        let setup = MeasurementSetup {
+            receivers,
+            task: kind,
+            frequencies_hz,
+            ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane)
+        };
+        let weights = method.layout(&setup).unwrap().init(&mut rng::stream(3, "network", 0));
         let random = &mut rng::stream(4, "transmitters", 0);
         let conditions = (0..3 * method.traits().inputs).map(|_| rng::normal(random)).collect();
-        Self { method, frame, weights, conditions }
+        Self { method, setup, weights, conditions }
     }
 
-    fn asked<'a>(&'a self, links: &'a [Link], pixels: Pixels<'a>) -> Asked<'a> {
-        Asked { conditions: Conditions::new(self.method.traits().inputs, &self.conditions), links, pixels }
+    fn request<'a>(&'a self, links: &'a [Link], pixels: PixelSubset<'a>) -> ObservationRequest<'a> {
+        ObservationRequest { conditions: Conditions::new(self.method.traits().inputs, &self.conditions), links, pixels }
     }
 
-    fn numbers(&self, weights: &[Real], links: &[Link], pixels: Pixels<'_>) -> Vec<Real> {
+    fn numbers(&self, weights: &[Real], links: &[Link], pixels: PixelSubset<'_>) -> Vec<Real> {
         let cloud = GaussianCloud::zeros(0);
-        let p = Parameters { cloud: &cloud, gate: None, presence: None, weights };
-        self.method.forward(&self.frame, &p, &self.asked(links, pixels)).numbers
+        let p = Parameters { cloud: &cloud, gate: None, existence: None, weights };
+        self.method.forward(&self.setup, &p, &self.request(links, pixels)).numbers
     }
 
-    fn differentiates(&self, name: &str, pixels: Pixels<'_>) {
+    fn differentiates(&self, name: &str, pixels: PixelSubset<'_>) {
         let cloud = GaussianCloud::zeros(0);
         // Some of every layer.
         let stride = 7;
@@ -73,10 +77,10 @@ impl Room {
         let x: Vec<Real> = self.weights.iter().copied().step_by(stride).collect();
         let vjp = |x: &[Real], d: &[Real]| {
             let weights = all(x);
-            let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &weights };
-            let (asked, mut sums) = (self.asked(&LINKS, pixels), MethodVjp::zeros(&p));
-            let observed = self.method.forward(&self.frame, &p, &asked);
-            self.method.vjp(&self.frame, &p, &asked, observed, d, &mut sums);
+            let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
+            let (request, mut sums) = (self.request(&LINKS, pixels), MethodVjp::zeros(&p));
+            let observed = self.method.forward(&self.setup, &p, &request);
+            self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
             sums.weights.into_iter().step_by(stride).collect()
         };
         check_vjp(name, &x, |x| self.numbers(&all(x), &LINKS, pixels), vjp, 1e-6, 2e-5);
@@ -87,42 +91,46 @@ impl Room {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn spectra_powers_and_channels_differentiate_in_every_layer() {
     let spectrum = Room::new(Task::Spectrum, "far_m: 3");
-    spectrum.differentiates("all pixels", Pixels::All);
-    spectrum.differentiates("the same pixels", Pixels::Same(&[5, 0, 5, 23]));
-    spectrum.differentiates("a pixel each", Pixels::Own(&[5, 0, 5, 23, 7]));
-    Room::new(Task::Power, "unit_m: 2").differentiates("powers", Pixels::All);
-    Room::new(Task::Channel, "features: 5").differentiates("channels", Pixels::All);
+    spectrum.differentiates("all pixels", PixelSubset::All);
+    spectrum.differentiates("the same pixels", PixelSubset::Same(&[5, 0, 5, 23]));
+    spectrum.differentiates("a pixel each", PixelSubset::Own(&[5, 0, 5, 23, 7]));
+    Room::new(Task::Power, "unit_m: 2").differentiates("powers", PixelSubset::All);
+    Room::new(Task::Channel, "features: 5").differentiates("channels", PixelSubset::All);
 }
 
 #[test]
 fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
     let room = Room::new(Task::Spectrum, "far_m: 3");
-    let (all, pixels) = (room.numbers(&room.weights, &LINKS, Pixels::All), room.frame.numbers());
+    let (all, pixels) = (room.numbers(&room.weights, &LINKS, PixelSubset::All), room.setup.numbers());
     let every: Vec<usize> = (0..pixels).collect();
-    assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Same(&every)), all);
+    assert_eq!(room.numbers(&room.weights, &LINKS, PixelSubset::Same(&every)), all);
     let some = [11, 3, 3, 20, 0];
     let own: Vec<Real> = some.iter().enumerate().map(|(l, p)| all[l * pixels + p]).collect();
-    assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Own(&some)), own);
+    assert_eq!(room.numbers(&room.weights, &LINKS, PixelSubset::Own(&some)), own);
     for kind in Task::ALL {
         let room = Room::new(kind, "far_m: 3");
-        let all = room.numbers(&room.weights, &LINKS, Pixels::All);
+        let all = room.numbers(&room.weights, &LINKS, PixelSubset::All);
         for (l, link) in LINKS.iter().enumerate() {
-            let of_link = room.frame.numbers();
-            assert_eq!(room.numbers(&room.weights, &[*link], Pixels::All), all[l * of_link..][..of_link], "{kind:?}");
+            let of_link = room.setup.numbers();
+            assert_eq!(
+                room.numbers(&room.weights, &[*link], PixelSubset::All),
+                all[l * of_link..][..of_link],
+                "{kind:?}"
+            );
         }
     }
 }
 
 #[test]
-fn what_is_kept_changes_no_bit_of_a_prediction() {
+fn prepared_prediction_is_bit_identical() {
     for kind in Task::ALL {
         for cache in ["cache_mb: 100", "cache_mb: 0"] {
             let (room, cloud) = (Room::new(kind, cache), GaussianCloud::zeros(0));
-            let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &room.weights };
-            let ready = room.method.prepare(&room.frame, &p);
+            let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &room.weights };
+            let ready = room.method.prepare(&room.setup, &p);
             assert_eq!(ready.is_some(), cache == "cache_mb: 100");
-            let found = room.method.predict(&room.frame, &p, &room.asked(&LINKS, Pixels::All), &ready).0;
-            assert_eq!(found, room.numbers(&room.weights, &LINKS, Pixels::All), "{kind:?}, {cache}");
+            let found = room.method.predict(&room.setup, &p, &room.request(&LINKS, PixelSubset::All), &ready).0;
+            assert_eq!(found, room.numbers(&room.weights, &LINKS, PixelSubset::All), "{kind:?}, {cache}");
         }
     }
 }
@@ -131,7 +139,7 @@ fn what_is_kept_changes_no_bit_of_a_prediction() {
 fn darker(room: &Room, factor: Real) -> Vec<Real> {
     let mut weights = room.weights.clone();
     let mut from = 0;
-    for spec in room.method.layout(&room.frame).unwrap().weights {
+    for spec in room.method.layout(&room.setup).unwrap().weights {
         let own = &mut weights[from..from + spec.len()];
         from += spec.len();
         if spec.name.starts_with("attenuation.") {
@@ -147,10 +155,10 @@ fn rays_that_end_early_differentiate() {
     // Powers are some hundreds, of which differences keep too few digits.
     for kind in [Task::Spectrum, Task::Channel] {
         let mut room = Room::new(kind, "far_m: 3");
-        let seen = room.numbers(&room.weights, &LINKS, Pixels::All);
+        let seen = room.numbers(&room.weights, &LINKS, PixelSubset::All);
         room.weights = darker(&room, 100.0);
-        assert_ne!(room.numbers(&room.weights, &LINKS, Pixels::All), seen);
-        room.differentiates("rays that end early", Pixels::All);
+        assert_ne!(room.numbers(&room.weights, &LINKS, PixelSubset::All), seen);
+        room.differentiates("rays that end early", PixelSubset::All);
     }
 }
 
@@ -229,12 +237,12 @@ fn rays_are_learned() {
 }
 
 #[test]
-fn what_rays_cannot_do_is_refused_with_its_place() {
+fn reports_position_of_unsupported_ray_settings() {
     let refused = |fields: &str, expected: &str| {
         let text = format!("Pipeline(name: \"a\", data: Teacher(),\n{fields})");
-        let said = Pipeline::parse(&text, Path::new("a.ron")).unwrap_err().to_string();
-        assert!(said.contains(expected), "{said}");
-        assert!(said.starts_with("a.ron:2:"), "{said}");
+        let message = Pipeline::parse(&text, Path::new("a.ron")).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+        assert!(message.starts_with("a.ron:2:"), "{message}");
     };
     let plain = "loss: (ssim_weight: 0)";
     refused("method: Nerf2(width: 7)", "even");

@@ -1,7 +1,7 @@
 //! A baseline of one's own: its paths hold everywhere, and its note stands under every table.
 
 use pwrfgs::core::Query;
-use pwrfgs::experiment::Outcome;
+use pwrfgs::experiment::RunOutcome;
 use pwrfgs::prelude::*;
 use pwrfgs::run;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ impl Baseline for GreyOfAFile {
         "grey".into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, _: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         let text = std::fs::read_to_string(&self.path).map_err(|e| Error::read(&self.path, e))?;
         Ok(Box::new(Grey(Image {
             pixels: vec![text.trim().parse().unwrap(); data.width * data.height],
@@ -55,7 +55,7 @@ impl Observer for Ear {
 }
 
 #[test]
-fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
+fn own_baseline_paths_resolve_and_note_is_under_every_table() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     std::fs::write(here.join("grey.txt"), "0.25").unwrap();
@@ -71,7 +71,7 @@ fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
     let out = here.join("run");
     let mut ear = Ear::default();
     let mut start = || match run(&pipeline, here, &out, &mut ear, &AtomicBool::new(false)).unwrap() {
-        Outcome::Finished { scores, already } => {
+        RunOutcome::Finished { scores, already } => {
             let latency = scores.metrics.iter().find(|m| m.key == "latency_total_ms").unwrap();
             assert!(latency.cells.iter().all(|cell| cell.numbers().len() == 1), "everybody is timed: {latency:?}");
             (scores.to_text(), already)
@@ -83,7 +83,7 @@ fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
     assert_eq!(table.matches("no competitor").count(), 1, "said once: {table}");
     assert_eq!(start(), (table, true), "a finished run prints the same");
     for stage in ["spectra: 20", "predicting with the model: 4", "predicting with grey: 4", "scoring grey: 9"] {
-        assert!(ear.0.iter().any(|heard| heard == stage), "{stage} is not in {:?}", ear.0);
+        assert!(ear.0.iter().any(|reported| reported == stage), "{stage} is not in {:?}", ear.0);
     }
     let resolved = std::fs::read_to_string(out.join("pipeline.ron")).unwrap();
     let absolute = here.join("grey.txt").canonicalize().unwrap();

@@ -1,6 +1,6 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
-use pwrfgs::experiment::sweep::{JOINED, Plan, execute};
-use pwrfgs::experiment::{Outcome, Session};
+use pwrfgs::experiment::sweep::{JOINED, SweepPlan, execute};
+use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Rays;
 use std::path::{Path, PathBuf};
@@ -49,9 +49,10 @@ fn small(kind: Option<Task>, inputs: usize, folder: &Path) -> String {
             "data=Simulated(scene: \"../scenes/office-links.ron\", samples: 20, points: 100, observe: Power())".into()
         }
         Some(Task::Channel) if inputs != 3 => {
-            let recipe = pwrfgs::raytrace::Recipe::read(Path::new("scenes/office-csi.ron"), 20, 0, 100).unwrap();
-            let recipe = recipe.observing(pwrfgs::raytrace::Observe::Channel { snr_db: Some(30.0) }).unwrap();
-            let (out, layout) = (folder.join("csi simulated"), pwrfgs::raytrace::output::Layout::Csi);
+            let recipe =
+                pwrfgs::raytrace::SimulationRecipe::read(Path::new("scenes/office-csi.ron"), 20, 0, 100).unwrap();
+            let recipe = recipe.observing(pwrfgs::raytrace::ObservationKind::Channel { snr_db: Some(30.0) }).unwrap();
+            let (out, layout) = (folder.join("csi simulated"), pwrfgs::raytrace::output::OutputLayout::Csi);
             pwrfgs::raytrace::output::write_as(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false))
                 .unwrap();
             format!("data.root={:?}", out.display().to_string())
@@ -85,7 +86,7 @@ fn every_pipeline_runs_some_steps() {
         let count = if pipeline.deformation.traits().varies_geometry { 30 } else { 60 };
         let folder = tempfile::tempdir().unwrap();
         for change in [
-            "training.target=0".to_owned(), // more than there will be
+            "training.target_count=0".to_owned(), // more than there will be
             small(pipeline.data.task(), pipeline.method().traits().inputs, folder.path()),
             format!("initializer=Random(count: {count}, std: 5.0)"),
             "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
@@ -100,7 +101,7 @@ fn every_pipeline_runs_some_steps() {
         shrink(&mut pipeline);
         let out = folder.path().join("run");
         let stop = AtomicBool::new(false);
-        let outcome = pwrfgs::run(&pipeline, Path::new("pipelines"), &out, &mut Silent, &stop);
+        let outcome = pwrfgs::run(&pipeline, Path::new("pipelines"), &out, &mut NoopObserver, &stop);
         outcome.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
         assert_eq!(curve.lines().count(), 13, "{}", path.display());
@@ -119,7 +120,7 @@ fn every_joined_sweep_scores_the_mean_of_its_models() {
     for path in files("experiments") {
         let folder = tempfile::tempdir().unwrap();
         let mut plan =
-            Plan::read(&path, &set.map(str::to_owned), Some(folder.path())).unwrap_or_else(|e| panic!("{e}"));
+            SweepPlan::read(&path, &set.map(str::to_owned), Some(folder.path())).unwrap_or_else(|e| panic!("{e}"));
         if plan.joined.is_none() {
             continue;
         }
@@ -129,8 +130,9 @@ fn every_joined_sweep_scores_the_mean_of_its_models() {
             run.pipeline.set(short).unwrap();
         }
         let runs: Vec<usize> = (0..plan.runs.len()).collect();
-        let end = execute(&plan, &runs, 2, &Silent, &mut Session::new(&mut Silent)).unwrap_or_else(|e| panic!("{e}"));
-        assert!(matches!(end.joined, Some(Outcome::Finished { already: false, .. })), "{end:?}");
+        let end = execute(&plan, &runs, 2, &NoopObserver, &mut Session::new(&mut NoopObserver))
+            .unwrap_or_else(|e| panic!("{e}"));
+        assert!(matches!(end.joined, Some(RunOutcome::Finished { already: false, .. })), "{end:?}");
         let model = pwrfgs::model::file::read_ensemble(&folder.path().join(JOINED).join("model.safetensors")).unwrap();
         assert_eq!(model.names(), ["blended-0", "blended-1", "waves-0", "waves-1"]);
         let scores = std::fs::read_to_string(folder.path().join(JOINED).join("scores.csv")).unwrap();
@@ -149,9 +151,9 @@ fn every_experiment_resolves_and_its_variants_train() {
             "baselines=[MeanSpectrum()]",
             "training.batch=8",
         ];
-        let whole = Plan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}"));
+        let whole = SweepPlan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(whole.name, path.file_stem().unwrap().to_string_lossy(), "a sweep folder is named as the file");
-        let plan = Plan::read(&path, &small.map(str::to_owned), None).unwrap_or_else(|e| panic!("{e}"));
+        let plan = SweepPlan::read(&path, &small.map(str::to_owned), None).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(plan.runs.len(), whole.runs.len());
         let combinations = plan.runs.last().unwrap().combination + 1;
         assert!(plan.joined.is_some() || plan.runs.len() >= 3 * combinations, "three seeds or more");
@@ -169,7 +171,7 @@ fn every_experiment_resolves_and_its_variants_train() {
                 pipeline.set("initializer.count=600").unwrap();
             }
             shrink(&mut pipeline);
-            let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
+            let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
             if let Ok(mut trainer) = pipeline.trainer(&data, &partition) {
                 for _ in 0..12 {
                     match trainer.step() {
@@ -190,7 +192,7 @@ fn wrfgs_densifies_at_the_steps_of_the_released_code() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));
     pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
     pipeline.set("initializer.count=20").unwrap();
-    let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
+    let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
     let trainer = pipeline.trainer(&data, &partition).unwrap();
     let densify = &pipeline.training.densify;
     let is_due = |step: &u64| step.is_multiple_of(densify.every) && *step > densify.from;
@@ -220,7 +222,7 @@ fn the_quickstart_runs_on_the_office_it_names() {
     let folder = tempfile::tempdir().unwrap();
     let base = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
     let stop = AtomicBool::new(false);
-    pwrfgs::run(&pipeline, &base, &folder.path().join("run"), &mut Silent, &stop).unwrap();
+    pwrfgs::run(&pipeline, &base, &folder.path().join("run"), &mut NoopObserver, &stop).unwrap();
     let report = std::fs::read_to_string(folder.path().join("run/report.html")).unwrap();
     assert!(report.contains("office (simulated)") && report.contains("upper bound"));
     let scores = std::fs::read_to_string(folder.path().join("run/scores.csv")).unwrap();

@@ -31,7 +31,7 @@ fn all() -> Vec<(&'static str, String)> {
 /// Without a number to reach, unless the strategy does nothing without one.
 fn small(pruner: &str) -> Pipeline {
     let budget = plugin::<dyn Pruner>(pruner).traits().budget;
-    targeted(pruner, if budget == Some(Budget::AtMost) { 9 } else { 0 })
+    targeted(pruner, if budget == Some(Budget::UpperBound) { 9 } else { 0 })
 }
 
 fn targeted(pruner: &str, target: usize) -> Pipeline {
@@ -40,7 +40,7 @@ fn targeted(pruner: &str, target: usize) -> Pipeline {
          initializer: Random(count: 40, std: 3),
          deformation: Factored(depth: 2, width: 8),
          pruners: [{pruner}],
-         training: (steps: 24, batch: 3, target: {target}, densify_until: 3, prune_until: 20, prune_every: 4, densify: (every: 0),
+         training: (steps: 24, batch: 3, target_count: {target}, densify_until: 3, prune_until: 20, prune_every: 4, densify: (every: 0),
              optimizer: (opacity_logits: Constant(0.1)))"
     ))
 }
@@ -86,9 +86,9 @@ fn every_strategy_takes_some_and_resumes_to_the_same_bytes_at_any_thread_count()
 }
 
 #[test]
-fn an_exact_number_is_what_is_left() {
+fn exact_target_is_reached() {
     for (name, text) in all() {
-        if plugin::<dyn Pruner>(&text).traits().budget == Some(Budget::AtMost) {
+        if plugin::<dyn Pruner>(&text).traits().budget == Some(Budget::UpperBound) {
             continue;
         }
         let (_, _, counts) = train(&targeted(&text, 7));
@@ -102,17 +102,17 @@ fn an_exact_number_is_what_is_left() {
 
 #[test]
 fn rules_by_weight_are_the_same_with_a_target() {
-    let births = |rule: &str| {
+    let gaussian_ids = |rule: &str| {
         let pipeline = targeted(&format!("MiniSplatting(rule: {rule})"), 7);
         let (data, partition) = data_of(&pipeline);
         let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         while !trainer.finished() {
             trainer.step().unwrap();
         }
-        trainer.births().to_vec()
+        trainer.gaussian_ids().to_vec()
     };
-    assert_eq!(births("Above(0.05)"), births("Cumulated(0.99)"));
-    assert_ne!(births("Above(0.05)"), births("Sampled(0.5)"));
+    assert_eq!(gaussian_ids("Above(0.05)"), gaussian_ids("Cumulated(0.99)"));
+    assert_ne!(gaussian_ids("Above(0.05)"), gaussian_ids("Sampled(0.5)"));
 }
 
 #[test]
@@ -133,7 +133,7 @@ fn scores(pruner: &Plugin<dyn Pruner>, cloud: &GaussianCloud, column: &[Real]) -
         }
         own
     });
-    let asked = Statistics {
+    let requested = PassStatistics {
         links: 1,
         weight: column.to_vec(),
         largest_weight: column.to_vec(),
@@ -147,11 +147,11 @@ fn scores(pruner: &Plugin<dyn Pruner>, cloud: &GaussianCloud, column: &[Real]) -
         fisher: fisher.collect(),
         elimination: column.to_vec(),
     };
-    pruner.score(cloud, &CloudStats { asked, ..CloudStats::zeros(cloud.len()) }, &moment())
+    pruner.score(cloud, &CloudStats { requested, ..CloudStats::zeros(cloud.len()) }, &context())
 }
 
-fn moment() -> Moment {
-    Moment { round: 1, rounds: 3, ..Moment::new(12, Phase::Prune, 3) }
+fn context() -> StepContext {
+    StepContext { round: 1, rounds: 3, ..StepContext::new(12, Phase::Prune, 3) }
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn strategies_that_draw_no_lots_do_not_care_for_the_order_of_gaussians() {
 }
 
 #[test]
-fn what_has_nothing_to_do_with_pictures_goes_first() {
+fn unrelated_gaussians_are_removed_first() {
     let by_pictures = [
         "GreedyElimination",
         "LightGaussian",
@@ -205,20 +205,20 @@ fn equals_stay_in_order() {
 }
 
 #[test]
-fn numbers_that_cannot_be_are_refused_with_their_place() {
+fn reports_position_of_impossible_targets() {
     let written = |start: usize, rest: &str| {
         let target = rest.split_once(" to ").map_or("0", |(_, target)| target);
         let pruners = rest.split(" to ").next().unwrap_or_default();
         let text = format!(
             "Pipeline(name: \"a\", data: Teacher(),\n initializer: Random(count: {start}),\n {pruners},\n \
-             training: (steps: 9, target: {target}, densify_until: 2, prune_until: 6, densify: (every: 0)))"
+             training: (steps: 9, target_count: {target}, densify_until: 2, prune_until: 6, densify: (every: 0)))"
         );
         Pipeline::parse(&text, Path::new("a.ron")).map_err(|e| e.to_string())
     };
     assert!(written(50, "pruners: [SpeedySplat()] to 50").is_ok());
     assert!(written(50, "pruners: [TopK(), RadSplat()] to 8").is_ok());
     for (start, pruners, line, words) in [
-        (50, "pruners: [SpeedySplat()] to 51", "a.ron:", "training.target is 51, but training starts with 50"),
+        (50, "pruners: [SpeedySplat()] to 51", "a.ron:", "training.target_count is 51, but training starts with 50"),
         (50, "pruners: [RadSplat(), TopK()] to 8", "a.ron:", "list `TopK` first"),
         (50, "pruners: [TopK()]", "a.ron:", "set it, for example to 157"),
         (50, "pruners: [] to 8", "a.ron:", "no pruner supports a target"),
@@ -227,16 +227,17 @@ fn numbers_that_cannot_be_are_refused_with_their_place() {
         (50, "pruners: [RadSplat(threshold: 1.5)]", "a.ron:3:", "`threshold` is 1.5"),
         (50, "rasterizer: ArrayResponse(), pruners: [RadSplat()]", "a.ron:3:", "this method does not blend"),
     ] {
-        let said = written(start, pruners).unwrap_err();
-        assert!(said.starts_with(line) && said.contains(words), "{pruners}: {said}");
+        let message = written(start, pruners).unwrap_err();
+        assert!(message.starts_with(line) && message.contains(words), "{pruners}: {message}");
     }
     // What masks and the true loss say needs no blending.
     for pruner in ["LearnableMask()", "GreedyElimination()", "MaskGaussian()", "RandomReference()"] {
         written(50, &format!("rasterizer: ArrayResponse(), pruners: [{pruner}]")).unwrap();
     }
     let mut pipeline = small("LightGaussian()");
-    pipeline.set("training.target=5").unwrap();
+    pipeline.set("training.target_count=5").unwrap();
     assert_eq!(train(&pipeline).2[23], 5, "one word in the pipeline");
-    let said = small("RadSplat(threshold: 0.1)").set_all(&["pruners=[]", "training.target=5"]).unwrap_err().to_string();
-    assert!(said.contains("no pruner supports a target"), "{said}");
+    let message =
+        small("RadSplat(threshold: 0.1)").set_all(&["pruners=[]", "training.target_count=5"]).unwrap_err().to_string();
+    assert!(message.contains("no pruner supports a target"), "{message}");
 }

@@ -10,10 +10,10 @@ mod npy;
 
 use crate::common::{MOMENT, plugin};
 use npy::Reference;
-use pwrfgs::core::{Conditions, DeformationInputs, ExtraColumn, Frame, Mat3, Origin, Vec3};
+use pwrfgs::core::{Conditions, DeformationInputs, ExtraColumn, Mat3, MeasurementSetup, Origin, Vec3};
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::prelude::*;
-use pwrfgs::raster::{self, CameraModel, FullSphere, View};
+use pwrfgs::raster::{self, CameraModel, FullSphere, ViewTransform};
 use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
 
@@ -32,11 +32,11 @@ struct Literal {
 /// A camera model that stands where [`Literal`] says.
 struct Placed {
     model: FullSphere,
-    view: View,
+    view: ViewTransform,
 }
 
 impl CameraModel for Placed {
-    fn view(&self, _: &Pose) -> View {
+    fn view(&self, _: &Pose) -> ViewTransform {
         self.view
     }
     fn depth(&self, mean: [Real; 3], _: &Pose) -> Real {
@@ -68,7 +68,7 @@ impl CameraModel for Placed {
 impl Literal {
     fn placed(&self, plane: &ImagePlane) -> Placed {
         let column = |k: usize| Vec3::new(self.rows[0][k], self.rows[1][k], self.rows[2][k]);
-        let view = View { rotation: Mat3::from_cols(column(0), column(1), column(2)), offset: column(3) };
+        let view = ViewTransform { rotation: Mat3::from_cols(column(0), column(1), column(2)), offset: column(3) };
         Placed { model: FullSphere::new(plane), view }
     }
 }
@@ -112,7 +112,7 @@ impl Start {
             calibration: Calibration::AsReleased,
             readout: Readout::Real,
         };
-        let stages = Stages::new(splatting, Frame::spectra(Origin::ZERO, pose(reference), plane));
+        let stages = Stages::new(splatting, MeasurementSetup::spectra(Origin::ZERO, pose(reference), plane));
         let means = reference.rows("in_xyz");
         let mask = reference.optional("in_mask_logit");
         let pruners = mask.iter().map(|_| plugin(MASK)).collect();
@@ -140,8 +140,11 @@ impl Start {
         let splatting = self.stages.settings::<Splatting>().unwrap();
         let Splatting { deformation, projector, rasterizer, .. } = splatting;
         let (pose, plane) = (&self.stages.pose(), &self.stages.plane);
-        let gate =
-            self.pruners.first().and_then(|p| p.gate(&Traced::new(&self.cloud), &MOMENT)).map(|g| g.factor().as_vec());
+        let gate = self
+            .pruners
+            .first()
+            .and_then(|p| p.gate(&TracedCloud::new(&self.cloud), &MOMENT))
+            .map(|g| g.factor().as_vec());
         let activation = splatting.activation();
         let txs = Conditions::new(self.batch.width, &self.batch.conditions);
         let deltas = deformation.forward(&DeformationInputs::new(&self.weights, &self.cloud.means, txs, pose), &None);
@@ -258,8 +261,8 @@ fn the_loss_and_every_derivative_are_those_of_the_reference() {
             check("grad_mask_logit", &mask.values);
         }
         let norms: Vec<Real> = reference.array("grad_ndc").chunks_exact(2).map(|d| d[0].hypot(d[1])).collect();
-        hold(&format!("{name} grad_ndc"), &outcome.seen.gradient, &norms, 1e-11, 5e-2);
-        assert_eq!(outcome.seen.visible, reference.array("geo_visible"), "{name}");
+        hold(&format!("{name} grad_ndc"), &outcome.stats.gradient, &norms, 1e-11, 5e-2);
+        assert_eq!(outcome.stats.visible, reference.array("geo_visible"), "{name}");
         assert!(d.signals.as_flattened().iter().all(|d| *d == 0.0), "the network replaces the cloud's signals");
         let mut rest = outcome.d_weights.as_slice();
         for spec in start.stages.layout().weights {

@@ -1,6 +1,6 @@
 //! Laws of every plugin that the facade links, of whatever kind: defaults, text and doc comment.
 use crate::common::{FOREIGN, OF_TESTS};
-use pwrfgs::core::plugin::{Family, Member, inventory};
+use pwrfgs::core::plugin::{PluginEntry, PluginFamily, inventory};
 use std::path::Path;
 
 /// The first plugin trait and name after each `#[typetag::serde]` of the sources, such as `Pruner TopK`.
@@ -26,9 +26,9 @@ fn in_sources() -> Vec<String> {
     found
 }
 
-fn linked() -> Vec<(&'static Family, Member)> {
-    let members = |family: &'static Family| (family.members)().into_iter().map(move |member| (family, member));
-    inventory::iter::<Family>().flat_map(members).filter(|(_, member)| !OF_TESTS.contains(&member.name)).collect()
+fn linked() -> Vec<(&'static PluginFamily, PluginEntry)> {
+    let members = |family: &'static PluginFamily| (family.members)().into_iter().map(move |member| (family, member));
+    inventory::iter::<PluginFamily>().flat_map(members).filter(|(_, member)| !OF_TESTS.contains(&member.name)).collect()
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What two measurements at one place have in common, of measured and of made-up spectra.
 
-use pwrfgs::experiment::repeatability::{AtZero, Likeness};
+use pwrfgs::experiment::repeatability::{PairSimilarity, ZeroDistanceEstimate};
 use pwrfgs::experiment::{Repeatability, repeatability};
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{DataSource, Dataset, Metric, Plugin, Pose, Sample, Spectra, rng};
@@ -13,8 +13,8 @@ fn measure(data: &Dataset, metrics: &[&str]) -> Repeatability {
     repeatability(data, &metrics, &AtomicBool::new(false)).unwrap()
 }
 
-fn at_zero<'a>(likeness: &'a Likeness, key: &str) -> &'a Result<AtZero, String> {
-    &likeness.metrics.iter().find(|m| m.key == key).unwrap().at_zero
+fn at_zero<'a>(similarity: &'a PairSimilarity, key: &str) -> &'a Result<ZeroDistanceEstimate, String> {
+    &similarity.metrics.iter().find(|m| m.key == key).unwrap().at_zero
 }
 
 /// The table of pairs measured elsewhere (Python, scikit-image): SSIM near in time, and far apart.
@@ -31,9 +31,9 @@ fn measured_spectra_at_one_place_are_alike_only_near_in_time() {
         ([10.0, 20.0], [0.886, 0.933], Some([0.696, 0.742])),
     ];
     let mut seen = 0;
-    for (likeness, of) in [(&found.near, 0), (&found.far, 1)] {
-        assert_eq!(likeness.metrics.len(), 1, "a metric of the model says nothing of pairs");
-        for bin in &likeness.metrics[0].bins {
+    for (similarity, of) in [(&found.near, 0), (&found.far, 1)] {
+        assert_eq!(similarity.metrics.len(), 1, "a metric of the model says nothing of pairs");
+        for bin in &similarity.metrics[0].bins {
             println!("{:.1} to {:.1} mm: {bin:?}", bin.from_m * 1e3, bin.to_m * 1e3);
             let same = |mm: &[f64; 2]| mm[0] == bin.from_m * 1e3 && mm[1] == bin.to_m * 1e3;
             if let Some((_, near, far)) = known.iter().find(|known| same(&known.0)) {
@@ -46,7 +46,7 @@ fn measured_spectra_at_one_place_are_alike_only_near_in_time() {
         }
     }
     assert_eq!(seen, 8);
-    let [near, far] = [&found.near, &found.far].map(|likeness| at_zero(likeness, "ssim").clone().unwrap());
+    let [near, far] = [&found.near, &found.far].map(|similarity| at_zero(similarity, "ssim").clone().unwrap());
     println!("at zero: near {near:.3?}, far {far:.3?}, unrelated {:.3}", found.far.metrics[0].unrelated);
     assert!(near.interval[0] > 0.88 && near.summary.mean > 0.94, "{near:?}");
     assert!((0.69..0.76).contains(&far.summary.mean) && far.interval[1] < near.interval[0], "{far:?}");
@@ -68,8 +68,8 @@ fn line(turns: u32, drift: impl Fn(u32) -> f32) -> Dataset {
 #[test]
 fn without_noise_spectra_repeat() {
     let found = measure(&line(5, |_| 0.0), &["Ssim()", "L1()"]);
-    for likeness in [&found.near, &found.far] {
-        let (ssim, l1) = (at_zero(likeness, "ssim").clone().unwrap(), at_zero(likeness, "l1").clone().unwrap());
+    for similarity in [&found.near, &found.far] {
+        let (ssim, l1) = (at_zero(similarity, "ssim").clone().unwrap(), at_zero(similarity, "l1").clone().unwrap());
         assert!(ssim.summary.mean > 0.999 && ssim.interval[0] > 0.999, "{ssim:?}");
         assert!(l1.summary.mean < 1e-3 && l1.interval[1] < 1e-3, "{l1:?}");
     }
@@ -80,24 +80,24 @@ fn without_noise_spectra_repeat() {
 fn noise_of_every_spectrum_is_found_in_pairs_of_any_time() {
     let noise = |id| if rng::uniform(&mut rng::stream(1, "noise", u64::from(id))) < 0.5 { 0.1 } else { 0.0 };
     let found = measure(&line(5, noise), &["L1()"]);
-    for likeness in [&found.near, &found.far] {
-        let l1 = at_zero(likeness, "l1").clone().unwrap();
+    for similarity in [&found.near, &found.far] {
+        let l1 = at_zero(similarity, "l1").clone().unwrap();
         assert!(l1.interval[0] < 0.05 && 0.05 < l1.interval[1] && (l1.summary.mean - 0.05).abs() < 0.015, "{l1:?}");
     }
 }
 
 /// Every pass has a level of its own, so near in time spectra repeat, and at another time they differ.
 #[test]
-fn what_changes_slowly_parts_pairs_near_in_time_from_those_far_apart() {
+fn slow_changes_separate_near_and_far_pairs() {
     let found = measure(&line(6, |id| 0.02 * (id / 200) as f32), &["L1()"]);
-    let [near, far] = [&found.near, &found.far].map(|likeness| at_zero(likeness, "l1").clone().unwrap());
+    let [near, far] = [&found.near, &found.far].map(|similarity| at_zero(similarity, "l1").clone().unwrap());
     assert!(near.summary.mean < 0.005, "{near:?}");
     // Mean of |a - b| over pairs of different passes of six: 7/3 of a fiftieth.
     assert!((far.summary.mean - 0.14 / 3.0).abs() < 0.008, "{far:?}");
 }
 
 #[test]
-fn where_nobody_can_tell_there_is_a_reason() {
+fn undetermined_ceiling_has_a_reason() {
     let samples: Vec<Sample> = (0..60).map(|id| Sample::new(id, [f64::from(id * 37 % 60), 0.0, 0.0])).collect();
     let data = Dataset::new("far", Pose::IDENTITY, vec![], samples, Spectra::grey((8, 8), vec![9; 60 * 64]).unwrap());
     let found = measure(&data.unwrap(), &["Ssim()"]);

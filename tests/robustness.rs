@@ -119,7 +119,7 @@ fn a_loss_that_is_no_number_is_an_error_and_names_the_step() {
 }
 
 #[test]
-fn no_and_one_gaussian_predict_and_differentiate() {
+fn zero_and_one_gaussian_predict_and_differentiate() {
     for deformation in ["Fixed()", "Mlp(depth: 2, width: 8, skip: None)", "Wrfgs(depth: 2, width: 8, skip: None)"] {
         let stages = stages(deformation, Readout::Magnitude);
         let weights = stages.layout().init(&mut rng::stream(1, "network", 0));

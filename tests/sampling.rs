@@ -3,8 +3,8 @@
 
 use crate::common::{built_in, cloud, pipeline, plugin, stages};
 use pwrfgs::core::{
-    Axis, Conditions, Elevation, Frame, Link, MethodVjp, Observed, Origin, Parameters, Pixels, Projector, Rasterizer,
-    Receiver, rng,
+    AngleAxis, Conditions, Elevation, ForwardOutput, Link, MeasurementSetup, MethodVjp, Origin, Parameters,
+    PixelSubset, Projector, Rasterizer, Receiver, rng,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -23,10 +23,10 @@ fn every_way(mut check: impl FnMut(&str, &Stages)) {
                 splatting.projector = plugin(&format!("{projector}()"));
                 splatting.rasterizer = plugin(&format!("{rasterizer}()"));
             });
-            whole.frame.plane = whole.settings::<Splatting>().unwrap().projector.plane(90, 24);
-            let coarse = whole.frame.plane.strided(STRIDE, [0, 0]);
-            let frame = Frame { plane: coarse, ..whole.frame.clone() };
-            if whole.method.layout(&frame).is_ok() {
+            whole.setup.plane = whole.settings::<Splatting>().unwrap().projector.plane(90, 24);
+            let coarse = whole.setup.plane.strided(STRIDE, [0, 0]);
+            let setup = MeasurementSetup { plane: coarse, ..whole.setup.clone() };
+            if whole.method.layout(&setup).is_ok() {
                 check(&way, &whole);
                 checked.push(way);
             }
@@ -42,19 +42,23 @@ fn narrow_and_wide() -> GaussianCloud {
     cloud
 }
 
-fn draw(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud) -> (Frame, Observed) {
-    let frame = Frame { plane: plane.clone(), ..stages.frame.clone() };
-    let observed = stages.method.forward(&frame, &parameters(cloud), &asked());
-    (frame, observed)
+fn draw(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud) -> (MeasurementSetup, ForwardOutput) {
+    let setup = MeasurementSetup { plane: plane.clone(), ..stages.setup.clone() };
+    let observed = stages.method.forward(&setup, &parameters(cloud), &request());
+    (setup, observed)
 }
 
 fn parameters(cloud: &GaussianCloud) -> Parameters<'_> {
-    Parameters { cloud, gate: None, presence: None, weights: &[] }
+    Parameters { cloud, gate: None, existence: None, weights: &[] }
 }
 
-fn asked() -> pwrfgs::core::Asked<'static> {
+fn request() -> pwrfgs::core::ObservationRequest<'static> {
     const LINKS: [Link; 1] = [Link { transmitter: 0, receiver: 0 }];
-    pwrfgs::core::Asked { conditions: Conditions::new(3, &[0.1, 0.2, 0.3]), links: &LINKS, pixels: Pixels::All }
+    pwrfgs::core::ObservationRequest {
+        conditions: Conditions::new(3, &[0.1, 0.2, 0.3]),
+        links: &LINKS,
+        pixels: PixelSubset::All,
+    }
 }
 
 /// Where the pixels of a strided plane lie in the whole image.
@@ -92,9 +96,9 @@ fn the_gradient_of_a_strided_image_is_that_of_the_same_pixels_of_the_whole_one()
         let mut d_whole = vec![0.0; stages.plane.width * stages.plane.height];
         places(&plane, stages.plane.width).zip(&d).for_each(|(at, d)| d_whole[at] = *d);
         let gradient = |plane: &ImagePlane, d: &[Real]| {
-            let (frame, observed) = draw(stages, plane, &cloud);
+            let (setup, observed) = draw(stages, plane, &cloud);
             let mut sums = MethodVjp::zeros(&parameters(&cloud));
-            stages.method.vjp(&frame, &parameters(&cloud), &asked(), observed, d, &mut sums);
+            stages.method.vjp(&setup, &parameters(&cloud), &request(), observed, d, &mut sums);
             sums.cloud
         };
         let (coarse, whole) = (gradient(&plane, &d), gradient(&stages.plane, &d_whole));
@@ -141,21 +145,21 @@ fn kept(training: &str) -> Vec<u32> {
     let pipeline = pipeline(&format!(
         "data: Teacher(gaussians: 20, samples: 1000, width: 36, height: 12), split: Random(test: 0.1), \
          initializer: Random(count: 2000, std: 2.0, nearest: 1, opacity: 0.6), deformation: Fixed(), baselines: [], metrics: [Ssim()], \
-         pruners: [LightGaussian(volume_power: 0)], training: (steps: 2, target: 1000, batch: 1, densify_until: 0, prune_until: 2, \
+         pruners: [LightGaussian(volume_power: 0)], training: (steps: 2, target_count: 1000, batch: 1, densify_until: 0, prune_until: 2, \
          prune_every: 2, densify: (every: 0), optimizer: ({still}), {training})"
     ));
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     (0..2).for_each(|_| drop(trainer.step().unwrap()));
-    trainer.births().to_vec()
+    trainer.gaussian_ids().to_vec()
 }
 
 #[test]
 fn a_prune_step_with_a_stride_keeps_what_one_without_keeps() {
     let whole = kept("stride: 1");
     for training in ["stride: 3", "stride: 3, moving_stride: false"] {
-        let common = kept(training).iter().filter(|birth| whole.contains(birth)).count();
+        let common = kept(training).iter().filter(|id| whole.contains(id)).count();
         println!("{training}: {common} of 1,000 Gaussians kept are those of the whole image");
         assert!(common >= 950, "{training}: {common} of 1,000"); // at one place for all parts: 817
     }
@@ -167,15 +171,15 @@ fn whole_tiles_refuse_a_stride() {
         splatting.projector = plugin("WrfgsCompat()");
         splatting.rasterizer = plugin("AlphaBlending(support: TileSquares)");
     });
-    whole.frame.plane = ImagePlane { wraps: false, angles: None, ..whole.frame.plane.clone() };
-    assert!(whole.method.layout(&whole.frame).is_ok());
-    whole.frame.plane = whole.frame.plane.strided(STRIDE, [0, 0]);
-    assert!(whole.method.layout(&whole.frame).unwrap_err().contains("training.stride: 1"));
+    whole.setup.plane = ImagePlane { wraps: false, angles: None, ..whole.setup.plane.clone() };
+    assert!(whole.method.layout(&whole.setup).is_ok());
+    whole.setup.plane = whole.setup.plane.strided(STRIDE, [0, 0]);
+    assert!(whole.method.layout(&whole.setup).unwrap_err().contains("training.stride: 1"));
 }
 
 #[test]
 fn a_strided_plane_knows_its_whole_image() {
-    let axis = |first, step| Axis { first, step };
+    let axis = |first, step| AngleAxis { first, step };
     let plane = stages("Fixed()", Readout::Magnitude).plane.clone();
     let strided = plane.strided(STRIDE, [2, 1]);
     assert_eq!(strided.angles, Some((axis(8.0, 12.0), axis(3.75, 11.25))));
@@ -185,15 +189,15 @@ fn a_strided_plane_knows_its_whole_image() {
 
 /// The power of one Gaussian at an elevation, on a sky of so many degrees per pixel.
 fn power(elevation_deg: Real, sky_deg: u32) -> Real {
-    let readout = Readout::Received { sky_deg, filter_deg2: 270.0 };
+    let readout = Readout::ReceivedPower { sky_deg, filter_deg2: 270.0 };
     let base = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| splatting.readout = readout);
-    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, ..base.frame.plane.clone() };
+    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, ..base.setup.plane.clone() };
     let receivers = vec![Receiver::new("gateway", Pose::IDENTITY)];
-    let frame = Frame {
+    let setup = MeasurementSetup {
         plane,
         task: pwrfgs::core::Task::Power,
         receivers,
-        ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, base.frame.plane.clone())
+        ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, base.setup.plane.clone())
     };
     let (sin, cos) = elevation_deg.to_radians().sin_cos();
     let cloud = GaussianCloud {
@@ -205,15 +209,16 @@ fn power(elevation_deg: Real, sky_deg: u32) -> Real {
         ..GaussianCloud::default()
     };
     let parameters = Parameters { weights: &[0.0, 0.0], ..parameters(&cloud) };
-    base.method.forward(&frame, &parameters, &asked()).numbers[0]
+    base.method.forward(&setup, &parameters, &request()).numbers[0]
 }
 
 #[test]
 fn the_sky_of_a_power_covers_the_sphere_with_one_filter_at_any_resolution() {
     for sky_deg in [6, 10, 30] {
-        let base = stages("Fixed()", Readout::Magnitude)
-            .with(|splatting: &mut Splatting| splatting.readout = Readout::Received { sky_deg, filter_deg2: 30.0 });
-        let sky = base.settings::<Splatting>().unwrap().sky(&base.frame);
+        let base = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| {
+            splatting.readout = Readout::ReceivedPower { sky_deg, filter_deg2: 30.0 }
+        });
+        let sky = base.settings::<Splatting>().unwrap().sky(&base.setup);
         let last = sky.azimuth_elevation_deg(0.0, sky.height as Real - 1.0).unwrap().1;
         assert_eq!((sky.height, last), (180 / sky_deg as usize + 1, 90.0), "the poles have rows");
     }

@@ -1,6 +1,6 @@
 //! A run that is asked to stop while its model is scored.
 
-use pwrfgs::experiment::{Observer, Outcome};
+use pwrfgs::experiment::{Observer, RunOutcome};
 use pwrfgs::prelude::*;
 use pwrfgs::run;
 use std::path::Path;
@@ -22,7 +22,7 @@ impl Observer for Impatient {
 }
 
 #[test]
-fn stopped_while_scoring_it_leaves_the_model_and_is_scored_by_the_next_start() {
+fn run_stopped_during_scoring_keeps_model_and_is_scored_on_resume() {
     let text = r#"Pipeline(
         name: "stopping",
         data: Teacher(gaussians: 4, samples: 20, width: 24, height: 12),
@@ -42,10 +42,10 @@ fn stopped_while_scoring_it_leaves_the_model_and_is_scored_by_the_next_start() {
             assert_eq!(stop.load(Ordering::Relaxed), !at.is_empty(), "there is a stage called {at}");
             outcome
         };
-        assert!(matches!(start(at), Outcome::Unscored), "{at}");
+        assert!(matches!(start(at), RunOutcome::Unscored), "{at}");
         assert!(!out.join("scores.csv").exists(), "nothing half done is written");
         let model = std::fs::read(out.join("model.safetensors")).unwrap();
-        assert!(matches!(start(""), Outcome::Finished { already: false, .. }), "{at}");
+        assert!(matches!(start(""), RunOutcome::Finished { already: false, .. }), "{at}");
         assert_eq!(std::fs::read(out.join("model.safetensors")).unwrap(), model);
     }
 }

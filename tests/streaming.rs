@@ -3,7 +3,7 @@
 
 use crate::common::plugin;
 use pwrfgs::core::Scope;
-use pwrfgs::experiment::{Bench, Session};
+use pwrfgs::experiment::{EvaluationSet, Session};
 use pwrfgs::metrics::{L1, Ssim};
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -44,12 +44,12 @@ fn scores(data: &Dataset, part: &[usize], metrics: &[&str]) -> Result<Vec<Measur
     let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
     let metrics: Vec<Plugin<dyn Metric>> = metrics.iter().map(|text| plugin(text)).collect();
     let known: Vec<usize> = (0..50).collect();
-    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, Known::train(&known))?;
-    Bench::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Session::new(&mut Silent))
+    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, FittingSet::train(&known))?;
+    EvaluationSet::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Session::new(&mut NoopObserver))
 }
 
 #[test]
-fn a_metric_sees_at_once_what_it_says() {
+fn metric_receives_samples_of_its_scope() {
     let data = data();
     let part: Vec<usize> = (50..300).collect();
     let metrics = ["Counted(scope: \"sample\")", "Counted(whole: true)", "Counted(scope: \"model\", whole: true)"];
@@ -58,16 +58,17 @@ fn a_metric_sees_at_once_what_it_says() {
     assert!(counts.len() == 250 && counts.iter().all(|n| *n <= 64.0) && counts[0] > 1.0, "{counts:?}");
     assert_eq!((&found[1].values, &found[2].values), (&Values::Whole(250.0), &Values::Whole(0.0)));
     // One that looks at all of them and says otherwise would be wrong without a word.
-    let said = scores(&data, &part, &["Counted(scope: \"sample\", whole: true)"]).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("its `scope` should be `Scope::All`"), "{said}");
+    let message = scores(&data, &part, &["Counted(scope: \"sample\", whole: true)"]).unwrap_err();
+    assert!(message.is_input() && message.to_string().contains("its `scope` should be `Scope::All`"), "{message}");
 }
 
 #[test]
 fn scores_are_those_of_all_predictions_at_once() {
     let data = data();
     let part: Vec<usize> = (50..300).rev().collect();
-    let fitted =
-        plugin::<dyn Baseline>("NearestNeighbours()").fit(&data, Known::train(&(0..50).collect::<Vec<_>>())).unwrap();
+    let fitted = plugin::<dyn Baseline>("NearestNeighbours()")
+        .fit(&data, FittingSet::train(&(0..50).collect::<Vec<_>>()))
+        .unwrap();
     let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.query(i))).collect();
     let truths: Vec<Image> = part.iter().map(|&i| data.image(i)).collect();
     let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
@@ -103,14 +104,14 @@ fn training_and_scores_have_the_same_bits_from_a_file() {
 }
 
 #[test]
-fn a_file_that_is_cut_short_ends_training_and_scoring_with_words() {
+fn truncated_file_stops_training_and_scoring_with_error() {
     let here = tempfile::tempdir().unwrap();
     let data = stored(here.path());
     let file = std::fs::File::options().write(true).open(here.path().join("spectra")).unwrap();
     file.set_len(60 * 400).unwrap();
     let part: Vec<usize> = (0..300).collect();
-    let said = scores(&data, &part, &["Ssim()"]).unwrap_err().to_string();
-    assert!(said.contains("file of spectra was changed or removed while open"), "{said}");
+    let message = scores(&data, &part, &["Ssim()"]).unwrap_err().to_string();
+    assert!(message.contains("file of spectra was changed or removed while open"), "{message}");
     let data = stored(here.path());
     let text = "Pipeline(name: \"file\", data: Teacher(), initializer: Grid(count: 8), deformation: Fixed(),
         training: (steps: 9, densify_until: 0, prune_until: 0))";
@@ -119,6 +120,6 @@ fn a_file_that_is_cut_short_ends_training_and_scoring_with_words() {
     let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     trainer.step().unwrap();
     std::fs::File::options().write(true).open(here.path().join("spectra")).unwrap().set_len(0).unwrap();
-    let said = trainer.step().unwrap_err().to_string();
-    assert!(said.starts_with("cannot read ") && said.contains("restore it"), "{said}");
+    let message = trainer.step().unwrap_err().to_string();
+    assert!(message.starts_with("cannot read ") && message.contains("restore it"), "{message}");
 }

@@ -34,12 +34,12 @@ const IN_TOTAL: usize = 45_500;
 const FILES: usize = 360;
 const SMALL: usize = 35;
 /// A Rust file that is no test.
-struct Source {
+pub(crate) struct Source {
     /// Such as `crates/train`, and `train/trainer` as `["train", "trainer"]`.
-    package: String,
+    pub(crate) package: String,
     module: Vec<String>,
-    name: String,
-    code: String,
+    pub(crate) name: String,
+    pub(crate) code: String,
 }
 
 impl Source {
@@ -120,7 +120,7 @@ fn read(package: &str, folder: &Path, module: &[String], found: &mut Vec<Source>
     }
 }
 
-fn sources() -> Vec<Source> {
+pub(crate) fn sources() -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = Vec::new();
     for folder in ["crates", "examples"] {

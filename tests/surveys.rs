@@ -4,8 +4,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Asked, ColumnSpec, Conditions, DeformationInputs, Frame, ImagePlane, Parameters, Pixels, Receiver, Sampling,
-    Statistic, Statistics, Task, rng,
+    ColumnSpec, Conditions, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters,
+    PassStatistics, PixelSubset, Receiver, Sampling, Statistic, Task, rng,
 };
 use pwrfgs::methods::{Gates, Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -42,29 +42,33 @@ impl Sight {
         Self { stages, cloud: cloud(N, 8), weights, batch }
     }
 
-    fn asked(&self) -> Asked<'_> {
-        Asked { conditions: Conditions::new(3, &self.batch.conditions), links: &self.batch.links, pixels: Pixels::All }
+    fn request(&self) -> ObservationRequest<'_> {
+        ObservationRequest {
+            conditions: Conditions::new(3, &self.batch.conditions),
+            links: &self.batch.links,
+            pixels: PixelSubset::All,
+        }
     }
 
-    fn survey(&self, statistics: &[Statistic]) -> Statistics {
-        let Stages { method, frame } = &*self.stages;
-        let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights: &self.weights };
+    fn survey(&self, statistics: &[Statistic]) -> PassStatistics {
+        let Stages { method, setup } = &*self.stages;
+        let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights: &self.weights };
         let needs = Needs::of(statistics, 0);
-        let mut found = method.survey(frame, &parameters, &self.asked(), &self.batch.truths, &needs);
+        let mut found = method.survey(setup, &parameters, &self.request(), &self.batch.truths, &needs);
         found.finish();
         found
     }
 
     /// Observations with a factor on each Gaussian's part, links one after another.
-    fn observed(&self, cloud: &GaussianCloud, presence: &[Real]) -> Vec<Real> {
-        let Stages { method, frame } = &*self.stages;
-        let parameters = Parameters { cloud, gate: None, presence: Some(presence), weights: &self.weights };
-        method.forward(frame, &parameters, &self.asked()).numbers
+    fn observed(&self, cloud: &GaussianCloud, existence: &[Real]) -> Vec<Real> {
+        let Stages { method, setup } = &*self.stages;
+        let parameters = Parameters { cloud, gate: None, existence: Some(existence), weights: &self.weights };
+        method.forward(setup, &parameters, &self.request()).numbers
     }
 
     fn deltas(&self, splatting: &Splatting) -> Deltas {
         let conditions = Conditions::new(3, &self.batch.conditions);
-        let pose = self.stages.frame.pose();
+        let pose = self.stages.setup.pose();
         splatting
             .deformation
             .forward(&DeformationInputs::new(&self.weights, &self.cloud.means, conditions, &pose), &None)
@@ -73,7 +77,7 @@ impl Sight {
     /// Blending weights of each Gaussian, `[N][pixels]`, of link `b`: each draws a channel of its own.
     fn one_hot(&self, b: usize) -> Vec<Vec<Real>> {
         let splatting = self.stages.settings::<Splatting>().unwrap();
-        let view = &splatting.views(&self.stages.frame)[0];
+        let view = &splatting.views(&self.stages.setup)[0];
         let deltas = self.deltas(splatting);
         let splats = splatting.geometry(view, &self.cloud, &deltas, b, Gates::default()).splats;
         let signals: Vec<Real> = (0..N * N).map(|k| Real::from(u8::from(k / N == k % N))).collect();
@@ -101,7 +105,7 @@ fn near(found: &[Real], expected: &[Real], what: &str) {
 }
 
 #[test]
-fn weights_errors_and_firsts_are_those_of_pictures_drawn_one_by_one() {
+fn survey_statistics_equal_single_image_statistics() {
     // A geometry for all transmitters, and one for each.
     let deformations =
         ["Factored(width: 12, depth: 2)", "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)"];
@@ -109,7 +113,7 @@ fn weights_errors_and_firsts_are_those_of_pictures_drawn_one_by_one() {
         let sight = Sight::new(deformation, Readout::Magnitude);
         let pixels = sight.stages.numbers();
         let found = sight.survey(&EVERYTHING);
-        let mut expected = Statistics::zeros(&Needs::of(&EVERYTHING, 0), N);
+        let mut expected = PassStatistics::zeros(&Needs::of(&EVERYTHING, 0), N);
         let made = sight.observed(&sight.cloud, &[1.0; N]);
         for b in 0..2 {
             let (weights, strengths) = (sight.one_hot(b), sight.strengths(b));
@@ -178,14 +182,14 @@ fn close(found: &[Real], expected: &[Real], what: &str) {
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn sensitivity_and_fisher_agree_with_central_differences() {
-    for readout in [Readout::Magnitude, Readout::Power, Readout::Received { sky_deg: 15, filter_deg2: 67.5 }] {
+    for readout in [Readout::Magnitude, Readout::Power, Readout::ReceivedPower { sky_deg: 15, filter_deg2: 67.5 }] {
         let is_power = readout.task() == Task::Power;
         let mut sight = Sight::new("Fixed()", if is_power { Readout::Magnitude } else { readout });
         if is_power {
             let mut stages = sight.stages.with(|splatting: &mut Splatting| splatting.readout = readout);
-            let receivers = vec![Receiver::new("a", stages.frame.receivers[0].pose)];
+            let receivers = vec![Receiver::new("a", stages.setup.receivers[0].pose)];
             let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
-            stages.frame = Frame { task: Task::Power, plane, receivers, ..stages.frame.clone() };
+            stages.setup = MeasurementSetup { task: Task::Power, plane, receivers, ..stages.setup.clone() };
             sight.weights = stages.layout().init(&mut rng::stream(4, "network", 0));
             sight.stages = Arc::new(stages);
             sight.batch.truths.truncate(2);
@@ -194,9 +198,9 @@ fn sensitivity_and_fisher_agree_with_central_differences() {
         let mut sensitivity = Vec::new();
         for i in 0..N {
             let of_presence = |_: usize, h: Real| {
-                let mut presence = vec![1.0; N];
-                presence[i] += h;
-                sight.observed(&sight.cloud, &presence)
+                let mut existence = vec![1.0; N];
+                existence[i] += h;
+                sight.observed(&sight.cloud, &existence)
             };
             sensitivity.push(products(of_presence, 1)[0][0]);
             let of_shape = |k: usize, h: Real| {
@@ -222,19 +226,19 @@ struct There {}
 
 #[typetag::serde]
 impl Pruner for There {
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         vec![true; cloud.len()]
     }
     fn traits(&self) -> PrunerTraits {
         PrunerTraits { columns: vec![ColumnSpec::learned("there", 1.0, 0.01)], ..PrunerTraits::default() }
     }
-    fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
-        Some(Gate::Presence(cloud.column("there")))
+    fn gate(&self, cloud: &TracedCloud, _: &StepContext) -> Option<Gate> {
+        Some(Gate::Existence(cloud.column("there")))
     }
 }
 
-fn present(sight: &Sight, presence: &[Real]) -> pwrfgs::train::LossAndGradients {
-    let cloud = with_column(sight.cloud.clone(), "there", presence.to_vec());
+fn present(sight: &Sight, existence: &[Real]) -> pwrfgs::train::LossAndGradients {
+    let cloud = with_column(sight.cloud.clone(), "there", existence.to_vec());
     let weights = Arc::new(sight.weights.clone());
     let pruners = [plugin("There()")];
     loss_and_gradients(&sight.stages, &cloud, &weights, &sight.batch, &RenderingLoss::new(0.3), &pruners, &MOMENT)
@@ -243,7 +247,7 @@ fn present(sight: &Sight, presence: &[Real]) -> pwrfgs::train::LossAndGradients 
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn who_is_not_there_still_has_a_derivative() {
+fn absent_gaussian_has_existence_derivative() {
     for rasterizer in ["AlphaBlending()", "ArrayResponse()"] {
         let mut sight = Sight::new("Factored(width: 12, depth: 2)", Readout::Magnitude);
         sight.stages =
@@ -254,14 +258,14 @@ fn who_is_not_there_still_has_a_derivative() {
 
 fn derivatives_of_presence(sight: &Sight) {
     // Gone, half there, and whole; the others' derivatives too.
-    let presence = [0.0, 0.5, 1.0, 0.0, 0.8];
+    let existence = [0.0, 0.5, 1.0, 0.0, 0.8];
     let loss = |x: &[Real]| vec![present(sight, x).loss];
     let vjp = |x: &[Real], d: &[Real]| {
         let found = present(sight, x);
         found.d_cloud.extra("there").unwrap().values.iter().map(|v| v * d[0]).collect()
     };
-    check_vjp("presence", &presence, loss, vjp, 1e-6, 1e-5);
-    let found = present(sight, &presence);
+    check_vjp("presence", &existence, loss, vjp, 1e-6, 1e-5);
+    let found = present(sight, &existence);
     assert!(found.d_cloud.extra("there").unwrap().values[0] != 0.0);
     assert_eq!(found.d_cloud.opacity_logits[0], 0.0, "what takes no light has no other derivative");
     for name in ["means", "log_scales", "opacity_logits"] {
@@ -274,7 +278,7 @@ fn derivatives_of_presence(sight: &Sight) {
                 batch: sight.batch.clone(),
             };
             other.cloud.columns_mut().find(|c| c.0 == name).unwrap().2.copy_from_slice(x);
-            present(&other, &presence)
+            present(&other, &existence)
         };
         check_vjp(
             name,

@@ -2,7 +2,7 @@
 
 pub(crate) mod table;
 
-use pwrfgs::core::{Frame, Origin};
+use pwrfgs::core::{MeasurementSetup, Origin};
 use pwrfgs::methods::Splatting;
 use pwrfgs::networks::{Encoding, Factored, Mlp, Outputs, Wrfgs};
 use pwrfgs::prelude::*;
@@ -62,7 +62,7 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
         calibration: pwrfgs::methods::Calibration::Physical,
         readout: pwrfgs::methods::Readout::Magnitude,
     };
-    let stages = Stages::new(splatting, Frame::spectra(Origin::ZERO, RECEIVER, plane));
+    let stages = Stages::new(splatting, MeasurementSetup::spectra(Origin::ZERO, RECEIVER, plane));
     Model { stages, cloud, weights }
 }
 

@@ -197,7 +197,7 @@ fn seeds(folder: &Path, target: &Target) -> Result<Vec<Vec<u8>>> {
 /// Creates a sweep folder with one finished run, and an interrupted run.
 fn runs(folder: &Path) -> Result<()> {
     let pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
-    pwrfgs::run(&pipeline, folder, &folder.join("sweep/a"), &mut Silent, &AtomicBool::new(false))?;
+    pwrfgs::run(&pipeline, folder, &folder.join("sweep/a"), &mut NoopObserver, &AtomicBool::new(false))?;
     let run = ListedRun { folder: "a".into(), labels: vec![("steps".into(), "4".into())], seed: 1 };
     Listing { name: "sweep".into(), runs: vec![run] }.write(&folder.join("sweep"))?;
     let stop = AtomicBool::new(false);
@@ -221,7 +221,7 @@ fn models(folder: &Path) -> Result<()> {
     for (i, settings) in MODELS.iter().enumerate() {
         let mut pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
         settings.iter().try_for_each(|setting| pipeline.set(setting))?;
-        let (data, partition) = pwrfgs::experiment::load(&pipeline, folder, &mut Silent)?;
+        let (data, partition) = pwrfgs::experiment::load(&pipeline, folder, &mut NoopObserver)?;
         file::write(&path(&format!("{i}.safetensors")), &pipeline.trainer(&data, &partition)?.model())?;
     }
     let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;

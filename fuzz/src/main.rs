@@ -91,12 +91,12 @@ fn all_of(mut next: u64, step: u64, end: u64) -> Result<Vec<String>> {
     let mut faults = Vec::new();
     while next < end {
         let Output { status, stdout, stderr } = one_process(next, step, end)?;
-        let (said, errors) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
-        faults.extend(said.lines().filter_map(|line| line.strip_prefix("fault ")).map(Into::into));
+        let (message, errors) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
+        faults.extend(message.lines().filter_map(|line| line.strip_prefix("fault ")).map(Into::into));
         if status.success() {
             break;
         }
-        let last = said.lines().filter_map(|line| line.strip_prefix("case ")?.parse::<u64>().ok()).next_back();
+        let last = message.lines().filter_map(|line| line.strip_prefix("case ")?.parse::<u64>().ok()).next_back();
         let case = last.unwrap_or_else(|| panic!("no case was tried ({status}): {errors}"));
         faults.push(format!("{case}, {}: ends the process ({status}): {errors}", name_of(case)));
         next = case + step;

@@ -2,7 +2,7 @@
 //! far as they stay small.
 
 use crate::mutate::Form;
-use pwrfgs::experiment::sweep::Plan;
+use pwrfgs::experiment::sweep::SweepPlan;
 use pwrfgs::experiment::{self, Session, read_pipeline};
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::file;
@@ -129,7 +129,7 @@ fn is_small(pipeline: &Pipeline) -> bool {
 
 /// Loads, initialises, trains one step and predicts.
 fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
-    let (data, partition) = experiment::load(pipeline, bench, &mut Silent)?;
+    let (data, partition) = experiment::load(pipeline, bench, &mut NoopObserver)?;
     let mut trainer = pipeline.trainer(&data, &partition)?;
     trainer.step()?;
     trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
@@ -142,7 +142,7 @@ fn step(bench: &Path, name: &str) -> Result<()> {
 }
 
 fn experiment(bench: &Path) -> Result<()> {
-    let plan = Plan::read(&bench.join("e.ron"), &[], None)?;
+    let plan = SweepPlan::read(&bench.join("e.ron"), &[], None)?;
     plan.listing();
     Ok(())
 }
@@ -198,7 +198,7 @@ fn model(bench: &Path) -> Result<()> {
 
 fn checkpoint(bench: &Path) -> Result<()> {
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    let (data, partition) = experiment::load(&pipeline, bench, &mut Silent)?;
+    let (data, partition) = experiment::load(&pipeline, bench, &mut NoopObserver)?;
     let path = bench.join("half/checkpoint.safetensors");
     let bytes = fs::read(&path).map_err(|e| Error::read(&path, e))?;
     let mut trainer = Trainer::restore(&pipeline.plan()?, &data, &partition, &bytes)?;
@@ -215,7 +215,7 @@ fn resumed(bench: &Path) -> Result<()> {
     let _ = fs::remove_dir_all(&again);
     crate::copy(&bench.join("half"), &again)?;
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    experiment::run(&pipeline, bench, &again, &mut Session::new(&mut Silent)).map(drop)
+    experiment::run(&pipeline, bench, &again, &mut Session::new(&mut NoopObserver)).map(drop)
 }
 
 fn read_back(bench: &Path) -> Result<()> {
@@ -225,5 +225,5 @@ fn read_back(bench: &Path) -> Result<()> {
 /// Compares the finished run, with every figure.
 fn compared(bench: &Path) -> Result<()> {
     let study = Study::read(&[bench.join("sweep")])?;
-    pwrfgs::report::write(&study, None, &bench.join("compared"), &mut Silent).map(drop)
+    pwrfgs::report::write(&study, None, &bench.join("compared"), &mut NoopObserver).map(drop)
 }

@@ -23,14 +23,14 @@ from ._plugins import *  # noqa: F403  one class for each plugin
 from ._pwrfgs import Dataset, Model, __version__
 from ._run import Run, SweepError, Trainer, report, run, simulate, sweep
 from ._strategies import Baseline, Initializer, Metric, Pruner, Split
-from ._types import Cloud, Column, Gaussians, Links, Moment, Partition, Pose, Receiver, Room, Splats, Stats
+from ._types import Cloud, Column, Gaussians, Links, StepContext, Partition, Pose, Receiver, Room, Splats, Stats
 from ._values import Value
 from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
     "Baseline", "Cloud", "Column", "Dataset", "Error", "Gaussians", "Initializer", "InputError", "Links", "Metric", "Model",
-    "Moment", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "SweepError", "Trainer",
+    "StepContext", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "SweepError", "Trainer",
     "Value", "__version__", "baselines", "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
     "report", "run", "settings", "simulate", "sweep",
 ]

@@ -45,7 +45,7 @@ class Run:
 
     @property
     def scores(self) -> Dict[str, Dict[str, Any]]:
-        """Scores of the model and every baseline, such as ``scores["model"]["ssim"]["mean"]``: mean, median and bad_tail for
+        """Scores of the model and every baseline, such as ``scores["model"]["ssim"]["mean"]``: mean, median and tail10 for
         per-sample metrics, one number for others, None if a metric does not apply. Empty before the run has finished."""
         return dict(_pwrfgs.facts(self.folder)[1] or {})
 

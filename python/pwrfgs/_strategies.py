@@ -13,7 +13,7 @@ import types
 from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
 from ._errors import InputError
-from ._types import Array, Cloud, Column, Links, Moment, Room, Stats
+from ._types import Array, Cloud, Column, Links, StepContext, Room, Stats
 
 
 # Where a class keeps its source as it was when it was defined: a file may change while its class is used.
@@ -36,7 +36,7 @@ class Pruner(Strategy):
     a dataclass). It is recreated from these when a run is resumed. State must be kept in columns; other state is lost.
     """
 
-    def keep(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
+    def keep(self, cloud: Cloud, stats: Stats, context: StepContext) -> Array:
         """Mask of the Gaussians to keep, [N] bool; called at every prune step. A Gaussian is kept if all pruners keep it. If
         none would remain, the one with the highest ``score`` is kept, with a warning."""
         raise NotImplementedError
@@ -46,23 +46,23 @@ class Pruner(Strategy):
         not contain them."""
         return ()
 
-    def needs(self, cloud: Cloud, moment: Moment) -> Iterable[str]:
-        """Names of the statistics in ``stats.asked`` at a prune step: "weight", "largest_weight", "weight_per_area",
+    def needs(self, cloud: Cloud, context: StepContext) -> Iterable[str]:
+        """Names of the statistics in ``stats.requested`` at a prune step: "weight", "largest_weight", "weight_per_area",
         "signal_weight" (as "signal_mean" and "signal_max"), "error" (also "high_error", of pixels above one half), "top"
         (pixels in which it has the largest weight), "sensitivity", "fisher", "elimination" (loss without each Gaussian in
         turn; cost grows with the square of N)."""
         return ()
 
-    def score(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
+    def score(self, cloud: Cloud, stats: Stats, context: StepContext) -> Array:
         """Importance of each Gaussian, [N]; the highest is kept if all pruners together would remove everything. Default:
         opacity."""
         raise NotImplementedError
 
-    def gate(self, cloud: Cloud, moment: Moment) -> Optional[Tuple[Any, ...]]:
+    def gate(self, cloud: Cloud, context: StepContext) -> Optional[Tuple[Any, ...]]:
         """Factor on opacity and scale during training: (factor [N], {column: derivative}), or None for no gate at this step.
 
         Factors range from 0 (omitted in this step) to 1. Factor i depends only on value i of a column, and the derivative is
-        that of factor i with respect to value i. A third entry "presence" applies the factor to the blending weight alone.
+        that of factor i with respect to value i. A third entry "existence" applies the factor to the blending weight alone.
         After ``prune_until`` the gate and its column are removed, and the factor of the remaining Gaussians is 1. Let ``keep``
         remove Gaussians with a closed gate; values between 0 and 1 jump to 1, which later steps must compensate.
 
@@ -74,12 +74,12 @@ class Pruner(Strategy):
         """
         return None
 
-    def penalty(self, cloud: Cloud, moment: Moment) -> Optional[Tuple[float, Dict[str, Array]]]:
+    def penalty(self, cloud: Cloud, context: StepContext) -> Optional[Tuple[float, Dict[str, Array]]]:
         """Penalty added to the loss at every step until ``prune_until``: (value, {column: derivative}), or None. The derivative
         of the value has the shape of the column."""
         return None
 
-    def update(self, cloud: Cloud, stats: Stats, moment: Moment) -> None:
+    def update(self, cloud: Cloud, stats: Stats, context: StepContext) -> None:
         """Change columns in place, once after each step: ``cloud.columns["age"] += 1``."""
 
 

@@ -164,18 +164,18 @@ class Stats(NamedTuple):
     gradient : Sum over these of the norm of the image-plane position gradient.
     radius : Largest radius, px.
     weight : Sum of its blending weights.
-    asked : Statistics requested by ``needs``, computed at this prune step; empty at other steps.
+    requested : Statistics requested by ``needs``, computed at this prune step; empty at other steps.
     """
 
     visible: Array
     gradient: Array
     radius: Array
     weight: Array
-    asked: Dict[str, Array]
+    requested: Dict[str, Array]
 
 
 @_told
-class Moment(NamedTuple):
+class StepContext(NamedTuple):
     """Training step at which a strategy is called.
 
     step : Training step, from 1.
@@ -183,7 +183,7 @@ class Moment(NamedTuple):
     seed : Random seed of the pipeline.
     round : Number of the prune step, from 1; 0 at other steps.
     rounds : Total number of prune steps.
-    target : `training.target`, for the pruner that must reach it; None for others.
+    target : `training.target_count`, for the pruner that must reach it; None for others.
     """
 
     step: int

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 /// Contiguous array given by a user.
-pub(crate) type Given<'py, T> = PyReadonlyArrayDyn<'py, T>;
+pub(crate) type InputArray<'py, T> = PyReadonlyArrayDyn<'py, T>;
 
 /// Complex number in the precision of the kernels: complex64, or complex128 in the double-precision build.
 pub(crate) type Gain = Complex<Real>;
@@ -21,11 +21,11 @@ pub(crate) type Gain = Complex<Real>;
 ///
 /// # Errors
 /// Not an array of numbers, or another shape; `what` is its name.
-pub(crate) fn given<'py, T: Element>(
+pub(crate) fn input_array<'py, T: Element>(
     what: &str,
     value: &Bound<'py, PyAny>,
     shape: &[Option<usize>],
-) -> PyResult<Given<'py, T>> {
+) -> PyResult<InputArray<'py, T>> {
     let py = value.py();
     let array = match value.cast::<PyArrayDyn<T>>() {
         Ok(array) if array.is_c_contiguous() => array.clone(),
@@ -94,7 +94,7 @@ pub(crate) fn place(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> 
 
 /// Reads positions `[.., 3]`, metres, finite.
 pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
-    let array = given::<f64>(what, value, &[None, Some(3)])?;
+    let array = input_array::<f64>(what, value, &[None, Some(3)])?;
     let all = array.as_slice().map_err(|e| wrong(value.py(), &e.to_string()))?;
     let places: Vec<[f64; 3]> = all.as_chunks().0.to_vec();
     match places.iter().position(|place| !place.iter().all(|v| v.is_finite())) {
@@ -109,7 +109,7 @@ pub(crate) fn numbers<T: Element + Copy>(
     value: &Bound<'_, PyAny>,
     shape: &[Option<usize>],
 ) -> PyResult<Vec<T>> {
-    let array = given::<T>(what, value, shape)?;
+    let array = input_array::<T>(what, value, shape)?;
     array.as_slice().map(<[T]>::to_vec).map_err(|e| wrong(value.py(), &e.to_string()))
 }
 

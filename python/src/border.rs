@@ -39,7 +39,7 @@ pub(crate) fn begin(py: Python<'_>) -> PyResult<()> {
 }
 
 /// Returns an error in a process that was forked after loading the library: its threads are missing, so it would hang.
-pub(crate) fn at_home() -> PyResult<()> {
+pub(crate) fn check_not_forked() -> PyResult<()> {
     if *HOME.get_or_init(process::id) == process::id() {
         return Ok(());
     }
@@ -50,41 +50,38 @@ pub(crate) fn at_home() -> PyResult<()> {
 }
 
 /// Whether a strategy is called on this thread: its code must not wait for the run that called it.
-pub(crate) fn asked() -> bool {
+pub(crate) fn in_strategy_call() -> bool {
     ASKED.get() > 0
 }
 
 /// Performs `work` as part of a strategy call.
-pub(crate) fn asking<T>(work: impl FnOnce() -> T) -> T {
-    struct Asking;
-    impl Drop for Asking {
+pub(crate) fn call_strategy<T>(work: impl FnOnce() -> T) -> T {
+    struct StrategyCall;
+    impl Drop for StrategyCall {
         fn drop(&mut self) {
             ASKED.set(ASKED.get() - 1);
         }
     }
     ASKED.set(ASKED.get() + 1);
-    let _asking = Asking;
+    let _asking = StrategyCall;
     work()
 }
 
 /// Performs `work` without the interpreter lock.
 pub(crate) fn free<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
-    at_home()?;
+    check_not_forked()?;
     let done = py.detach(|| catch_unwind(AssertUnwindSafe(work)));
     settled(py, done)
 }
 
 /// Same as `free`, for a shared object: `work` returns `None` while it is in use, and is tried again. Ctrl-C ends the
 /// waiting.
-pub(crate) fn free_once_there<T: Send>(
-    py: Python<'_>,
-    mut work: impl FnMut() -> Option<Result<T>> + Send,
-) -> PyResult<T> {
-    at_home()?;
+pub(crate) fn without_gil<T: Send>(py: Python<'_>, mut work: impl FnMut() -> Option<Result<T>> + Send) -> PyResult<T> {
+    check_not_forked()?;
     loop {
         match py.detach(|| catch_unwind(AssertUnwindSafe(&mut work))).transpose() {
             Some(done) => return settled(py, done),
-            None if asked() => {
+            None if in_strategy_call() => {
                 return Err(wrong(
                     py,
                     "this trainer is in the middle of a step, and the strategy that it asks cannot use it",
@@ -105,18 +102,18 @@ pub(crate) fn waited<T: Send, E: Send>(
     work: impl FnOnce(SyncSender<E>, &AtomicBool) -> Result<T> + Send,
     mut hear: impl FnMut(E) -> PyResult<()>,
 ) -> PyResult<T> {
-    at_home()?;
+    check_not_forked()?;
     let stop = AtomicBool::new(false);
     let (sender, events) = sync_channel(WAITING);
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| catch_unwind(AssertUnwindSafe(|| work(sender, &stop))));
         let mut raised: Option<PyErr> = None;
         while let Some(event) = next(py, &events) {
-            let said = match event {
+            let shown = match event {
                 Some(event) if raised.is_none() => hear(event),
                 _ => Ok(()),
             };
-            if let Err(error) = said.and_then(|()| py.check_signals()) {
+            if let Err(error) = shown.and_then(|()| py.check_signals()) {
                 stop.store(true, Ordering::Relaxed);
                 raised.get_or_insert(error);
             }

@@ -1,6 +1,6 @@
 //! `Dataset`: data sets in Python.
 
-mod given;
+mod inputs;
 
 use crate::arrays::{array, numbers, observations, places};
 use crate::border::{free, plugin, text_of, wrong};
@@ -69,7 +69,7 @@ impl Dataset {
             (text, reader)
         };
         let data = free(py, || reader.load(std::path::Path::new(""), &|_, _| {}))?;
-        given::warn(py, &data)?;
+        inputs::warn(py, &data)?;
         Ok(Self::new(data, Some(text)))
     }
 
@@ -104,7 +104,7 @@ impl Dataset {
     ) -> PyResult<Self> {
         let txs = places("tx", tx)?;
         let points = points.map_or(Ok(Vec::new()), |points| places("points", points))?;
-        let receivers = given::receivers_of(py, receivers)?;
+        let receivers = inputs::receivers_of(py, receivers)?;
         let first = u32::from(spectra.is_some());
         let sample = |(i, tx): (usize, &[f64; 3])| Sample::new(i as u32 + first, *tx);
         let alone: Vec<Sample> = txs.iter().enumerate().map(sample).collect();
@@ -113,9 +113,9 @@ impl Dataset {
                 let what = format!("spectra and csi need one receiver, but there are {}", receivers.len());
                 return Err(wrong(py, &format!("{what}; create one data set per receiver")));
             }
-            (Some(spectra), None, None) => (alone, Observations::from(given::pictures(spectra, txs.len())?)),
-            (None, Some(rssi), None) => given::heard(rssi, &txs, receivers.len())?,
-            (None, None, Some(csi)) => (alone, given::gains(csi, txs.len(), frequencies_hz)?),
+            (Some(spectra), None, None) => (alone, Observations::from(inputs::pictures(spectra, txs.len())?)),
+            (None, Some(rssi), None) => inputs::received_powers(rssi, &txs, receivers.len())?,
+            (None, None, Some(csi)) => (alone, inputs::gains(csi, txs.len(), frequencies_hz)?),
             _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
         };
         for (name, is_given, is_used, kind) in [
@@ -142,7 +142,7 @@ impl Dataset {
             let data = Data { elevation, simulation, ..made };
             check(&data).map(|()| data)
         })?;
-        given::warn(py, &data)?;
+        inputs::warn(py, &data)?;
         Ok(Self::new(data, None))
     }
 
@@ -315,8 +315,8 @@ impl Dataset {
         }
         let all = numbers::<i64>(what, links, &[None])?;
         let fits = |i: i64| usize::try_from(i).ok().filter(|i| *i < count);
-        let wanted: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
-        wanted.ok_or_else(|| {
+        let indices: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
+        indices.ok_or_else(|| {
             let bad = all.iter().find(|i| fits(**i).is_none()).copied().unwrap_or_default();
             wrong(links.py(), &format!("{what}: invalid link index {bad} (expected 0 to below {count})"))
         })
@@ -333,7 +333,7 @@ fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyA
 /// Angles of rows and columns, degrees.
 pub(crate) fn angles<'py>(py: Python<'py>, plane: &pwrfgs_core::ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
     let Some((azimuth, elevation)) = plane.angles else { return Ok(None) };
-    let degrees = |axis: pwrfgs_core::Axis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();
+    let degrees = |axis: pwrfgs_core::AngleAxis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();
     let rows = array::<f64>(py, degrees(elevation, plane.height), &[plane.height])?;
     let columns = array::<f64>(py, degrees(azimuth, plane.width), &[plane.width])?;
     PyTuple::new(py, [rows, columns]).map(Some)

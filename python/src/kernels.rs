@@ -1,6 +1,6 @@
 //! `project` and `rasterize`: differentiable kernels for custom methods.
 
-use crate::arrays::{array, axes, given, numbers, room};
+use crate::arrays::{array, axes, input_array, numbers, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs_core::{Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Drawing {
     view: View,
-    given: Primitives,
+    inputs: Primitives,
     splats: Splats,
     signals: Vec<Real>,
     channels: usize,
@@ -84,15 +84,15 @@ fn primitives(
     if let Some(o) = opacities.iter().find(|o| !(0.0..1.0).contains(*o)) {
         return Err(wrong(py, &format!("opacities: {o} is outside the range from 0 to below 1")));
     }
-    let given = Primitives {
+    let inputs = Primitives {
         means: means.as_chunks().0.to_vec(),
         scales: scales.as_chunks().0.to_vec(),
         quats: quats.as_chunks().0.to_vec(),
         opacities,
     };
-    match given.quats.iter().position(|q| length(*q) == 0.0) {
+    match inputs.quats.iter().position(|q| length(*q) == 0.0) {
         Some(i) => Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)"))),
-        None => Ok(given),
+        None => Ok(inputs),
     }
 }
 
@@ -101,14 +101,14 @@ fn length(q: [Real; 4]) -> Real {
 }
 
 /// Normalises rotations.
-fn unit(given: &Primitives) -> Primitives {
-    let quats = given.quats.iter().map(|q| q.map(|v| v / length(*q))).collect();
-    Primitives { quats, ..given.clone() }
+fn unit(inputs: &Primitives) -> Primitives {
+    let quats = inputs.quats.iter().map(|q| q.map(|v| v / length(*q))).collect();
+    Primitives { quats, ..inputs.clone() }
 }
 
 /// Vector-Jacobian product of [`unit`]: removes the component along the rotation.
-fn unit_vjp(given: &Primitives, d: &mut Primitives) {
-    for (q, d) in given.quats.iter().zip(&mut d.quats) {
+fn unit_vjp(inputs: &Primitives, d: &mut Primitives) {
+    for (q, d) in inputs.quats.iter().zip(&mut d.quats) {
         let size = length(*q);
         let u = q.map(|v| v / size);
         let along: Real = u.iter().zip(&*d).map(|(u, d)| u * d).sum();
@@ -139,8 +139,8 @@ pub(crate) fn project<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let alpha = "AlphaBlending()".into_pyobject(py)?.into_any();
     let view = View::of(projector, &alpha, pose, (height, width), elevation_deg)?;
-    let given = primitives(means, quats, scales, opacities)?;
-    let splats = free(py, || Ok(view.projector.project(&unit(&given), &view.pose, &view.plane)))?;
+    let inputs = primitives(means, quats, scales, opacities)?;
+    let splats = free(py, || Ok(view.projector.project(&unit(&inputs), &view.pose, &view.plane)))?;
     let n = splats.len();
     let fields = (
         array(py, splats.means2d.into_flattened(), &[n, 2])?,
@@ -175,7 +175,7 @@ pub(crate) fn draw<'py>(
     if axes(signals)? == 1 {
         return Err(wrong(py, "signals has one axis of real numbers; give complex ones [N], or real ones [N, C]"));
     }
-    let signals = given::<Real>("signals", signals, &[Some(columns.len()), None])?;
+    let signals = input_array::<Real>("signals", signals, &[Some(columns.len()), None])?;
     let channels = signals.shape()[1];
     if channels == 0 {
         return Err(wrong(py, "signals has no channel; give [N, C] with C of 1 at least"));
@@ -191,7 +191,7 @@ pub(crate) fn draw<'py>(
     free(py, move || {
         let splats = view.projector.project(&unit(&columns), &view.pose, &view.plane);
         let render = view.rasterizer.forward(&splats, &signals, channels, &view.plane);
-        Ok(Drawing { view, given: columns, splats, signals, channels, render })
+        Ok(Drawing { view, inputs: columns, splats, signals, channels, render })
     })
 }
 
@@ -219,11 +219,11 @@ impl Drawing {
         let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
         let (d, d_signals) = free(py, || {
             let found = rasterizer.backward(&self.splats, &self.signals, self.channels, plane, &self.render, &d_pixels);
-            let mut d = projector.project_vjp(&unit(&self.given), pose, plane, &self.splats, &found.splats);
-            unit_vjp(&self.given, &mut d);
+            let mut d = projector.project_vjp(&unit(&self.inputs), pose, plane, &self.splats, &found.splats);
+            unit_vjp(&self.inputs, &mut d);
             Ok((d, found.signals))
         })?;
-        let n = self.given.len();
+        let n = self.inputs.len();
         Ok(vec![
             array(py, d.means.into_flattened(), &[n, 3])?.into_any(),
             array(py, d.quats.into_flattened(), &[n, 4])?.into_any(),

@@ -1,7 +1,7 @@
 //! `Trainer`: custom training loops.
 
 use crate::arrays::numbers;
-use crate::border::{free, free_once_there, wrong};
+use crate::border::{free, without_gil, wrong};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::Pipeline;
@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, TryLockError};
 
 self_cell!(
-    struct Held {
+    struct TrainerState {
         owner: Arc<Data>,
         #[not_covariant]
         dependent: Inner,
@@ -28,7 +28,7 @@ self_cell!(
 /// Training in progress, step by step; see the Python class of that name.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Trainer {
-    held: Mutex<Held>,
+    held: Mutex<TrainerState>,
     /// Whether a step failed, which may leave the state inconsistent.
     failed: AtomicBool,
 }
@@ -37,7 +37,7 @@ impl Trainer {
     /// Calls `look` with exclusive access to the training.
     fn with<T: Send>(&self, py: Python<'_>, look: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
         let mut look = Some(look);
-        free_once_there(py, || {
+        without_gil(py, || {
             let mut held = match self.held.try_lock() {
                 Ok(held) => held,
                 Err(TryLockError::Poisoned(held)) => held.into_inner(),
@@ -56,10 +56,10 @@ impl Trainer {
         let (inner, base) = (pipeline.now(), pipeline.base().to_owned());
         let data = Arc::clone(&dataset.data);
         crate::strategies::forget();
-        let begin = move || -> Result<Held> {
+        let begin = move || -> Result<TrainerState> {
             let inner = pwrfgs::experiment::rebased(&inner, &base)?;
             let partition: Partition = inner.partition(&data)?;
-            Held::try_new(data, |data| inner.trainer(data, &partition))
+            TrainerState::try_new(data, |data| inner.trainer(data, &partition))
         };
         Ok(Self { held: Mutex::new(free(py, begin)?), failed: AtomicBool::new(false) })
     }

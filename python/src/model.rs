@@ -7,7 +7,7 @@ use numpy::PyArrayDyn;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Activated, Error, Frame, Query, Real, Result};
+use pwrfgs_core::{Activated, Error, MeasurementSetup, Query, Real, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
 use rayon::prelude::*;
@@ -21,7 +21,7 @@ const CHUNK: usize = 16;
 
 self_cell!(
     /// Models with their cached results.
-    struct Ready {
+    struct PreparedEnsemble {
         owner: Arc<Ensemble>,
         #[covariant]
         dependent: Prepared,
@@ -34,7 +34,7 @@ self_cell!(
 #[pyclass(frozen, module = "pwrfgs")]
 pub(crate) struct Model {
     ensemble: Arc<Ensemble>,
-    ready: OnceLock<Ready>,
+    ready: OnceLock<PreparedEnsemble>,
 }
 
 /// Links of a call.
@@ -60,7 +60,7 @@ impl Model {
     }
 
     fn prepared(&self) -> &Prepared<'_> {
-        let ready = self.ready.get_or_init(|| Ready::new(Arc::clone(&self.ensemble), |own| own.prepare()));
+        let ready = self.ready.get_or_init(|| PreparedEnsemble::new(Arc::clone(&self.ensemble), |own| own.prepare()));
         ready.borrow_dependent()
     }
 
@@ -76,7 +76,7 @@ impl Model {
         receiver: Option<&Bound<'_, PyAny>>,
         features: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Links> {
-        let (stages, there) = (self.stages(), &self.stages().frame.receivers);
+        let (stages, there) = (self.stages(), &self.stages().setup.receivers);
         let inputs = stages.method.traits().inputs;
         let (txs, features, one) = match (tx, features) {
             (Some(tx), None) if inputs == 3 => {
@@ -109,7 +109,7 @@ impl Model {
 
     /// Finds a receiver by name or index.
     fn find(&self, receiver: &Bound<'_, PyAny>) -> PyResult<usize> {
-        let (py, there) = (receiver.py(), &self.stages().frame.receivers);
+        let (py, there) = (receiver.py(), &self.stages().setup.receivers);
         if let Ok(name) = receiver.extract::<String>() {
             return there.iter().position(|own| own.name == name).ok_or_else(|| {
                 let hint = pwrfgs_core::did_you_mean(&name, there.iter().map(|own| own.name.as_str()));
@@ -130,7 +130,7 @@ impl Model {
         links: &Links,
         work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Frame { plane, task, .. } = &self.stages().frame;
+        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
         let (size, lead) = ((plane.width, plane.height), &links.lead);
         room::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
         let all = free(py, || {
@@ -318,13 +318,13 @@ impl Model {
     /// Names of the receivers.
     #[getter]
     fn receivers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        PyList::new(py, self.stages().frame.receivers.iter().map(|receiver| receiver.name.as_str()))
+        PyList::new(py, self.stages().setup.receivers.iter().map(|receiver| receiver.name.as_str()))
     }
 
     /// Subcarrier frequencies [F], Hz; empty unless the model predicts channels.
     #[getter]
     fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let all = self.stages().frame.frequencies_hz.clone();
+        let all = self.stages().setup.frequencies_hz.clone();
         let count = all.len();
         array(py, all, &[count])
     }

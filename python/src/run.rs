@@ -2,11 +2,11 @@
 
 use crate::border::{raised, waited, wrong};
 use crate::settings::Pipeline;
-use pwrfgs::experiment::sweep::{JOINED, Plan, SweepEnd, check, execute};
-use pwrfgs::experiment::{Observer, Outcome, ScoreTable, Session, Start, Validation};
-use pwrfgs::prelude::{Silent, StepReport};
-use pwrfgs::raytrace::output::{self as folder, Layout};
-use pwrfgs::raytrace::{Observe, Recipe};
+use pwrfgs::experiment::sweep::{JOINED, SweepEnd, SweepPlan, check, execute};
+use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation};
+use pwrfgs::prelude::{NoopObserver, StepReport};
+use pwrfgs::raytrace::output::{self as folder, OutputLayout};
+use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
 use pwrfgs::report::{Study, write};
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
@@ -25,39 +25,39 @@ enum Event {
 }
 
 /// Observer that sends events to a channel.
-struct Teller(SyncSender<Event>);
+struct EventSender(SyncSender<Event>);
 
-impl Teller {
-    fn tell(&self, event: Event) {
+impl EventSender {
+    fn send(&self, event: Event) {
         _ = self.0.send(event); // a closed channel means that the listener was interrupted
     }
 }
 
-impl Observer for Teller {
+impl Observer for EventSender {
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
-        self.tell(Event::Stage(name.to_owned(), done, total));
+        self.send(Event::Stage(name.to_owned(), done, total));
     }
 
     fn on_start(&mut self, start: &Start<'_>) {
         let Start { title, samples, done, steps, .. } = *start;
-        self.tell(Event::Start { title: title.to_owned(), samples, done, steps });
+        self.send(Event::Start { title: title.to_owned(), samples, done, steps });
     }
 
     fn on_step(&mut self, report: &StepReport) {
-        self.tell(Event::Step(StepReport { pruned: None, ..report.clone() }));
+        self.send(Event::Step(StepReport { pruned: None, ..report.clone() }));
     }
 
-    fn on_validation(&mut self, seen: &Validation) {
-        self.tell(Event::Validation { step: seen.step, values: seen.values });
+    fn on_validation(&mut self, validation: &Validation) {
+        self.send(Event::Validation { step: validation.step, values: validation.values });
     }
 
     fn on_message(&mut self, message: &str) {
-        self.tell(Event::Message(message.to_owned()));
+        self.send(Event::Message(message.to_owned()));
     }
 }
 
 /// Converts an event to a dict with the key `what`.
-fn told<'py>(py: Python<'py>, event: Event) -> PyResult<Bound<'py, PyDict>> {
+fn event_dict<'py>(py: Python<'py>, event: Event) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     match event {
         Event::Stage(name, done, total) => {
@@ -103,15 +103,16 @@ pub(crate) fn step(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()
 
 /// Runs a pipeline in `out`; `hear` is called with every event. Returns whether the run was not finished before.
 #[pyfunction]
-pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, hear: &Bound<'_, PyAny>) -> PyResult<bool> {
+pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, send_event: &Bound<'_, PyAny>) -> PyResult<bool> {
     crate::strategies::forget();
     let inner = pipeline.now();
     let base = pipeline.base().to_owned();
-    let hear = |event| hear.call1((told(py, event)?,)).map(|_| ());
-    let outcome = waited(py, |events, stop| pwrfgs::run(&inner, &base, &out, &mut Teller(events), stop), hear)?;
+    let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
+    let outcome =
+        waited(py, |events, stop| pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop), send_event)?;
     match outcome {
-        Outcome::Finished { already, .. } => Ok(!already),
-        Outcome::Interrupted { .. } | Outcome::Unscored => Err(raised(py, Error::Stopped)),
+        RunOutcome::Finished { already, .. } => Ok(!already),
+        RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(raised(py, Error::Stopped)),
     }
 }
 
@@ -127,7 +128,7 @@ pub(crate) fn scores<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound
                 [one] => own.set_item(&row.key, *one)?,
                 many => {
                     let cell = PyDict::new(py);
-                    for (key, value) in ["mean", "median", "bad_tail"].iter().zip(many) {
+                    for (key, value) in ["mean", "median", "tail10"].iter().zip(many) {
                         cell.set_item(key, *value)?;
                     }
                     own.set_item(&row.key, cell)?;
@@ -171,7 +172,7 @@ pub(crate) fn simulate(
     noise_db: Option<f64>,
     snr_db: Option<f64>,
     paths: bool,
-    hear: &Bound<'_, PyAny>,
+    send_event: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
     if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
         let what = "snr_db is only for channels; set layout=\"channels\", or set the `noise` of the scene for spectra";
@@ -181,24 +182,24 @@ pub(crate) fn simulate(
         return Err(wrong(py, "noise_db is only for powers; set layout=\"rssi\""));
     }
     let (observe, layout) = match layout {
-        "spectra" => (Observe::Spectrum, Layout::Pictures),
-        "arrays" => (Observe::Spectrum, Layout::Array),
-        "rssi" => (Observe::Power { noise_db: noise_db.unwrap_or(0.0) }, Layout::Rssi),
-        "channels" => (Observe::Channel { snr_db }, Layout::Channels),
-        "csi" => (Observe::Channel { snr_db }, Layout::Csi),
+        "spectra" => (ObservationKind::Spectrum, OutputLayout::Pictures),
+        "arrays" => (ObservationKind::Spectrum, OutputLayout::Array),
+        "rssi" => (ObservationKind::Power { noise_db: noise_db.unwrap_or(0.0) }, OutputLayout::Rssi),
+        "channels" => (ObservationKind::Channel { snr_db }, OutputLayout::Channels),
+        "csi" => (ObservationKind::Channel { snr_db }, OutputLayout::Csi),
         other => {
             let all = ["spectra", "arrays", "rssi", "channels", "csi"];
             let hint = pwrfgs_core::did_you_mean(other, all);
             return Err(wrong(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", "))));
         }
     };
-    let recipe = Recipe::read(&scene, samples, seed, points).and_then(|recipe| recipe.observing(observe));
+    let recipe = SimulationRecipe::read(&scene, samples, seed, points).and_then(|recipe| recipe.observing(observe));
     let recipe = recipe.map_err(|error| raised(py, error))?;
     let work = |events: SyncSender<(usize, usize)>, stop: &_| {
-        let tell = |done, total| _ = events.try_send((done, total));
-        folder::write_as(&recipe, layout, paths, &out, &tell, stop)
+        let send = |done, total| _ = events.try_send((done, total));
+        folder::write_as(&recipe, layout, paths, &out, &send, stop)
     };
-    waited(py, work, |(done, total)| hear.call1((done, total)).map(|_| ()))
+    waited(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
 }
 
 /// Folders of every run, followed by the joined model, each with the reason of a failure.
@@ -213,25 +214,26 @@ pub(crate) fn sweep(
     out: Option<PathBuf>,
     jobs: usize,
 ) -> PyResult<(PathBuf, Ends)> {
-    let plan = Plan::read(&experiment, &arguments, out.as_deref()).map_err(|error| raised(py, error))?;
+    let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| raised(py, error))?;
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     let work = |_: SyncSender<()>, stop: &AtomicBool| {
-        check(&plan, &runs, &mut Silent)?;
-        let mut session = Session { observer: &mut Silent, stop, page: pwrfgs::PAGE };
-        let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &Silent, &mut session)?;
-        let whole = ends.len() == runs.len() && ends.iter().all(|(_, end)| matches!(end, Ok(Outcome::Finished { .. })));
+        check(&plan, &runs, &mut NoopObserver)?;
+        let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE };
+        let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &NoopObserver, &mut session)?;
+        let whole =
+            ends.len() == runs.len() && ends.iter().all(|(_, end)| matches!(end, Ok(RunOutcome::Finished { .. })));
         if whole {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
-            write(&study, None, &plan.folder.join("report"), &mut Silent)?;
+            write(&study, None, &plan.folder.join("report"), &mut NoopObserver)?;
         }
         Ok((ends, joined))
     };
     let (ends, joined) = waited(py, work, |()| Ok(()))?;
-    let failed = |end: Result<Outcome>| match end {
+    let failed = |end: Result<RunOutcome>| match end {
         Err(error) => Some(error.to_string()),
-        Ok(Outcome::Finished { .. }) => None,
-        Ok(Outcome::Interrupted { .. } | Outcome::Unscored) => Some("stopped; repeat the call to resume".into()),
+        Ok(RunOutcome::Finished { .. }) => None,
+        Ok(RunOutcome::Interrupted { .. } | RunOutcome::Unscored) => Some("stopped; repeat the call to resume".into()),
     };
     let runs = ends.into_iter().map(|(run, end)| (plan.folder_of(run), failed(end)));
     let joined = joined.map(|end| (plan.folder.join(JOINED), failed(Ok(end))));
@@ -243,7 +245,7 @@ pub(crate) fn sweep(
 pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
     let work = |_: SyncSender<()>, _: &_| {
         let study = Study::read(&runs)?;
-        write(&study, reference.as_deref(), &out, &mut Silent)
+        write(&study, reference.as_deref(), &out, &mut NoopObserver)
     };
     waited(py, work, |()| Ok(()))
 }

@@ -1,13 +1,13 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{Gain, array, axes, given, observations, places};
+use crate::arrays::{Gain, array, axes, input_array, observations, places};
 use crate::border::{free, plugin, text_of, waited, wrong};
 use crate::data::Dataset;
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
-    Baseline, Elevation, Evaluation, Image, ImagePlane, Known, Metric, ModelFacts, Origin, Plugin, Pose, Query, Real,
-    Receiver, Sampling, Scene, Task, Values, rows_of,
+    Baseline, Elevation, Evaluation, FittingSet, Image, ImagePlane, Metric, ModelFacts, Origin, Plugin, Pose, Query,
+    Real, Receiver, Sampling, Scene, Task, Values, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -22,12 +22,12 @@ fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Imag
     }
     let any = vec![None; axes.max(1)]; // a number is an array of one
     let (ends, rows) = if task.is_complex {
-        let all = given::<Gain>(what, value, &any)?;
+        let all = input_array::<Gain>(what, value, &any)?;
         let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
         let pairs: Vec<[Real; 2]> = gains.iter().map(|gain| [gain.re, gain.im]).collect();
         (all.shape()[axes - of_one..].to_vec(), rows_of(&pairs, all.shape()[axes - 1].max(1)))
     } else {
-        let all = given::<Real>(what, value, &any)?;
+        let all = input_array::<Real>(what, value, &any)?;
         let rows = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
         (all.shape()[axes - of_one..].to_vec(), rows)
     };
@@ -60,9 +60,9 @@ pub(crate) fn measure<'py>(
     let (predictions, truths) = (images("prediction", predictions, task)?, images("truth", truths, task)?);
     let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
-        let said =
+        let message =
             |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
-        let what = format!("prediction and truth differ in shape: {} and {}", said(&predictions), said(&truths));
+        let what = format!("prediction and truth differ in shape: {} and {}", message(&predictions), message(&truths));
         return Err(wrong(py, &what));
     }
     let Some((height, width)) = size(&truths) else { return Err(wrong(py, "prediction and truth are empty")) };
@@ -162,7 +162,7 @@ pub(crate) fn predict_baseline<'py>(
     }
     let txs = places("tx", tx)?;
     let found: Vec<Image> = free(py, || {
-        let predictor = baseline.fit(data, Known::train(&train))?;
+        let predictor = baseline.fit(data, FittingSet::train(&train))?;
         Ok(txs.iter().map(|tx| predictor.predict(Query::at(*tx, receiver))).collect())
     })?;
     let count = found.len();
@@ -180,11 +180,11 @@ pub(crate) fn repeatability<'py>(
     let metrics = metrics.iter().map(|text| plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
     let found = waited::<_, ()>(py, |_, stop| work::repeatability(&dataset.data, &metrics, stop), |()| Ok(()))?;
     let all = PyDict::new(py);
-    for (name, likeness) in [("near", &found.near), ("far", &found.far)] {
+    for (name, similarity) in [("near", &found.near), ("far", &found.far)] {
         let own = PyDict::new(py);
-        own.set_item("pairs", likeness.closest)?;
-        own.set_item("reach_m", likeness.reach_m)?;
-        for metric in &likeness.metrics {
+        own.set_item("pairs", similarity.closest)?;
+        own.set_item("reach_m", similarity.reach_m)?;
+        for metric in &similarity.metrics {
             let entry = PyDict::new(py);
             entry.set_item("unrelated", metric.unrelated)?;
             match &metric.at_zero {

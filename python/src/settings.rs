@@ -3,12 +3,12 @@
 use crate::border::{free, unplaced, wrong};
 use pwrfgs::experiment::rebased;
 use pwrfgs::pipeline::Change;
-use pwrfgs::pipeline::ron_tree::{Body as Parts, Tree};
+use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs_core::Result;
-use pwrfgs_core::docs::{Body, Docs, Kind};
+use pwrfgs_core::docs::{DocBody, DocKind, Docs};
 use pwrfgs_core::files::{check_new_file, write_atomically};
-use pwrfgs_core::plugin::{Family, inventory, ron_options, to_ron};
+use pwrfgs_core::plugin::{PluginFamily, inventory, ron_options, to_ron};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::collections::BTreeMap;
@@ -97,11 +97,11 @@ impl Pipeline {
 /// name, [value]).
 #[pyfunction]
 pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
-    let tree = Tree::parse(text).map_err(|why| wrong(py, &why))?;
+    let tree = RonTree::parse(text).map_err(|why| wrong(py, &why))?;
     parts(py, &tree, text)
 }
 
-fn parts<'py>(py: Python<'py>, tree: &Tree, text: &str) -> PyResult<Bound<'py, PyAny>> {
+fn parts<'py>(py: Python<'py>, tree: &RonTree, text: &str) -> PyResult<Bound<'py, PyAny>> {
     let own = tree.of(text);
     Ok(match &tree.body {
         Parts::Fields(fields) => {
@@ -126,7 +126,7 @@ fn parts<'py>(py: Python<'py>, tree: &Tree, text: &str) -> PyResult<Bound<'py, P
 /// Plugin of this kind as text, with every default written out.
 #[pyfunction]
 pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<String> {
-    let Some(family) = Family::find(kind) else {
+    let Some(family) = PluginFamily::find(kind) else {
         return Err(wrong(py, &format!("unknown plugin kind `{kind}`")));
     };
     free(py, || (family.complete)(text).map_err(unplaced))
@@ -136,7 +136,7 @@ pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<Strin
 #[pyfunction]
 pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let all = PyList::empty(py);
-    let mut families: Vec<&Family> = inventory::iter::<Family>().collect();
+    let mut families: Vec<&PluginFamily> = inventory::iter::<PluginFamily>().collect();
     families.sort_by_key(|family| family.kind);
     for family in families {
         for member in (family.members)() {
@@ -155,7 +155,7 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::Field]) -> PyResult<Bound<'py, PyList>> {
+fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField]) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for field in fields {
         list.append((field.name, field.kind.words(), field.text, field.optional))?;
@@ -167,8 +167,8 @@ fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::Field]) -> PyResult
 #[pyfunction]
 pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let mut found: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();
-    gather(&Kind::Of(Docs::of::<Inner>()), &mut found);
-    for family in inventory::iter::<Family>() {
+    gather(&DocKind::Of(Docs::of::<Inner>()), &mut found);
+    for family in inventory::iter::<PluginFamily>() {
         for docs in (family.members)().iter().filter_map(|member| member.docs) {
             docs.fields().iter().for_each(|field| gather(&field.kind, &mut found));
         }
@@ -179,8 +179,8 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         entry.set_item("name", name)?;
         entry.set_item("doc", docs.text)?;
         match docs.body {
-            Body::Fields(own) => entry.set_item("fields", fields(py, own)?)?,
-            Body::Variants(variants) => {
+            DocBody::Fields(own) => entry.set_item("fields", fields(py, own)?)?,
+            DocBody::Variants(variants) => {
                 let list = PyList::empty(py);
                 for variant in variants {
                     list.append((variant.name, variant.text, variant.named, fields(py, variant.fields)?))?;
@@ -193,20 +193,20 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-fn gather(kind: &Kind, found: &mut BTreeMap<&'static str, &'static Docs>) {
+fn gather(kind: &DocKind, found: &mut BTreeMap<&'static str, &'static Docs>) {
     match kind {
-        Kind::Of(docs) => {
+        DocKind::Of(docs) => {
             if found.insert(docs.name, docs).is_none() {
                 match docs.body {
-                    Body::Fields(fields) => fields.iter().for_each(|field| gather(&field.kind, found)),
-                    Body::Variants(variants) => {
+                    DocBody::Fields(fields) => fields.iter().for_each(|field| gather(&field.kind, found)),
+                    DocBody::Variants(variants) => {
                         variants.iter().flat_map(|v| v.fields).for_each(|field| gather(&field.kind, found));
                     }
                 }
             }
         }
-        Kind::Optional(inner) | Kind::List(inner) | Kind::Map(inner) => gather(inner, found),
-        Kind::Tuple(parts) => parts.iter().for_each(|part| gather(part, found)),
-        Kind::Plain(_) | Kind::Plugin(_) => {}
+        DocKind::Optional(inner) | DocKind::List(inner) | DocKind::Map(inner) => gather(inner, found),
+        DocKind::Tuple(parts) => parts.iter().for_each(|part| gather(part, found)),
+        DocKind::Plain(_) | DocKind::Plugin(_) => {}
     }
 }

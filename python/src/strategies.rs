@@ -19,7 +19,7 @@ mod initializer;
 mod objects;
 mod pruner;
 
-use crate::border::{asked, asking, carried, throw, wrong};
+use crate::border::{call_strategy, carried, in_strategy_call, throw, wrong};
 pub(crate) use objects::{cloud_object, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
 use pwrfgs_core::{
@@ -45,7 +45,7 @@ static MADE: Mutex<BTreeMap<(&'static str, Named), Arc<Object>>> = Mutex::new(BT
 
 /// Starts a run with new objects: state outside of columns is lost.
 pub(crate) fn forget() {
-    if !asked() {
+    if !in_strategy_call() {
         MADE.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
@@ -110,7 +110,7 @@ impl Object {
 }
 
 /// Columns that a pruner requests, from `Column` objects.
-fn columns(asked: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
+fn columns(in_strategy_call: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
     let one = |column: Bound<'_, PyAny>| {
         Ok(ColumnSpec {
             name: lasting(column.getattr("name")?.extract()?),
@@ -120,11 +120,13 @@ fn columns(asked: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
             adam: column.getattr("adam")?.extract()?,
         })
     };
-    let all = asked.try_iter().and_then(|all| all.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>());
+    let all = in_strategy_call
+        .try_iter()
+        .and_then(|all| all.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>());
     let form = "give a list of pwrfgs.Column(name, width=1, init=0.0, learning_rate=None, adam=True)";
-    let all = all.map_err(|error| wrong(asked.py(), &format!("columns: {error}; {form}")))?;
+    let all = all.map_err(|error| wrong(in_strategy_call.py(), &format!("columns: {error}; {form}")))?;
     match all.iter().enumerate().find_map(|(i, spec)| fault(spec, &all[..i]).map(|what| (spec.name, what))) {
-        Some((name, what)) => Err(wrong(asked.py(), &format!("columns: `{name}` {what}"))),
+        Some((name, what)) => Err(wrong(in_strategy_call.py(), &format!("columns: `{name}` {what}"))),
         None => Ok(all),
     }
 }
@@ -185,7 +187,7 @@ impl Strategy {
     }
 
     fn ask<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> PyResult<T> {
-        asking(|| Python::attach(|py| work(py, self.object.own.bind(py))))
+        call_strategy(|| Python::attach(|py| work(py, self.object.own.bind(py))))
     }
 }
 

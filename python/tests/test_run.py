@@ -87,7 +87,7 @@ def test_an_exception_in_a_callback_comes_out(tmp_path):
 def test_settings_as_on_the_command_line(tmp_path):
     events = []
     done = pwrfgs.run(
-        pwrfgs.Pipeline(SMALL), set={"training.scale": 0.2, "pruners": [pwrfgs.TopK()], "training.target": 20, "split": "Random(test: 0.5)"},
+        pwrfgs.Pipeline(SMALL), set={"training.scale": 0.2, "pruners": [pwrfgs.TopK()], "training.target_count": 20, "split": "Random(test: 0.5)"},
         out=tmp_path / "r", callback=events.append, progress=True,
     )
     assert done.facts["steps"] == 12 and done.model.n <= 20 and done.facts["samples"][2] == 60
@@ -122,8 +122,8 @@ def test_the_loop_in_ones_own_hands(pipeline, run):
 def test_sweeps_reports_and_simulations(tmp_path):
     (tmp_path / "small.ron").write_text(SMALL.replace("steps: 60", "steps: 40"))
     (tmp_path / "e.ron").write_text(
-        'Experiment(name: "e", base: "small.ron", seeds: [0, 1], set: {"pruners": [TopK()], "training.target": 20}, axes: [Axis(name: "n", '
-        'variants: [(label: "20", set: {"training.target": 20}), (label: "40", set: {"training.target": 40})])])'
+        'Experiment(name: "e", base: "small.ron", seeds: [0, 1], set: {"pruners": [TopK()], "training.target_count": 20}, axes: [Axis(name: "n", '
+        'variants: [(label: "20", set: {"training.target_count": 20}), (label: "40", set: {"training.target_count": 40})])])'
     )
     runs = pwrfgs.sweep(tmp_path / "e.ron", out=tmp_path / "sweep", jobs=1)
     assert len(runs) == 4 and all(run.finished for run in runs) and (tmp_path / "sweep/report/report.html").is_file()

@@ -21,7 +21,7 @@ import pwrfgs
 class Thin(pwrfgs.Pruner):
     share: float = 0.2
 
-    def keep(self, cloud, stats, moment):
+    def keep(self, cloud, stats, context):
         return cloud.opacities >= np.quantile(cloud.opacities, self.share)
 
 
@@ -31,43 +31,43 @@ class Mask(pwrfgs.Pruner):
 
     lam: float = 0.3
     rate: float = 0.3
-    presence: bool = False
+    existence: bool = False
 
     def columns(self):
         return [pwrfgs.Column("logit", init=1.0, learning_rate=self.rate), pwrfgs.Column("age", width=2)]
 
-    def gate(self, cloud, moment):
+    def gate(self, cloud, context):
         mask = 1 / (1 + np.exp(-cloud["logit"]))
         found = (mask >= 0.01).astype(mask.dtype), {"logit": mask * (1 - mask)}
-        return (*found, "presence") if self.presence else found
+        return (*found, "existence") if self.existence else found
 
-    def penalty(self, cloud, moment):
+    def penalty(self, cloud, context):
         mask = 1 / (1 + np.exp(-cloud["logit"]))
         return self.lam * float(mask.mean()), {"logit": self.lam * mask * (1 - mask) / len(mask)}
 
-    def update(self, cloud, stats, moment):
+    def update(self, cloud, stats, context):
         cloud.columns["age"] += 1
 
-    def needs(self, cloud, moment):
+    def needs(self, cloud, context):
         return ["weight", "largest_weight"]
 
-    def score(self, cloud, stats, moment):
+    def score(self, cloud, stats, context):
         return cloud["logit"]
 
-    def keep(self, cloud, stats, moment):
-        assert stats.asked["weight"].shape == (len(cloud),) and "elimination" not in stats.asked
-        assert (cloud["age"] == moment.step).all() and cloud["age"].shape == (len(cloud), 2)
+    def keep(self, cloud, stats, context):
+        assert stats.requested["weight"].shape == (len(cloud),) and "elimination" not in stats.requested
+        assert (cloud["age"] == context.step).all() and cloud["age"].shape == (len(cloud), 2)
         assert not cloud.means.flags.writeable
         return cloud["logit"] >= np.log(0.01 / 0.99)
 
 
 class Wrong(pwrfgs.Pruner):
-    def keep(self, cloud, stats, moment):
-        raise RuntimeError(f"nothing can be kept at step {moment.step}")
+    def keep(self, cloud, stats, context):
+        raise RuntimeError(f"nothing can be kept at step {context.step}")
 
 
 class Short(pwrfgs.Pruner):
-    def keep(self, cloud, stats, moment):
+    def keep(self, cloud, stats, context):
         return [True]
 
 
@@ -126,9 +126,9 @@ def test_a_mask_by_hand_is_the_papers(tmp_path):
         a, b = theirs.step(), mine.step()
         assert a["gaussians"] == b["gaussians"] and np.isclose(a["loss"], b["loss"], rtol=1e-3)
         assert np.isclose(a["penalty"], b["penalty"], rtol=1e-4)
-    presence = pwrfgs.Pipeline(SMALL)
-    presence.pruners = [Mask(presence=True)]
-    trainer = pwrfgs.Trainer(presence)
+    existence = pwrfgs.Pipeline(SMALL)
+    presence.pruners = [Mask(existence=True)]
+    trainer = pwrfgs.Trainer(existence)
     assert all(np.isfinite(trainer.step()["loss"]) for _ in range(5))
 
 
@@ -159,7 +159,7 @@ def test_a_changed_source_does_not_go_on(tmp_path, monkeypatch):
     text = """
     import pwrfgs
     class Mine(pwrfgs.Pruner):
-        def keep(self, cloud, stats, moment):
+        def keep(self, cloud, stats, context):
             return cloud.opacities > {}
     """
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -195,7 +195,7 @@ def test_the_command_line_reports_and_predicts_and_does_not_train(tmp_path, cli)
 
 def test_what_cannot_be_recorded_is_refused(pipeline):
     class Inside(pwrfgs.Pruner):
-        def keep(self, cloud, stats, moment):
+        def keep(self, cloud, stats, context):
             return np.ones(len(cloud), bool)
 
     class_without = type("Hidden", (pwrfgs.Pruner,), {"__init__": lambda self, share: None, "keep": Inside.keep, "__module__": __name__})
@@ -219,7 +219,7 @@ def test_the_digest_is_of_the_source_and_of_what_it_derives_from():
     text = """
     class A(pwrfgs.Pruner):
         share = {}
-        def keep(self, cloud, stats, moment):
+        def keep(self, cloud, stats, context):
             return np.array([o > {} for o in cloud.opacities])
     class B(A):
         pass
@@ -233,7 +233,7 @@ class Counting(pwrfgs.Pruner):
     def __init__(self):
         self.count = 0
 
-    def keep(self, cloud, stats, moment):
+    def keep(self, cloud, stats, context):
         self.count += 1
         return np.arange(len(cloud)) >= self.count
 
@@ -242,7 +242,7 @@ class Settings(pwrfgs.Pruner):
     def __init__(self, **settings):
         self.share = settings.get("share", 0.1)
 
-    def keep(self, cloud, stats, moment):
+    def keep(self, cloud, stats, context):
         return cloud.opacities > self.share
 
 
@@ -272,11 +272,11 @@ TRAINER = []
 
 
 class Asks(pwrfgs.Pruner):
-    def keep(self, cloud, stats, moment):
+    def keep(self, cloud, stats, context):
         return np.ones(len(cloud), bool)
 
-    def update(self, cloud, stats, moment):
-        if moment.step == 3:
+    def update(self, cloud, stats, context):
+        if context.step == 3:
             TRAINER[0].step()
 
 
@@ -326,16 +326,16 @@ class Says(Asks):
     def columns(self):
         return [pwrfgs.Column("own", learning_rate=0.1), pwrfgs.Column("fixed")]
 
-    def gate(self, cloud, moment):
+    def gate(self, cloud, context):
         return self.what.get("gate", lambda n: None)(len(cloud))
 
-    def penalty(self, cloud, moment):
+    def penalty(self, cloud, context):
         return self.what.get("penalty", lambda n: None)(len(cloud))
 
-    def needs(self, cloud, moment):
+    def needs(self, cloud, context):
         return self.what.get("needs", [])
 
-    def update(self, cloud, stats, moment):
+    def update(self, cloud, stats, context):
         pass
 
 
@@ -349,7 +349,7 @@ class Says(Asks):
         ({"gate": lambda n: (np.ones(n), {"own": np.ones(n + 1)})}, "has 61 numbers, expected 60"),
         ({"gate": lambda n: (np.ones(n), {"owm": np.ones(n)})}, "unknown column `owm`; did you mean `own`"),
         ({"gate": lambda n: (np.ones(n), {"fixed": np.ones(n)})}, "`fixed` has no learning_rate"),
-        ({"gate": lambda n: (np.ones(n), {"own": np.ones(n)}, "presents")}, "unknown third entry"),
+        ({"gate": lambda n: (np.ones(n), {"own": np.ones(n)}, "existences")}, "unknown third entry"),
         ({"penalty": lambda n: 0.5}, r"penalty returned a value of float, expected \(number, \{column: derivative\}\)"),
         ({"penalty": lambda n: (np.inf, {"own": np.ones(n)})}, "penalty: the value holds inf"),
     ],
@@ -370,7 +370,7 @@ def test_a_statistic_that_is_not_there_is_told_when_it_is_set(pipeline, monkeypa
 
 
 class Nothing(pwrfgs.Pruner):
-    def keep(self, cloud, stats, moment):
+    def keep(self, cloud, stats, context):
         return np.zeros(len(cloud), bool)
 
 

@@ -44,8 +44,8 @@ class Thin(pwrfgs.Pruner):
     def columns(self) -> List[pwrfgs.Column]:
         return [pwrfgs.Column("age")]
 
-    def keep(self, cloud: pwrfgs.Cloud, stats: pwrfgs.Stats, moment: pwrfgs.Moment) -> NDArray[np.bool_]:
-        return cloud.opacities > self.share * moment.round
+    def keep(self, cloud: pwrfgs.Cloud, stats: pwrfgs.Stats, context: pwrfgs.StepContext) -> NDArray[np.bool_]:
+        return cloud.opacities > self.share * context.round
 
 
 class Bias(pwrfgs.Metric):
@@ -71,7 +71,7 @@ pwrfgs.Nerf2Spectrum(elevation=(0.0, 45.0, 90.0))  # error
 pwrfgs.Teacher(width=36.5)  # error
 pwrfgs.Teacher(projector=pwrfgs.Mercator(), wavelength_m=(1.0, 2.0))
 
-values: List[pwrfgs.Value] = [Readout.Real, Readout.Received(sky_deg=10), Rays.Same(400), mask]
+values: List[pwrfgs.Value] = [Readout.Real, Readout.ReceivedPower(sky_deg=10), Rays.Same(400), mask]
 names: List[str] = list(settings.Rays)
 Schedule.Cosine(first=1e-3, last=1e-5)
 Schedule.Cosine(first=1e-3)  # error

@@ -2,7 +2,7 @@
 
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::{
-    ExtraColumn, Frame, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng,
+    ExtraColumn, GaussianCloud, Mat3, MeasurementSetup, Origin, Phase, Plugin, Pose, Real, StepContext, registered, rng,
 };
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -12,7 +12,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// A step of the densification phase.
-pub(crate) const MOMENT: Moment = Moment { step: 1, phase: Phase::Densify, seed: 0, round: 0, rounds: 0, target: None };
+pub(crate) const MOMENT: StepContext =
+    StepContext { step: 1, phase: Phase::Densify, seed: 0, round: 0, rounds: 0, target: None };
 
 /// A plugin from its text.
 pub(crate) fn plugin<T: ?Sized + PluginKind>(text: &str) -> Plugin<T>
@@ -53,7 +54,7 @@ pub(crate) fn stages(deformation: &str, readout: Readout) -> Arc<Stages> {
         calibration: Calibration::Physical,
         readout,
     };
-    Arc::new(Stages::new(splatting, Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane)))
+    Arc::new(Stages::new(splatting, MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane)))
 }
 
 /// `n` Gaussians in front of that receiver, of all shapes.

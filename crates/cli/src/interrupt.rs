@@ -57,16 +57,16 @@ pub(crate) fn listen() -> Result<()> {
 
 /// Running training, which stops after its current step.
 #[derive(Debug)]
-pub(crate) struct Training(());
+pub(crate) struct InterruptibleRun(());
 
-impl Training {
+impl InterruptibleRun {
     pub(crate) fn begin() -> Self {
         TRAININGS.fetch_add(1, Ordering::Relaxed);
         Self(())
     }
 }
 
-impl Drop for Training {
+impl Drop for InterruptibleRun {
     fn drop(&mut self) {
         TRAININGS.fetch_sub(1, Ordering::Relaxed);
     }
@@ -91,10 +91,10 @@ fn end_what_does_not_stop() {
     end(AT_ONCE)
 }
 
-fn end(said: &str) -> ! {
+fn end(message: &str) -> ! {
     ENDING.store(true, Ordering::Relaxed);
     NewFolder::abandon_all();
-    output::note(said);
+    output::note(message);
     std::process::exit(i32::from(INTERRUPTED))
 }
 

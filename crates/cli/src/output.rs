@@ -1,7 +1,7 @@
 //! Terminal output: results on stdout, all else on stderr, logs above the progress bar.
 
 use indicatif::MultiProgress;
-use pwrfgs_core::{Error, Result, words::plain};
+use pwrfgs_core::{Error, Result, messages::escape_control};
 use std::collections::BTreeSet;
 use std::io::{ErrorKind, IsTerminal as _, Write};
 use std::path::Path;
@@ -38,7 +38,7 @@ pub(crate) fn bars() -> &'static MultiProgress {
 
 /// Prints a line on stderr, above the progress bars.
 pub(crate) fn note(line: &str) {
-    bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", plain(line)));
+    bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", escape_control(line)));
 }
 
 /// Prints a warning on stderr, once per process.
@@ -60,7 +60,7 @@ pub(crate) fn error(error: &Error) {
 /// If the result cannot be written, such as on a full disk.
 pub(crate) fn result(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
-    match out.write_all(plain(text).as_bytes()).and_then(|()| out.flush()) {
+    match out.write_all(escape_control(text).as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::write(Path::new("the result to stdout"), e)),
         _ => Ok(()),
     }
@@ -77,7 +77,7 @@ pub(crate) fn start_logging(verbosity: Verbosity) {
         .with_target(false)
         .without_time()
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(|| Above);
+        .with_writer(|| StderrAboveBars);
     let started = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init();
     if let Err(e) = started {
         note(&format!("warning: cannot start logging: {e}"));
@@ -85,9 +85,9 @@ pub(crate) fn start_logging(verbosity: Verbosity) {
 }
 
 /// Writer to stderr, above the progress bars.
-struct Above;
+struct StderrAboveBars;
 
-impl Write for Above {
+impl Write for StderrAboveBars {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         bars().suspend(|| std::io::stderr().write(bytes))
     }

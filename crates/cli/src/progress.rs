@@ -1,6 +1,6 @@
 //! Progress of a run: a bar on a terminal, else a plain line every few seconds.
 
-use crate::interrupt::Training;
+use crate::interrupt::InterruptibleRun;
 use crate::output::{self, Verbosity, bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::text::{duration, grouped};
@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Observer that shows the progress of a run.
 #[derive(Debug)]
-pub(crate) struct Progress {
+pub(crate) struct RunProgress {
     verbosity: Verbosity,
     /// Name of the run, if there are several.
     name: Option<String>,
@@ -39,10 +39,10 @@ pub(crate) struct Progress {
     validation: Option<Validation>,
     /// Start of the current stage.
     stage: Instant,
-    training: Option<Training>,
+    training: Option<InterruptibleRun>,
 }
 
-impl Progress {
+impl RunProgress {
     pub(crate) fn new(verbosity: Verbosity) -> Self {
         let (pace, now) = (VecDeque::new(), Instant::now());
         Self {
@@ -77,7 +77,7 @@ impl Progress {
     }
 
     /// A plain line.
-    fn say(&self, line: &str) {
+    fn print_line(&self, line: &str) {
         match &self.name {
             Some(name) => note(&format!("{name}: {line}")),
             None => note(line),
@@ -132,13 +132,13 @@ impl Progress {
     }
 }
 
-impl Drop for Progress {
+impl Drop for RunProgress {
     fn drop(&mut self) {
         self.finish();
     }
 }
 
-impl Observer for Progress {
+impl Observer for RunProgress {
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
         self.training = None;
         let now = Instant::now();
@@ -156,13 +156,13 @@ impl Observer for Progress {
                 bar.set_position(done as u64);
             } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.pause() {
                 self.shown = now;
-                self.say(&format!("{name}: {} of {}", grouped(done as i64), grouped(total as i64)));
+                self.print_line(&format!("{name}: {} of {}", grouped(done as i64), grouped(total as i64)));
             }
         }
     }
 
     fn on_start(&mut self, start: &Start<'_>) {
-        self.training = Some(Training::begin());
+        self.training = Some(InterruptibleRun::begin());
         if self.verbosity == Verbosity::Quiet {
             return;
         }
@@ -179,12 +179,12 @@ impl Observer for Progress {
         let steps = grouped(start.steps as i64);
         match &self.name {
             None => note(&format!("{on} {steps} steps in {}", start.folder.display())),
-            Some(_) => self.say(&format!("{on} {steps} steps")),
+            Some(_) => self.print_line(&format!("{on} {steps} steps")),
         }
         let Estimate { gaussians, step_bytes, step_seconds } = start.estimate;
         let left = duration(step_seconds * (start.steps - start.done.min(start.steps)) as f64);
         let (memory, pace) = (memory(step_bytes), pace(step_seconds));
-        self.say(&match gaussians {
+        self.print_line(&match gaussians {
             0 => format!("about {pace} and {memory} per step, {left} in total"),
             n => {
                 let n = grouped(n as i64);
@@ -217,7 +217,7 @@ impl Observer for Progress {
             bar.set_position(report.step);
             bar.set_message(self.words(report));
         } else if self.verbosity != Verbosity::Quiet {
-            self.say(&format!("step {}/{}  {}", report.step, self.steps, self.words(report)));
+            self.print_line(&format!("step {}/{}  {}", report.step, self.steps, self.words(report)));
         }
     }
 
@@ -226,7 +226,7 @@ impl Observer for Progress {
         if self.verbosity == Verbosity::Verbose {
             let [mean, median, third] = validation.values;
             let headline = validation.task.headline;
-            self.say(&format!(
+            self.print_line(&format!(
                 "step {}: validation {} {mean:.4} (median {median:.4}), {} {third:.4}",
                 validation.step, headline.name, headline.columns[2]
             ));
@@ -237,7 +237,7 @@ impl Observer for Progress {
         self.training = None; // training is over, scoring follows
         if self.verbosity != Verbosity::Quiet && (self.name.is_none() || self.verbosity == Verbosity::Verbose) {
             self.finish();
-            self.say(message);
+            self.print_line(message);
         }
     }
 

@@ -7,26 +7,26 @@ pub(crate) mod prose;
 
 use commented::Value;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs_core::docs::{Body, Docs, Field, Kind};
-use pwrfgs_core::plugin::{Family, to_ron};
+use pwrfgs_core::docs::{DocBody, DocField, DocKind, Docs};
+use pwrfgs_core::plugin::{PluginFamily, to_ron};
 use std::path::Path;
 
 /// Stands for the experiment file, which no field holds.
 const EXPERIMENT: &str = "experiment";
 
 /// Topics under one heading.
-pub(crate) struct Chapter {
+pub(crate) struct DocChapter {
     /// Heading, such as `Pruner`.
     pub(crate) name: String,
     /// Field of the pipeline that holds such plugins.
     pub(crate) field: Option<&'static str>,
     /// Purpose, one sentence.
     pub(crate) about: String,
-    pub(crate) topics: Vec<Topic>,
+    pub(crate) topics: Vec<DocItem>,
 }
 
 /// A struct, an enum or a plugin.
-pub(crate) struct Topic {
+pub(crate) struct DocItem {
     pub(crate) name: String,
     /// Fields of this type: `loss` for `Loss`.
     pub(crate) fields: Vec<&'static str>,
@@ -36,14 +36,16 @@ pub(crate) struct Topic {
 }
 
 /// All chapters, in the order of the fields of a pipeline.
-pub(crate) fn chapters() -> Vec<Chapter> {
+pub(crate) fn chapters() -> Vec<DocChapter> {
     let pipeline = example();
     let mut settings = Vec::new();
     let mut plugins = Vec::new();
     for field in Docs::of::<Pipeline>().fields() {
         match inner(&field.kind) {
-            Kind::Plugin(kind) => plugins.extend(Family::find(kind).map(|family| plugin_chapter(family, field))),
-            Kind::Of(docs) => {
+            DocKind::Plugin(kind) => {
+                plugins.extend(PluginFamily::find(kind).map(|family| plugin_chapter(family, field)));
+            }
+            DocKind::Of(docs) => {
                 let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
                 collect(docs, field.name, value.as_ref(), &mut settings);
             }
@@ -51,13 +53,13 @@ pub(crate) fn chapters() -> Vec<Chapter> {
         }
     }
     let docs = Some(Docs::of::<Pipeline>());
-    let whole = Chapter {
+    let whole = DocChapter {
         name: "Pipeline".into(),
         field: None,
         about: "Settings of one run, as `pwrfgs run` reads them.".into(),
-        topics: vec![Topic { name: "Pipeline".into(), fields: Vec::new(), docs, value: pipeline }],
+        topics: vec![DocItem { name: "Pipeline".into(), fields: Vec::new(), docs, value: pipeline }],
     };
-    let settings = Chapter {
+    let settings = DocChapter {
         name: "Settings".into(),
         field: None,
         about: "Settings of a pipeline that are not plugins.".into(),
@@ -78,7 +80,7 @@ pub(crate) fn example() -> Result<Value, String> {
 }
 
 /// Chapter of all plugins of one kind and the types of their fields.
-fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
+fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> DocChapter {
     let mut topics = Vec::new();
     let mut types = Vec::new();
     for member in (family.members)() {
@@ -86,14 +88,14 @@ fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
         if let Some(docs) = member.docs {
             parts(docs.fields(), value.as_ref().ok(), &mut types);
         }
-        topics.push(Topic { name: member.name.into(), fields: Vec::new(), docs: member.docs, value });
+        topics.push(DocItem { name: member.name.into(), fields: Vec::new(), docs: member.docs, value });
     }
     topics.extend(types);
-    Chapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
+    DocChapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
 }
 
 /// Chapter of the experiment file.
-fn experiment() -> Chapter {
+fn experiment() -> DocChapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
     collect(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
@@ -101,32 +103,32 @@ fn experiment() -> Chapter {
         slurm.value = Value::new(to_ron(&Slurm::default()));
     }
     let about = "Settings of a sweep, as `pwrfgs sweep` reads them.".into();
-    Chapter { name: "Experiment".into(), field: None, about, topics }
+    DocChapter { name: "Experiment".into(), field: None, about, topics }
 }
 
 /// Collects the type of `field` and, recursively, the types of its fields, each once.
-fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<Topic>) {
+fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
     if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
         if !known.fields.contains(&field) {
             known.fields.push(field);
         }
         return;
     }
-    topics.push(Topic {
+    topics.push(DocItem {
         name: docs.name.into(),
         fields: if field == EXPERIMENT { Vec::new() } else { vec![field] },
         docs: Some(docs),
         value: value.cloned().ok_or_else(|| "a required field has no default".into()),
     });
     match docs.body {
-        Body::Fields(fields) => parts(fields, value, topics),
-        Body::Variants(variants) => variants.iter().for_each(|v| parts(v.fields, None, topics)),
+        DocBody::Fields(fields) => parts(fields, value, topics),
+        DocBody::Variants(variants) => variants.iter().for_each(|v| parts(v.fields, None, topics)),
     }
 }
 
-fn parts(fields: &'static [Field], value: Option<&Value>, topics: &mut Vec<Topic>) {
+fn parts(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
     for field in fields {
-        if let Kind::Of(docs) = inner(&field.kind) {
+        if let DocKind::Of(docs) = inner(&field.kind) {
             let inside = value.and_then(|v| v.part(field.name));
             collect(docs, field.name, inside.as_ref(), topics);
         }
@@ -134,21 +136,21 @@ fn parts(fields: &'static [Field], value: Option<&Value>, topics: &mut Vec<Topic
 }
 
 /// Kind inside options, lists and maps.
-fn inner(kind: &Kind) -> Kind {
+fn inner(kind: &DocKind) -> DocKind {
     match kind {
-        Kind::Optional(kind) | Kind::List(kind) | Kind::Map(kind) => inner(kind),
+        DocKind::Optional(kind) | DocKind::List(kind) | DocKind::Map(kind) => inner(kind),
         other => other.clone(),
     }
 }
 
-impl Chapter {
+impl DocChapter {
     /// Whether `name`, in lower case, names the chapter.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.field.is_some_and(|field| field == name)
     }
 }
 
-impl Topic {
+impl DocItem {
     /// Whether `name`, in lower case, names the topic.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.fields.contains(&name)

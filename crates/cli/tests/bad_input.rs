@@ -119,7 +119,7 @@ fn point_clouds_must_be_whole() {
 }
 
 #[test]
-fn mistakes_in_a_pipeline_are_shown_where_they_stand() {
+fn reports_position_of_pipeline_errors() {
     let mistakes: &[(&str, &str, &[&str])] = &[
         ("Grid(count: 8),", "Grid(count: 8", &["p.ron:"]),
         ("name: \"small\",", "name: \"small\" data", &["p.ron:2:"]),
@@ -177,11 +177,11 @@ fn rejects_too_many_threads_in_the_environment() {
     };
     for (name, value) in [("RAYON_NUM_THREADS", "100000"), ("RAYON_NUM_THREADS", "all"), ("RAYON_RS_NUM_CPUS", "1025")]
     {
-        let (code, said) = called(name, value, &["plugins", "Grid"]);
-        assert_eq!(code, Some(2), "{name}={value}: {said}");
-        assert!(said.contains(&format!("{name} is `{value}`; give a number from 1 to 1024")), "{said}");
-        let (code, said) = called(name, value, &["plugins", "Grid", "--threads", "1"]);
-        assert_eq!(code, Some(0), "--threads decides: {said}");
+        let (code, message) = called(name, value, &["plugins", "Grid"]);
+        assert_eq!(code, Some(2), "{name}={value}: {message}");
+        assert!(message.contains(&format!("{name} is `{value}`; give a number from 1 to 1024")), "{message}");
+        let (code, message) = called(name, value, &["plugins", "Grid", "--threads", "1"]);
+        assert_eq!(code, Some(0), "--threads decides: {message}");
     }
     for value in ["", "0", "1", "1024"] {
         assert_eq!(called("RAYON_NUM_THREADS", value, &["plugins", "Grid"]).0, Some(0), "{value}");

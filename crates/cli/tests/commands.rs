@@ -123,7 +123,7 @@ fn evaluates(here: &Path, scores: &str) {
 }
 
 #[test]
-fn a_folder_with_something_else_in_it_is_refused() {
+fn refuses_folder_with_foreign_files() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("small.ron"), SMALL);
@@ -135,7 +135,7 @@ fn a_folder_with_something_else_in_it_is_refused() {
 }
 
 #[test]
-fn paths_of_a_pipeline_are_relative_to_it_and_those_of_set_to_where_one_stands() {
+fn resolves_paths_from_pipeline_and_set_paths_from_current_directory() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     crate::common::measured(&here.join("deep"));
@@ -152,7 +152,7 @@ fn paths_of_a_pipeline_are_relative_to_it_and_those_of_set_to_where_one_stands()
 }
 
 #[test]
-fn plugins_lists_names_kinds_and_one_plugin() {
+fn plugins_command_lists_kinds_and_names_and_describes_one() {
     let here = Path::new(".");
     let all = stdout(&succeed(here, &["plugins"]));
     for word in ["Pruner (pruners)", "LearnableMask,", "Mercator", "NearestNeighbours", "Teacher", "--markdown"] {

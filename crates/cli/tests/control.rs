@@ -5,7 +5,7 @@ use std::path::Path;
 #[test]
 fn the_page_of_the_reference_has_fields_and_settings_and_every_plugin() {
     let page = stdout(&succeed(Path::new("."), &["plugins", "--markdown"]));
-    for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::Family>() {
+    for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::PluginFamily>() {
         assert!((family.members)().iter().all(|plugin| page.contains(&format!("\n### {}\n", plugin.name))));
     }
     for line in ["| `lambda` | number | `0.01` | Weight λ", "### Densify (field `densify`)", "| `Magnitude` | "] {
@@ -18,7 +18,7 @@ fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
     let text = stdout(&succeed(Path::new("."), &["plugins", "--schema"]));
     let schema: serde_json::Value = serde_json::from_str(&text).unwrap();
     let types = &schema["$defs"];
-    for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::Family>() {
+    for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::PluginFamily>() {
         let all = types[family.kind]["oneOf"].as_array().unwrap();
         for plugin in (family.members)() {
             let name = |one: &serde_json::Value| one["properties"][plugin.name]["$ref"].as_str().map(str::to_owned);
@@ -36,7 +36,7 @@ fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
 #[test]
 fn everything_that_a_pipeline_may_name_can_be_asked_for() {
     let here = Path::new(".");
-    let said = |name: &str| stdout(&succeed(here, &["plugins", name]));
+    let message = |name: &str| stdout(&succeed(here, &["plugins", name]));
     let asked: [(&str, &[&str]); 10] = [
         ("training", &["Training(", "// Number of training steps M. [whole number]", "steps: 200000"]),
         ("optimizer", &["log_scales: Constant(0.005)", "Schedule: Constant, LogLinear, Cosine"]),
@@ -50,10 +50,10 @@ fn everything_that_a_pipeline_may_name_can_be_asked_for() {
         ("slurm", &["cpus: 2"]),
     ];
     for (name, words) in asked {
-        let text = said(name);
+        let text = message(name);
         assert!(words.iter().all(|word| text.contains(word)), "{name}: {text}");
     }
-    let mask = said("LearnableMask").split_whitespace().collect::<Vec<_>>().join(" ");
+    let mask = message("LearnableMask").split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(mask.contains("A mask that has closed cannot reopen"), "the whole comment");
     refuse(here, &["plugins", "optimiser"], 2, &["did you mean `Optimizer`"]);
     refuse(here, &["plugins", "trainin"], 2, &["did you mean `Training`"]);
@@ -65,8 +65,8 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     let here = folder.path();
     measured(here);
     std::fs::rename(here.join("data"), here.join("my \"data\"")).unwrap();
-    let said = stdout(&succeed(here, &["init", "my \"data\""]));
-    assert!(said.contains("6 spectra of 12 x 6 pixels: 3 training, 1 validation, 2 test"), "{said}");
+    let message = stdout(&succeed(here, &["init", "my \"data\""]));
+    assert!(message.contains("6 spectra of 12 x 6 pixels: 3 training, 1 validation, 2 test"), "{message}");
     let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
     for words in [
         "split: Official(",

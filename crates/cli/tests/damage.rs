@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 #[test]
-fn a_damaged_file_of_a_finished_run_is_named_and_made_again_once_it_is_gone() {
+fn names_damaged_file_and_recreates_it_after_removal() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     copy_small_run(here, "r");
@@ -87,13 +87,13 @@ fn a_checkpoint_of_another_training_or_with_a_flipped_bit_is_refused() {
 }
 
 #[test]
-fn what_a_model_file_says_passes_the_checks_of_a_pipeline() {
+fn checks_settings_read_from_model_file() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
     succeed(here, &["run", "p.ron", "--scale", "0.05", "--out", "r", "-q"]);
     let whole = std::fs::read(here.join("r/model.safetensors")).unwrap();
-    let said = |from: &str, to: &str, words: &[&str]| {
+    let message = |from: &str, to: &str, words: &[&str]| {
         let mut file = Tensors::from_bytes(&whole).unwrap();
         assert!(file.note.contains(from), "{}", file.note);
         file.note = file.note.replacen(from, to, 1);
@@ -101,21 +101,21 @@ fn what_a_model_file_says_passes_the_checks_of_a_pipeline() {
         let all = [&["m.safetensors"], words].concat();
         refuse(here, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "o"], 2, &all);
     };
-    said("\"orientation\":[0.0,0.0,0.0,1.0]", "\"orientation\":[0.0,0.0,0.0,0.0]", &["quaternion", "is zero"]);
-    said("\"width\":48", "\"width\":0", &["0 x 12 pixels"]);
-    said("\"width\":48,\"height\":12", "\"width\":100000,\"height\":100000", &["100000 x 100000 pixels"]);
-    said("\"first\":0.0", "\"first\":7.5", &["plane: the projector does not support its angles"]);
-    said(
+    message("\"orientation\":[0.0,0.0,0.0,1.0]", "\"orientation\":[0.0,0.0,0.0,0.0]", &["quaternion", "is zero"]);
+    message("\"width\":48", "\"width\":0", &["0 x 12 pixels"]);
+    message("\"width\":48,\"height\":12", "\"width\":100000,\"height\":100000", &["100000 x 100000 pixels"]);
+    message("\"first\":0.0", "\"first\":7.5", &["plane: the projector does not support its angles"]);
+    message(
         "\"gaussians\":8",
         "\"gaussians\":9223372036854775808",
         &["gaussians.means", "expected [9223372036854775808, 3]"],
     );
-    said("width: 16", "width: 0", &["width is 0"]);
+    message("width: 16", "width: 0", &["width is 0"]);
     let drawn = |rasterizer: &str, readout: &str| {
         format!("rasterizer: {rasterizer}, calibration: Physical, readout: {readout}")
     };
     let waves = drawn("ArrayResponse()", "Real");
-    said(&drawn("AlphaBlending(support: Exact)", "Magnitude"), &waves, &["Real takes one channel"]);
+    message(&drawn("AlphaBlending(support: Exact)", "Magnitude"), &waves, &["Real takes one channel"]);
     assert!(!here.join("o").exists());
     // Numbers that are finite, and a picture that is not.
     let mut file = Tensors::from_bytes(&whole).unwrap();
@@ -128,7 +128,7 @@ fn what_a_model_file_says_passes_the_checks_of_a_pipeline() {
 }
 
 #[test]
-fn a_result_that_cannot_be_written_is_a_failure() {
+fn fails_if_result_cannot_be_written() {
     let to = |path: &str| {
         let full = std::fs::OpenOptions::new().write(true).open(path).unwrap();
         pwrfgs(Path::new(".")).arg("plugins").stdout(full).stderr(Stdio::piped()).output().unwrap()

@@ -4,7 +4,7 @@ use pwrfgs::model::file;
 use std::path::Path;
 
 #[test]
-fn several_models_predict_as_one_and_show_where_they_differ() {
+fn ensemble_predicts_mean_and_deviation() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
@@ -105,7 +105,7 @@ fn scores(folder: &Path) -> String {
 }
 
 #[test]
-fn a_joined_sweep_is_scored_and_saved_as_one_model() {
+fn joined_sweep_is_scored_and_saved_as_one_model() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write_joined(here);
@@ -188,7 +188,7 @@ fn is_exported_whole(here: &Path, model: &str) {
 }
 
 #[test]
-fn runs_that_cannot_be_joined_are_refused() {
+fn refuses_to_join_incompatible_runs() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write_joined(here);

@@ -72,7 +72,7 @@ fn same_geometry(ply: &BTreeMap<String, Vec<f32>>, model: &Model, scales: &[[Rea
 }
 
 #[test]
-fn a_ply_file_shows_the_base_or_what_a_transmitter_makes_of_it() {
+fn exports_ply_of_base_or_of_one_transmitter() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let model = trained(here, &[]);
@@ -195,7 +195,7 @@ fn an_npz_file_holds_every_number_of_the_model() {
 }
 
 #[test]
-fn mistakes_are_named_and_nothing_is_written_or_overwritten() {
+fn export_errors_leave_files_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     trained(here, &[]);

@@ -2,7 +2,7 @@
 use crate::common::{SMALL, call, copy_small_run, refuse, stderr, write};
 
 #[test]
-fn a_folder_that_cannot_be_written_is_a_failure() {
+fn fails_if_folder_is_read_only() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
@@ -12,7 +12,7 @@ fn a_folder_that_cannot_be_written_is_a_failure() {
 /// A limit on the size of files stands for a full disk: both make a write fail half-way. Its signal, SIGXFSZ, is not ignored
 /// by who starts the program.
 #[test]
-fn a_full_disk_leaves_what_is_written_and_the_run_goes_on_later() {
+fn full_disk_keeps_written_files_and_run_resumes() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     copy_small_run(here, "whole");
@@ -20,10 +20,10 @@ fn a_full_disk_leaves_what_is_written_and_the_run_goes_on_later() {
     let blocks = checkpoint / 1024 / 2; // in KiB: settings and curve fit, the checkpoint does not
     let script = format!("ulimit -f {blocks}; exec {} run p.ron --out r -q", env!("CARGO_BIN_EXE_pwrfgs"));
     let output = std::process::Command::new("bash").args(["-c", &script]).current_dir(here).output().unwrap();
-    let said = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("error: cannot write r/") && said.contains("File too large"), "{said}");
-    assert!(!said.contains("panicked"), "{said}");
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("error: cannot write r/") && message.contains("File too large"), "{message}");
+    assert!(!message.contains("panicked"), "{message}");
     let names: Vec<String> =
         std::fs::read_dir(here.join("r")).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     assert!(

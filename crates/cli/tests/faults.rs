@@ -20,7 +20,7 @@ pub(crate) const TINY: &str = "Pipeline(
     baselines: [MeanSpectrum()],
     metrics: [Ssim(), GaussianCount()],
     training: (
-        steps: 12, batch: 2, target: 6, densify_until: 4, prune_until: 9, prune_every: 2, validate_every: 4, checkpoint_every: 3,
+        steps: 12, batch: 2, target_count: 6, densify_until: 4, prune_until: 9, prune_every: 2, validate_every: 4, checkpoint_every: 3,
         densify: (every: 2, from: 2),
     ),
 )
@@ -134,7 +134,7 @@ impl Faults {
 }
 
 #[test]
-fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
+fn run_killed_at_any_write_resumes_to_identical_result() {
     for (mode, spread) in [("kill", 13), ("half", 25)] {
         let Some(faults) = Faults::prepare(mode, spread) else { return };
         faults.each(|out, ended| {
@@ -144,15 +144,16 @@ fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
 }
 
 #[test]
-fn a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later() {
+fn reports_full_disk_at_any_write_and_run_resumes() {
     let Some(faults) = Faults::prepare("full", 17) else { return };
     faults.each(|out, ended| {
-        let said = stderr(ended);
+        let message = stderr(ended);
         // The last call brings the folder to the disk, and a file system that cannot do that is no failure.
         if !ended.status.success() {
-            assert_eq!(ended.status.code(), Some(1), "{out}: {said}");
-            let told = said.matches("error: cannot write ").count() == 1 && said.contains("No space left on device");
-            assert!(told && !said.contains("panicked"), "{out}: {said}");
+            assert_eq!(ended.status.code(), Some(1), "{out}: {message}");
+            let is_reported =
+                message.matches("error: cannot write ").count() == 1 && message.contains("No space left on device");
+            assert!(is_reported && !message.contains("panicked"), "{out}: {message}");
         }
     });
 }

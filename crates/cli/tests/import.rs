@@ -49,7 +49,7 @@ fn numbers(path: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn what_numpy_saves_is_trained_on() {
+fn trains_on_arrays_saved_by_numpy() {
     let Some(python) = python("what NumPy saves has not been imported") else { return };
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
@@ -70,11 +70,11 @@ fn what_numpy_saves_is_trained_on() {
     {
         let (out, mut words) = (format!("data/{k}"), spectra.split(' '));
         let (spectra, more) = (words.next().unwrap(), words.chain(["--out", &out]).collect::<Vec<_>>());
-        let said = stderr(&succeed(here, &arguments(spectra, tx, &more)));
-        assert!(said.contains("40 spectra of 48 x 12 pixels"), "{said}");
+        let message = stderr(&succeed(here, &arguments(spectra, tx, &more)));
+        assert!(message.contains("40 spectra of 48 x 12 pixels"), "{message}");
         assert!(
-            said.contains(&format!("    data: Arrays(root: \"{out}\"),\n    split: Random(test: 0.2),\n")),
-            "{said}"
+            message.contains(&format!("    data: Arrays(root: \"{out}\"),\n    split: Random(test: 0.2),\n")),
+            "{message}"
         );
         kept.push(numbers(&here.join(&out).join("spectra.npy")));
     }
@@ -111,7 +111,7 @@ fn what_numpy_saves_is_trained_on() {
 }
 
 #[test]
-fn a_pose_that_is_none_is_refused() {
+fn rejects_invalid_pose() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     for (receiver, orientation, words) in [
@@ -141,6 +141,6 @@ fn a_shape_that_does_not_suit_its_angles_is_refused_as_readers_refuse_it() {
     }
     assert!(!here.join("mine").exists());
     succeed(here, &[&import[..], &["--elevation", "-90,90"]].concat());
-    let said = stdout(&succeed(here, &["init", "mine", "--out", "mine.ron"]));
-    assert!(said.contains("20 spectra of 36 x 18 pixels"), "{said}");
+    let message = stdout(&succeed(here, &["init", "mine", "--out", "mine.ron"]));
+    assert!(message.contains("20 spectra of 36 x 18 pixels"), "{message}");
 }

@@ -5,7 +5,7 @@ use pwrfgs_core::Number;
 use std::path::Path;
 
 #[test]
-fn a_simulated_office_is_looked_at_as_folder_and_as_pipeline() {
+fn inspects_simulated_office_as_folder_and_as_pipeline() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/office.ron").canonicalize().unwrap();
@@ -14,7 +14,7 @@ fn a_simulated_office_is_looked_at_as_folder_and_as_pipeline() {
     for index in ["train_index.txt", "test_index.txt"] {
         _ = std::fs::remove_file(here.join("office").join(index));
     }
-    let said = stdout(&succeed(here, &["inspect", "office", "-q"]));
+    let message = stdout(&succeed(here, &["inspect", "office", "-q"]));
     for words in [
         "79 spectra of 360 x 90 pixels",
         "1 positions without a spectrum, 0 spectra without a position",
@@ -24,18 +24,18 @@ fn a_simulated_office_is_looked_at_as_folder_and_as_pipeline() {
         "TimeBlock()",
         "ceiling",
     ] {
-        assert!(said.replace("\n               ", " ").contains(words), "`{words}` is not in {said}");
+        assert!(message.replace("\n               ", " ").contains(words), "`{words}` is not in {message}");
     }
-    assert!(!said.contains("NaN"), "{said}");
-    assert_eq!(stdout(&succeed(here, &["inspect", "office", "-q", "--threads", "1"])), said);
+    assert!(!message.contains("NaN"), "{message}");
+    assert_eq!(stdout(&succeed(here, &["inspect", "office", "-q", "--threads", "1"])), message);
 
     write(&here.join("small.ron"), SMALL);
     let split = "split=Random(test: 0.3)";
-    let said = stdout(&succeed(here, &["inspect", "small.ron", "-q", "--set", split]));
-    assert!(said.contains("simulated") && said.contains("Random(test: 0.3, validation: 0.1) *"), "{said}");
-    let said = stdout(&succeed(here, &["check", "small.ron"]));
+    let message = stdout(&succeed(here, &["inspect", "small.ron", "-q", "--set", split]));
+    assert!(message.contains("simulated") && message.contains("Random(test: 0.3, validation: 0.1) *"), "{message}");
+    let message = stdout(&succeed(here, &["check", "small.ron"]));
     for words in ["boresight", "normalisation", "test distance", "\npose "] {
-        assert!(said.contains(words), "`{words}` is not in {said}");
+        assert!(message.contains(words), "`{words}` is not in {message}");
     }
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 2, "nothing is written");
 }
@@ -55,13 +55,13 @@ fn odd_pictures_of_an_array_are_named() {
     write(&here.join("tx.npy"), [npy_header(Number::F64, &[count, 3]), bytes].concat());
     let pose = ["--receiver", "0,0,0", "--orientation", "0,0,0,1"];
     succeed(here, &[&["import", "--spectra", "s.npy", "--tx", "tx.npy", "--out", "mine", "-q"], &pose[..]].concat());
-    let said = stdout(&succeed(here, &["inspect", "mine", "-q"])).replace("\n               ", " ");
-    assert!(said.contains("1 constant (id 6), 2 equal to another (ids 1, 10)"), "{said}");
-    assert!(said.contains("24 at the position of another") && !said.contains("simulated"), "{said}");
+    let message = stdout(&succeed(here, &["inspect", "mine", "-q"])).replace("\n               ", " ");
+    assert!(message.contains("1 constant (id 6), 2 equal to another (ids 1, 10)"), "{message}");
+    assert!(message.contains("24 at the position of another") && !message.contains("simulated"), "{message}");
 }
 
 #[test]
-fn rejects_what_is_no_data() {
+fn rejects_folder_without_data() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("small.ron"), SMALL);

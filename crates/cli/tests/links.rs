@@ -26,7 +26,7 @@ pub(crate) fn hall(here: &Path) {
     write(&here.join("data/tx_pos.csv"), format!("x,y,z\n{places}"));
     let text = "Pipeline(name: \"hall\", data: Nerf2Rssi(root: \"data\"), split: Random(test: 0.25), \
                 initializer: Grid(count: 12), deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), \
-                readout: Received(sky_deg: 30), training: (steps: 20, batch: 4, densify_until: 2, prune_until: 4, \
+                readout: ReceivedPower(sky_deg: 30), training: (steps: 20, batch: 4, densify_until: 2, prune_until: 4, \
                 prune_every: 2, validate_every: 0, densify: (every: 0)), baselines: [NearestNeighbours(k: 1)], \
                 metrics: [PowerError()])";
     write(&here.join("p.ron"), text);
@@ -58,16 +58,16 @@ fn powers_are_reported_predicted_mapped_and_exported() {
         assert!(page.contains(words), "`{words}` is not in the page");
     }
     assert!(!page.contains("test spectra") && !page.contains("NaN") && !page.contains("<h2>Spectra"));
-    let said = succeed(here, &["evaluate", MODEL, "--out", "again"]);
-    assert!(stderr(&said).contains("scoring 30 test links"), "{}", stderr(&said));
-    let said = succeed(here, &["inspect", "p.ron"]);
-    let said = String::from_utf8_lossy(&said.stdout);
+    let message = succeed(here, &["evaluate", MODEL, "--out", "again"]);
+    assert!(stderr(&message).contains("scoring 30 test links"), "{}", stderr(&message));
+    let message = succeed(here, &["inspect", "p.ron"]);
+    let message = String::from_utf8_lossy(&message.stdout);
     for words in
         ["120 received powers at 2 receivers, ids 0 to 59", "2: north, south", "dBm (median", "Random(", "1-NN"]
     {
-        assert!(said.contains(words), "`{words}` is not in {said}");
+        assert!(message.contains(words), "`{words}` is not in {message}");
     }
-    assert!(!said.contains("picture") && !said.contains("spectra") && !said.contains("NaN"), "{said}");
+    assert!(!message.contains("picture") && !message.contains("spectra") && !message.contains("NaN"), "{message}");
     predicts_powers(here);
     maps_powers(here);
     succeed(here, &["export", MODEL, "--npz", "m.npz", "--ply", "m.ply"]);
@@ -198,10 +198,13 @@ fn a_pipeline_is_suggested_for_every_layout() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     hall(here);
-    let said = succeed(here, &["init", "data", "--out", "powers.ron"]);
-    assert!(String::from_utf8_lossy(&said.stdout).contains("120 received powers at 2 receivers"), "{said:?}");
+    let message = succeed(here, &["init", "data", "--out", "powers.ron"]);
+    assert!(String::from_utf8_lossy(&message.stdout).contains("120 received powers at 2 receivers"), "{message:?}");
     let text = read(&here.join("powers.ron"));
-    assert!(text.contains("Nerf2Rssi(") && text.contains("Received(") && text.contains("longest_m: 10.0"), "{text}");
+    assert!(
+        text.contains("Nerf2Rssi(") && text.contains("ReceivedPower(") && text.contains("longest_m: 10.0"),
+        "{text}"
+    );
     succeed(here, &["run", "powers.ron", "--out", "powers", "--scale", "0.005"]);
     #[cfg(feature = "raytrace")]
     {
@@ -268,8 +271,9 @@ fn maps_powers(here: &Path) {
             .starts_with("power-north.npy,power-north.png,received power,dBm,north,x,0,5,y,1,3,0.5,z = 1 m,"),
         "{list}"
     );
-    let said = succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
-    assert!(stderr(&said).contains("set --bounds to change this"), "{}", stderr(&said));
+    let message =
+        succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
+    assert!(stderr(&message).contains("set --bounds to change this"), "{}", stderr(&message));
     assert_eq!(names(&here.join("side")).len(), 3);
     for (arguments, words) in [
         (&["--plane", "w=1"][..], &["--plane w=1", "such as z=1.2"][..]),
@@ -305,11 +309,12 @@ fn channels_are_reported_predicted_and_mapped() {
         assert!(page.contains(words), "`{words}` is not in the page");
     }
     assert!(!page.contains("test spectra") && !page.contains("NaN"));
-    let said = succeed(here, &["inspect", "p.ron"]);
-    let said = String::from_utf8_lossy(&said.stdout);
+    let message = succeed(here, &["inspect", "p.ron"]);
+    let message = String::from_utf8_lossy(&message.stdout);
     assert!(
-        said.contains("24 channels of 16 antennas x 16 subcarriers") && said.contains("mean power of the channel"),
-        "{said}"
+        message.contains("24 channels of 16 antennas x 16 subcarriers")
+            && message.contains("mean power of the channel"),
+        "{message}"
     );
     write(&here.join("tx.csv"), "x,y,z\n3,2,1\n4,4,1\n");
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "each"]);

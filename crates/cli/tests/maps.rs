@@ -18,7 +18,7 @@ fn gateway(here: &Path, position: &str) {
 }
 
 #[test]
-fn places_are_given_back_as_they_were_given() {
+fn predictions_return_positions_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     on_a_map(here);
@@ -38,10 +38,10 @@ fn places_are_given_back_as_they_were_given() {
     let tx = "500000.2,5399999.54,100.5";
     succeed(here, &["predict", "r/model.safetensors", "--tx", tx, "--out", "heard", "-q"]);
     assert!(text("heard/predictions.csv").contains("\n1,500000.2,5399999.54,100.5,"));
-    let said = succeed(here, &["evaluate", "r/model.safetensors"]);
-    assert!(stdout(&said).contains("ssim") && !stderr(&said).contains("receiver pose"), "{}", stderr(&said));
-    let said = succeed(here, &["export", "r/model.safetensors", "--ply", "m.ply", "--npz", "m.npz", "--tx", tx]);
-    assert!(stderr(&said).contains("relative to 500000, 5399999, 100"), "{}", stderr(&said));
+    let message = succeed(here, &["evaluate", "r/model.safetensors"]);
+    assert!(stdout(&message).contains("ssim") && !stderr(&message).contains("receiver pose"), "{}", stderr(&message));
+    let message = succeed(here, &["export", "r/model.safetensors", "--ply", "m.ply", "--npz", "m.npz", "--tx", tx]);
+    assert!(stderr(&message).contains("relative to 500000, 5399999, 100"), "{}", stderr(&message));
     let ply = String::from_utf8_lossy(&std::fs::read(here.join("m.ply")).unwrap()).into_owned();
     assert!(ply.contains("\ncomment origin 500000 5399999 100\n"), "{ply}");
     let mut archive = zip::ZipArchive::new(std::fs::File::open(here.join("m.npz")).unwrap()).unwrap();

@@ -384,7 +384,7 @@ def drawn(tensors, note, told, pose, plane):
 
 
 def received(tensors, note, told, receiver):
-    """`readout: Received`: dBm."""
+    """`readout: ReceivedPower`: dBm."""
     readout, pose = note["readout"], note["links"]["receivers"][receiver]["pose"]
     step = readout["sky_deg"]
     elevations = np.arange(-90, 91, step)
@@ -505,7 +505,7 @@ def predict(tensors, note, tx, features, receiver):
         return virtual_transmitters(tensors, note, told, receiver)
     if note["method"] == "SplattedChannel":
         return spherical(tensors, note, told, receiver)
-    if note["readout"][""] == "Received":
+    if note["readout"][""] == "ReceivedPower":
         return received(tensors, note, told, receiver)
     pose = note["links"]["receivers"][receiver]["pose"]
     return read_out(note["readout"][""], drawn(tensors, note, told, pose, note["plane"]))

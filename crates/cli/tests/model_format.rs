@@ -6,8 +6,8 @@ use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Ensemble, Model, Stages, file};
 use pwrfgs_core::{
-    Frame, GaussianCloud, ImagePlane, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling, Task, Vec3,
-    rng,
+    GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling,
+    Task, Vec3, rng,
 };
 use std::path::Path;
 use std::process::Command;
@@ -96,7 +96,7 @@ fn model(
     (deformation, projector, rasterizer, calibration, readout): (&str, &str, &str, Calibration, Readout),
 ) -> Model {
     let projector: Plugin<dyn Projector> = Plugin::parse(projector).unwrap();
-    let frame = Frame::spectra(Origin::ZERO, POSE, projector.plane(60, 24));
+    let setup = MeasurementSetup::spectra(Origin::ZERO, POSE, projector.plane(60, 24));
     let splatting = Splatting {
         deformation: Plugin::parse(deformation).unwrap(),
         rasterizer: Plugin::parse(rasterizer).unwrap(),
@@ -104,7 +104,7 @@ fn model(
         calibration,
         readout,
     };
-    let stages = Stages::new(splatting, frame);
+    let stages = Stages::new(splatting, setup);
     let weights: Vec<Real> = stages.layout().init(&mut rng::stream(1, "weights", 0));
     Model { stages, cloud: cloud(), weights }
 }
@@ -131,13 +131,14 @@ fn virtual_transmitters(order: usize) -> Model {
     let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
     let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None, sampling: Sampling::WHOLE };
     let frequencies_hz = vec![0.9e9, 0.95e9];
-    let frame = Frame { origin: Origin([10.0, 0.0, -3.0]), receivers, task: Task::Channel, plane, frequencies_hz };
+    let setup =
+        MeasurementSetup { origin: Origin([10.0, 0.0, -3.0]), receivers, task: Task::Channel, plane, frequencies_hz };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();
     cloud.complete(&method.traits().columns).unwrap();
     let mut random = rng::stream(6, "harmonics", 0);
     cloud.extra.iter_mut().for_each(|column| column.values.fill_with(|| rng::normal(&mut random)));
-    Model { stages: Stages { method, frame }, cloud, weights: Vec::new() }
+    Model { stages: Stages { method, setup }, cloud, weights: Vec::new() }
 }
 
 /// Predictions of a model file in the folder `out`.
@@ -152,14 +153,14 @@ pub(crate) fn predict(here: &Path, model: &str, out: &str) {
 pub(crate) fn predicted_again(python: &str, here: &Path, pairs: &[String]) -> usize {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/model_format.py");
     let output = Command::new(python).arg(script).args(pairs).current_dir(here).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    println!("{said}");
-    said.matches("same ").count()
+    let message = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{message}");
+    println!("{message}");
+    message.matches("same ").count()
 }
 
 #[test]
-fn numpy_alone_predicts_what_the_document_says() {
+fn numpy_predicts_from_documented_format() {
     let Some(python) = python(NOBODY) else { return };
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

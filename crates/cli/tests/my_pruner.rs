@@ -35,7 +35,7 @@ fn cargo(example: &Path, command: &str) -> Output {
 }
 
 #[test]
-fn the_page_on_plugins_shows_what_is_built_here() {
+fn plugins_page_matches_example_crate() {
     let read = |name: &str| std::fs::read_to_string(root().join(name)).unwrap();
     let page = read("docs/plugins.md");
     let (main, sweep) = (read("examples/my-pruner/src/main.rs"), read("examples/my-pruner/sweep.ron"));

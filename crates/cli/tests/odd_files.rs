@@ -71,7 +71,7 @@ fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
 }
 
 #[test]
-fn rejects_output_paths_that_cannot_be_made() {
+fn rejects_output_paths_that_cannot_be_created() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     measured(here);
@@ -134,7 +134,7 @@ fn rejects_output_paths_that_cannot_be_made() {
 }
 
 #[test]
-fn what_files_say_steers_no_terminal_and_is_not_repeated_at_length() {
+fn escapes_and_shortens_text_from_files() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     measured(here);

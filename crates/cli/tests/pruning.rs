@@ -5,12 +5,12 @@ use std::path::Path;
 /// Three strategies to as many Gaussians as there are at the start, and one to fewer.
 const IDLE: &str = "Experiment(
     name: \"idle\", base: \"p.ron\", seeds: [0],
-    set: {\"training.target\": 8},
+    set: {\"training.target_count\": 8},
     axes: [Axis(name: \"by\", variants: [
         (label: \"chance\", set: {\"pruners\": [RandomReference()]}),
         (label: \"light\", set: {\"pruners\": [LightGaussian()]}),
         (label: \"signal\", set: {\"pruners\": [SignalContribution()]}),
-        (label: \"less\", set: {\"pruners\": [RandomReference()], \"training.target\": 3}),
+        (label: \"less\", set: {\"pruners\": [RandomReference()], \"training.target_count\": 3}),
     ])],
 )";
 
@@ -28,25 +28,25 @@ fn gaussians(run: &Path) -> u64 {
 }
 
 #[test]
-fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_marked() {
+fn reports_target_reached_at_start_and_marks_equal_models() {
     let folder = folder();
     let here = folder.path();
     write(&here.join("e.ron"), IDLE);
-    let idle = "training.target is 8, but training starts with 8 Gaussians";
+    let idle = "training.target_count is 8, but training starts with 8 Gaussians";
     let one = ["p.ron", "--set", "pruners=[LightGaussian()]", "--set"];
-    let said = |command: &str, target: &str| stderr(&succeed(here, &[&[command][..], &one, &[target]].concat()));
-    assert!(said("check", "training.target=8").contains(&format!("warning: pruners: {idle}")));
-    assert!(!said("check", "training.target=7").contains("warning"));
+    let message = |command: &str, target: &str| stderr(&succeed(here, &[&[command][..], &one, &[target]].concat()));
+    assert!(message("check", "training.target_count=8").contains(&format!("warning: pruners: {idle}")));
+    assert!(!message("check", "training.target_count=7").contains("warning"));
     write(&here.join("both.ron"), "Experiment(name: \"both\", join: true, base: \"p.ron\", seeds: [0, 1])");
-    let set = ["--set", "pruners=[LightGaussian()]", "--set", "training.target=8"];
+    let set = ["--set", "pruners=[LightGaussian()]", "--set", "training.target_count=8"];
     let both = |more: &[&str]| stderr(&succeed(here, &[&["sweep", "both.ron", "--dry-run"][..], &set, more].concat()));
     assert_eq!((both(&[]).matches(idle).count(), both(&["-q"]).matches(idle).count()), (1, 0));
-    let run = said("run", "training.target=8");
+    let run = message("run", "training.target_count=8");
     assert!(run.contains(idle) && run.contains("nothing was pruned: 8 Gaussians remain"), "{run}");
 
-    let said = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
+    let message = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
     let warning = |by: &str| format!("warning: by={by},seed=0: pruners: {idle}");
-    assert!(["chance", "light", "signal"].iter().all(|by| said.contains(&warning(by))), "{said}");
+    assert!(["chance", "light", "signal"].iter().all(|by| message.contains(&warning(by))), "{message}");
     assert!(stderr(&succeed(here, &["sweep", "e.ron", "--dry-run", "-q"])).is_empty());
     let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
     for words in [
@@ -62,8 +62,8 @@ fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_mark
     );
     // One more seed of combinations that have finished.
     write(&here.join("e.ron"), IDLE.replace("seeds: [0]", "seeds: [0, 1]"));
-    let said = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
-    assert!(said.contains("warning: by=chance,seed=1") && said.matches(idle).count() == 3, "{said}");
+    let message = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
+    assert!(message.contains("warning: by=chance,seed=1") && message.matches(idle).count() == 3, "{message}");
     let latex = std::fs::read_to_string(here.join("runs/idle/report/tables/1-scores.tex")).unwrap();
     let row = latex.lines().find(|line| line.starts_with("by light ")).unwrap();
     assert!(row.contains("\\equiv") && !row.contains("\\textbf"), "a twin competes with nobody: {row}");
@@ -75,15 +75,15 @@ fn a_mask_that_cannot_close_in_time_is_reported() {
     let here = folder.path();
     let slow = ["p.ron", "--set", "pruners=[LearnableMask(learning_rate: 0.1)]"];
     let words = "a mask of `LearnableMask` needs about 128 steps to close and pruning ends after step 40";
-    let said = stderr(&succeed(here, &[&["check"][..], &slow].concat()));
-    assert!(said.contains(words), "{said}");
-    let said = stderr(&succeed(here, &[&["run"][..], &slow].concat()));
-    assert!(said.contains(words) && said.contains("nothing was pruned: 8 Gaussians remain"), "{said}");
+    let message = stderr(&succeed(here, &[&["check"][..], &slow].concat()));
+    assert!(message.contains(words), "{message}");
+    let message = stderr(&succeed(here, &[&["run"][..], &slow].concat()));
+    assert!(message.contains(words) && message.contains("nothing was pruned: 8 Gaussians remain"), "{message}");
     for (fast, target) in [("LearnableMask(learning_rate: 1.0)", 0), ("LearnableMask()", 3), ("OpacityThreshold()", 0)]
     {
-        let set = [format!("pruners=[{fast}]"), format!("training.target={target}")];
-        let said = stderr(&succeed(here, &["check", "p.ron", "--set", &set[0], "--set", &set[1]]));
-        assert!(!said.contains("warning"), "{fast}: {said}");
+        let set = [format!("pruners=[{fast}]"), format!("training.target_count={target}")];
+        let message = stderr(&succeed(here, &["check", "p.ron", "--set", &set[0], "--set", &set[1]]));
+        assert!(!message.contains("warning"), "{fast}: {message}");
     }
 }
 
@@ -98,8 +98,8 @@ fn a_shorter_training_still_prunes() {
         .replace("steps: 60", "steps: 1_200")
         .replace("prune_until: 40, prune_every: 10", "prune_until: 1_000, prune_every: 50");
     write(&here.join("p.ron"), text);
-    let said = stderr(&succeed(here, &["run", "p.ron", "--scale", "0.25", "--out", "short"]));
-    assert!(!said.contains("nothing was pruned") && !said.contains("to close"), "{said}");
+    let message = stderr(&succeed(here, &["run", "p.ron", "--scale", "0.25", "--out", "short"]));
+    assert!(!message.contains("nothing was pruned") && !message.contains("to close"), "{message}");
     assert!(gaussians(&here.join("short")) < 40);
     let pipeline = std::fs::read_to_string(here.join("short/pipeline.ron")).unwrap();
     assert!(pipeline.contains("prune_until: 250") && pipeline.contains("learning_rate: 0.08"), "{pipeline}");
@@ -111,9 +111,11 @@ fn a_shorter_training_still_prunes() {
 fn a_step_that_removes_more_than_half_names_its_rule() {
     let folder = folder();
     let here = folder.path();
-    let said =
-        stderr(&succeed(here, &["run", "p.ron", "-q", "--set", "pruners=[TopK()]", "--set", "training.target=3"]));
-    assert!(said.contains("step 30 removed 5 of 8 Gaussians (`TopK`: 5)"), "{said}");
+    let message = stderr(&succeed(
+        here,
+        &["run", "p.ron", "-q", "--set", "pruners=[TopK()]", "--set", "training.target_count=3"],
+    ));
+    assert!(message.contains("step 30 removed 5 of 8 Gaussians (`TopK`: 5)"), "{message}");
 }
 
 #[test]
@@ -123,11 +125,14 @@ fn training_stops_when_one_gaussian_is_left() {
     let size = "training.densify=(every: 5, from: 5, large_above: 0.0001, large_after: 10)";
     let run =
         |out: &'static str, more: &[&'static str]| [&["run", "p.ron", "--set", size, "--out", out][..], more].concat();
-    let said = stderr(&succeed(here, &["check", "p.ron", "--set", size]));
-    assert!(said.contains("8 of 8 Gaussians start larger than `large_above`") && said.contains("at step 15"), "{said}");
-    refuse(here, &run("r", &[]), 1, &["one Gaussian is left at step 15", "`large_above`, 0.00 m: ", "target: 1"]);
+    let message = stderr(&succeed(here, &["check", "p.ron", "--set", size]));
+    assert!(
+        message.contains("8 of 8 Gaussians start larger than `large_above`") && message.contains("at step 15"),
+        "{message}"
+    );
+    refuse(here, &run("r", &[]), 1, &["one Gaussian is left at step 15", "`large_above`, 0.00 m: ", "target_count: 1"]);
     assert!(!here.join("r/model.safetensors").exists());
-    succeed(here, &run("asked", &["--set", "training.target=1"]));
+    succeed(here, &run("asked", &["--set", "training.target_count=1"]));
     succeed(here, &run("alone", &["--set", "initializer=Grid(count: 1)"]));
     let masks = "pruners=[LearnableMask(lambda: 1000, learning_rate: 1.0)]";
     let masked = ["run", "p.ron", "--out", "masked", "--set", masks];

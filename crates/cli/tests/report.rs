@@ -51,13 +51,13 @@ fn runs_become_a_report() {
     let here = folder.path();
     runs(here);
     let arguments: Vec<&str> = ["report", "-q"].into_iter().chain(RUNS).chain(["runs/begun", RUNS[0]]).collect();
-    let said = stdout(&succeed(here, &arguments));
+    let message = stdout(&succeed(here, &arguments));
     for words in
         ["simulated", "whole", "half_grid", "3-NN (baseline)", "±", "Δ SSIM", "left out: runs/begun: not finished"]
     {
-        assert!(said.contains(words), "`{words}` is not in: {said}");
+        assert!(message.contains(words), "`{words}` is not in: {message}");
     }
-    assert!(said.ends_with("report: runs/whole-0/report/report.html\n"), "{said}");
+    assert!(message.ends_with("report: runs/whole-0/report/report.html\n"), "{message}");
 
     let out = here.join(RUNS[0]).join("report");
     let first = files(&out);
@@ -123,12 +123,12 @@ fn replaced(here: &Path, arguments: &[&str], out: &Path, first: &BTreeMap<PathBu
     assert!(files(out) == *first, "the same runs give the same bytes");
     write(&out.join("report.aux"), "of LaTeX");
     let one = ["report", "runs/whole-0", "-q"];
-    let said = stdout(&succeed(here, &one));
+    let message = stdout(&succeed(here, &one));
     let after = files(out);
     assert!(
         after.contains_key(&out.join("report.aux"))
             && after[&out.join("report.html")] != first[&out.join("report.html")],
-        "{said}"
+        "{message}"
     );
     // Another reference, somewhere else.
     let other = ["report", "runs/whole-0", "runs/half_grid-0", "--reference", "3-NN", "--out", "elsewhere/deep"];
@@ -208,8 +208,9 @@ fn runs_that_differ_in_validation_share_a_table() {
         ("runs/other", "split=Random(test: 0.3)"),
         ("runs/links", "split=RandomLinks(test: 0.3)"), // fields of the same names, and another split
     ] {
-        let said = stdout(&succeed(here, &["run", "small.ron", "-q", "--out", run, "--set", split, "--set", floors]));
-        let heading = said.lines().next().unwrap();
+        let message =
+            stdout(&succeed(here, &["run", "small.ron", "-q", "--out", run, "--set", split, "--set", floors]));
+        let heading = message.lines().next().unwrap();
         let expected = match run {
             "runs/all" => "8 test spectra; model and baselines are trained on the same 32",
             "runs/held" => {
@@ -219,12 +220,12 @@ fn runs_that_differ_in_validation_share_a_table() {
                 "12 test spectra; the model is trained on 25; the baselines are trained on 28 (training and validation)"
             }
         };
-        assert_eq!(heading, expected, "{said}");
+        assert_eq!(heading, expected, "{message}");
         let page = std::fs::read_to_string(here.join(run).join("report.html")).unwrap();
         assert!(page.contains(expected), "the page of {run} does not say what was trained on what");
     }
-    let said = stdout(&succeed(here, &["report", "-q", "runs/all", "runs/held", "runs/other", "runs/links"]));
-    assert_eq!(said.matches("\nScores").count(), 3, "{said}");
+    let message = stdout(&succeed(here, &["report", "-q", "runs/all", "runs/held", "runs/other", "runs/links"]));
+    assert_eq!(message.matches("\nScores").count(), 3, "{message}");
     let report = std::fs::read_to_string(here.join("runs/all/report/report.csv")).unwrap();
     let trained: Vec<[String; 4]> = rows(&report)
         .into_iter()
@@ -246,7 +247,7 @@ fn runs_that_differ_in_validation_share_a_table() {
         setting("RandomLinks(test: 0.3, validation: 0.1)", [&[("links", "25")], &floors("28")]),
     ];
     assert_eq!(trained, expected.concat());
-    assert!(said.contains("warning: k-NN differs between the runs of seed 0"), "{said}");
+    assert!(message.contains("warning: k-NN differs between the runs of seed 0"), "{message}");
 }
 
 /// The end of a run, its page and `run.json` say what `report` says of the same pairs.
@@ -256,7 +257,7 @@ fn a_run_gives_its_differences_from_the_baselines() {
     let here = folder.path();
     write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));
     let floors = "baselines=[MeanSpectrum(), NearestNeighbours(k: 1)]";
-    let said = stdout(&succeed(here, &["run", "small.ron", "-q", "--out", "run", "--set", floors]));
+    let message = stdout(&succeed(here, &["run", "small.ron", "-q", "--out", "run", "--set", floors]));
     let facts = std::fs::read_to_string(here.join("run/run.json")).unwrap();
     let facts: serde_json::Value = serde_json::from_str(&facts).unwrap();
     let pairs = facts["scores"]["paired"]["rows"].as_array().unwrap();
@@ -285,13 +286,13 @@ fn a_run_gives_its_differences_from_the_baselines() {
         } else {
             "worse"
         };
-        let line = said.lines().find(|line| line.starts_with(floor)).unwrap_or_else(|| panic!("{said}"));
+        let line = message.lines().find(|line| line.starts_with(floor)).unwrap_or_else(|| panic!("{message}"));
         assert!(line.contains(verdict) && page.contains(&format!("<td>{verdict}</td>")), "{line}");
     }
     // Elsewhere tested, it is still trained on what its run says.
     let other = "data=Teacher(seed: 3, width: 48, height: 12, samples: 20)";
-    let said = stdout(&succeed(here, &["evaluate", "-q", "run/model.safetensors", "--set", other]));
+    let message = stdout(&succeed(here, &["evaluate", "-q", "run/model.safetensors", "--set", other]));
     let heading =
         "4 test spectra; the model is trained on 26; the baselines are trained on 16 (training and validation)";
-    assert_eq!(said.lines().next(), Some(heading), "{said}");
+    assert_eq!(message.lines().next(), Some(heading), "{message}");
 }

@@ -61,7 +61,7 @@ fn same_end(a: &Path, b: &Path) {
 }
 
 #[test]
-fn a_killed_run_ends_as_one_never_stopped() {
+fn killed_run_resumes_to_identical_result() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), longer());
@@ -81,7 +81,7 @@ fn a_killed_run_ends_as_one_never_stopped() {
 }
 
 #[test]
-fn an_interrupted_run_says_how_to_go_on() {
+fn interrupted_run_prints_resume_command() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), longer());
@@ -93,9 +93,9 @@ fn an_interrupted_run_says_how_to_go_on() {
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let output = child.wait_with_output().unwrap();
-    let said = crate::common::stderr(&output);
-    assert_eq!(output.status.code(), Some(130), "{said}");
-    assert!(said.contains("stopped after step") && said.contains("repeat the command to resume"), "{said}");
+    let message = crate::common::stderr(&output);
+    assert_eq!(output.status.code(), Some(130), "{message}");
+    assert!(message.contains("stopped after step") && message.contains("repeat the command to resume"), "{message}");
     succeed(here, &["run", "p.ron", "--out", "r", "-q", "--threads", "1"]);
     same_end(&here.join("r"), whole());
 }

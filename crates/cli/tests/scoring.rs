@@ -105,7 +105,7 @@ fn a_finished_run_is_scored_anew_without_training() {
 }
 
 #[test]
-fn a_stopped_run_goes_on_with_other_metrics() {
+fn stopped_run_resumes_with_other_metrics() {
     let folder = folder();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL.replace("steps: 60", "steps: 400"));
@@ -114,8 +114,8 @@ fn a_stopped_run_goes_on_with_other_metrics() {
     wait_for_step(&mut child, &here.join("killed"), 150);
     child.kill().unwrap();
     assert!(!child.wait().unwrap().success());
-    let said = succeed(here, &["run", "p.ron", "--out", "killed", "--set", "metrics=[L1()]"]);
-    assert!(stderr(&said).contains("resuming after step"), "{}", stderr(&said));
+    let message = succeed(here, &["run", "p.ron", "--out", "killed", "--set", "metrics=[L1()]"]);
+    assert!(stderr(&message).contains("resuming after step"), "{}", stderr(&message));
     let model = |run: &str| std::fs::read(here.join(run).join("model.safetensors")).unwrap();
     assert!(model("whole") == model("killed"));
     assert!(!text(&here.join("killed/pipeline.ron")).contains("Ssim"));
@@ -164,7 +164,7 @@ fn a_run_killed_while_its_model_is_made_and_scored_anew_is_not_finished() {
 }
 
 #[test]
-fn a_folder_that_is_scored_anew_is_held_and_survives_a_kill() {
+fn rescoring_locks_folder_and_survives_kill() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     copy_small_run(here, "r");

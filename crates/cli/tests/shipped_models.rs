@@ -4,7 +4,7 @@
 use crate::common::{python, succeed, write};
 use crate::model_format::{NOBODY, predict, predicted_again};
 use pwrfgs::data::{npy_header, npy_header_as};
-use pwrfgs::experiment::{Silent, load, read_pipeline};
+use pwrfgs::experiment::{NoopObserver, load, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::plugin::to_ron;
@@ -39,7 +39,7 @@ fn small_data(pipeline: &Pipeline, uplinks: &Path) -> String {
 /// What makes a pipeline small and leaves the kind of its model as it is.
 fn changes(pipeline: &Pipeline, uplinks: &Path) -> Vec<String> {
     let mut changes = vec![small_data(pipeline, uplinks), "split=Random(validation: 0)".into()];
-    changes.push("training=(steps: 4, batch: 4, densify_until: 0, prune_until: 0, target: 0)".into());
+    changes.push("training=(steps: 4, batch: 4, densify_until: 0, prune_until: 0, target_count: 0)".into());
     if pipeline.method().traits().has_gaussians() {
         changes.extend(["pruners=[]", "training.densify=(every: 0)"].map(String::from));
     } else {
@@ -53,7 +53,7 @@ fn changes(pipeline: &Pipeline, uplinks: &Path) -> Vec<String> {
 }
 
 fn trained(pipeline: &Pipeline) -> Model {
-    let (data, partition) = load(pipeline, Path::new(""), &mut Silent).unwrap_or_else(|e| panic!("{e}"));
+    let (data, partition) = load(pipeline, Path::new(""), &mut NoopObserver).unwrap_or_else(|e| panic!("{e}"));
     let mut trainer = pipeline.trainer(&data, &partition).unwrap_or_else(|e| panic!("{e}"));
     while !trainer.finished() {
         trainer.step().unwrap();
@@ -90,7 +90,7 @@ fn predict_from_features(ensemble: &Ensemble, out: &Path) {
 }
 
 #[test]
-fn numpy_alone_predicts_what_every_shipped_pipeline_makes() {
+fn numpy_predicts_from_model_of_every_shipped_pipeline() {
     let Some(python) = python(NOBODY) else { return };
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

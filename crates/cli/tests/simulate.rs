@@ -105,7 +105,7 @@ fn begun(folder: &Path) -> Child {
 
 #[test]
 #[cfg(unix)]
-fn a_stopped_simulation_leaves_nothing_and_a_killed_one_until_the_next() {
+fn stopped_simulation_leaves_no_files_and_next_one_cleans_up_after_kill() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();
@@ -168,8 +168,8 @@ fn ctrl_c_ends_commands_while_their_data_are_simulated() {
         while entries(&folder.join("cache")).is_empty() && Instant::now() < end {
             std::thread::sleep(Duration::from_millis(20));
         }
-        let said = interrupted(child);
-        assert!(words.iter().all(|words| said.contains(words)), "{said}");
+        let message = interrupted(child);
+        assert!(words.iter().all(|words| message.contains(words)), "{message}");
         assert!(entries(&folder.join("cache")).is_empty() && !folder.join("runs").exists(), "{:?}", entries(folder));
     }
 }
@@ -203,7 +203,7 @@ fn polygons_and_fans_of_thousands_of_corners_are_simulated() {
 
 #[test]
 #[cfg(unix)]
-fn the_cache_is_cleared_of_what_was_killed() {
+fn removes_partial_cache_entries_of_killed_processes() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();

@@ -8,13 +8,13 @@ use std::process::Command;
 const SKIPPED: i32 = 77;
 
 #[test]
-fn a_sweep_on_slurm_ends_as_one_without() {
+fn slurm_sweep_equals_local_sweep() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/slurm/run.sh");
     let output = Command::new("bash").arg(script).arg(env!("CARGO_BIN_EXE_pwrfgs")).output();
     let output = output.expect("bash is wherever this project is built");
-    let said = crate::common::stderr(&output);
+    let message = crate::common::stderr(&output);
     if output.status.code() == Some(SKIPPED) {
-        return skipped(said.lines().last().unwrap_or_default());
+        return skipped(message.lines().last().unwrap_or_default());
     }
-    assert!(output.status.success(), "{}: {}{said}", output.status, crate::common::stdout(&output));
+    assert!(output.status.success(), "{}: {}{message}", output.status, crate::common::stdout(&output));
 }

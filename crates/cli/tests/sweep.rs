@@ -76,7 +76,7 @@ fn every_combination_is_run_once_and_variants_change_what_they_name() {
 }
 
 #[test]
-fn a_killed_sweep_goes_on_and_ends_as_one_never_stopped() {
+fn killed_sweep_resumes_to_identical_result() {
     let base = SMALL.replace("steps: 60", "steps: 500").replace("prune_until: 40", "prune_until: 300");
     let folder = folder(&EXPERIMENT.replace("(label: \"more (8)\"),", ""), &base);
     let here = folder.path();
@@ -156,7 +156,7 @@ fn two_sweeps_in_one_folder_share_the_work() {
 }
 
 #[test]
-fn mistakes_are_refused_where_they_stand_before_anything_runs() {
+fn reports_position_of_experiment_errors_before_first_run() {
     let folder = folder(EXPERIMENT, SMALL);
     let here = folder.path();
     let cases: [(&str, &str, &[&str]); 15] = [
@@ -211,25 +211,25 @@ fn values_for_all_runs_are_checked_together_with_those_of_the_axes() {
     let of_target = |last: &str| {
         format!(
             "Experiment(name: \"t\", base: \"base/p.ron\",\nset: {{\"pruners\": [TopK()]}},\naxes: [Axis(name: \"n\", variants: [
-            (label: \"3\", set: {{\"training.target\": 3}}), {last}])])"
+            (label: \"3\", set: {{\"training.target_count\": 3}}), {last}])])"
         )
     };
-    let folder = folder(&of_target("(label: \"4\", set: {\"training.target\": 4})"), SMALL);
+    let folder = folder(&of_target("(label: \"4\", set: {\"training.target_count\": 4})"), SMALL);
     let here = folder.path();
     succeed(here, &["sweep", "e.ron", "--dry-run"]);
     write(&here.join("e.ron"), of_target("(label: \"none\")"));
-    refuse(here, &["sweep", "e.ron", "--dry-run"], 2, &["e.ron:2:7: set: pruners: `TopK` needs training.target"]);
+    refuse(here, &["sweep", "e.ron", "--dry-run"], 2, &["e.ron:2:7: set: pruners: `TopK` needs training.target_count"]);
     let set = ["--set", "pruners=[TopK(score: Opacity)]"];
     refuse(
         here,
         &[&["sweep", "e.ron", "--dry-run"][..], &set].concat(),
         2,
-        &["error: --set pruners=", "training.target"],
+        &["error: --set pruners=", "training.target_count"],
     );
 }
 
 #[test]
-fn a_folder_that_is_not_of_this_experiment_is_refused_and_left_as_it_is() {
+fn refuses_folder_of_other_experiment_unchanged() {
     let folder = folder(EXPERIMENT, SMALL);
     let here = folder.path();
     let foreign: [(&str, &[u8], &[&str]); 4] = [

@@ -20,7 +20,7 @@ impl Place {
         let here = folder.path();
         let shim = shim(here)?;
         write(&here.join("a.ron"), TINY);
-        write(&here.join("b.ron"), TINY.replace("target: 6", "target: 5"));
+        write(&here.join("b.ron"), TINY.replace("target_count: 6", "target_count: 5"));
         write(&here.join("e.ron"), "Experiment(name: \"pair\", base: \"a.ron\", seeds: [0, 1], axes: [])");
         let place = Self { folder, shim };
         if !place.start(&["check", "a.ron"], ("a.ron", 1)).is_held() {
@@ -113,7 +113,7 @@ fn all_of(folder: &Path, runs: &[&str]) -> Vec<BTreeMap<String, Vec<u8>>> {
 }
 
 #[test]
-fn two_runs_that_claim_one_folder_leave_one_of_them_whole() {
+fn concurrent_runs_in_one_folder_complete_one_run() {
     let Some(place) = Place::new() else { return };
     let here = place.here();
     let whole = ["a.ron", "b.ron"].map(|file| {
@@ -128,17 +128,19 @@ fn two_runs_that_claim_one_folder_leave_one_of_them_whole() {
             let is_held = first.is_held();
             let second = call(here, &run(other, &out));
             let first = first.end();
-            let said = format!("call {at}, {other}: {} {}", stderr(&first), stderr(&second));
+            let message = format!("call {at}, {other}: {} {}", stderr(&first), stderr(&second));
             let ends = [&first, &second].map(|output| output.status.code());
             let refused = ["a run of another pipeline", "is in use by another pwrfgs process"];
             match (k, ends) {
                 (0, [Some(0), Some(0)]) => {}
-                (_, [Some(0), Some(2)]) => assert!(refused.iter().any(|why| stderr(&second).contains(why)), "{said}"),
-                (_, [Some(2), Some(0)]) => assert!(refused.iter().any(|why| stderr(&first).contains(why)), "{said}"),
-                _ => panic!("{ends:?} {said}"),
+                (_, [Some(0), Some(2)]) => {
+                    assert!(refused.iter().any(|why| stderr(&second).contains(why)), "{message}");
+                }
+                (_, [Some(2), Some(0)]) => assert!(refused.iter().any(|why| stderr(&first).contains(why)), "{message}"),
+                _ => panic!("{ends:?} {message}"),
             }
             let winner = if ends[0] == Some(0) { 0 } else { k };
-            assert!(end_of(&here.join(&out)) == whole[winner], "{ends:?} {said}");
+            assert!(end_of(&here.join(&out)) == whole[winner], "{ends:?} {message}");
             if !is_held {
                 break;
             }
@@ -169,8 +171,11 @@ fn sweeps_that_share_a_folder_leave_runs_to_each_other_and_fail_at_nothing() {
             let mut second = place.start(&sweep(&out), (part, 1));
             second.settle();
             for output in [first.end(), second.end()] {
-                let said = stderr(&output);
-                assert!(output.status.success() && !said.contains("failed"), "call {at} on {path}, {part}: {said}");
+                let message = stderr(&output);
+                assert!(
+                    output.status.success() && !message.contains("failed"),
+                    "call {at} on {path}, {part}: {message}"
+                );
             }
             let status = stdout(&succeed(here, &["sweep", "e.ron", "--out", &out, "--status"]));
             assert!(status.contains("2 of 2 runs finished"), "call {at} on {path}, {part}: {status}");
@@ -230,9 +235,12 @@ fn a_run_whose_folder_gives_way_to_a_link_writes_nothing_through_it() {
         std::fs::rename(&out, &moved).unwrap();
         std::os::unix::fs::symlink(&elsewhere, &out).unwrap();
         let output = process.end();
-        let said = stderr(&output);
-        assert_eq!(output.status.code(), Some(1), "{call:?}: {said}");
-        assert!(said.contains(out.to_str().unwrap()) && said.contains(moved.to_str().unwrap()), "{call:?}: {said}");
+        let message = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{call:?}: {message}");
+        assert!(
+            message.contains(out.to_str().unwrap()) && message.contains(moved.to_str().unwrap()),
+            "{call:?}: {message}"
+        );
         let there = std::fs::read_dir(&elsewhere).unwrap().map(|entry| std::fs::read(entry.unwrap().path()).unwrap());
         let there: Vec<Vec<u8>> = there.collect();
         assert!(there.len() == whole.len() && there.iter().all(|bytes| bytes == b"mine"), "{call:?}");

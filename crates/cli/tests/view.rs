@@ -83,12 +83,12 @@ fn first_of(run: &Path, set: &str) -> usize {
 }
 
 #[test]
-fn a_baseline_is_not_scored_against_samples_that_it_stores() {
+fn viewer_excludes_training_samples_of_baseline() {
     let folder = small_run();
     let served = Served::start(folder, &["run", "NearestNeighbours(k: 1)"]);
     let (_, token) = served.parts();
     let samples = std::fs::read_to_string(folder.join("run/samples.csv")).unwrap();
-    let asked = |side: usize, set: &str, by_position: bool| {
+    let call = |side: usize, set: &str, by_position: bool| {
         let link = first_of(&folder.join("run"), set);
         let fields: Vec<&str> = samples.lines().nth(link + 1).unwrap().split(',').collect();
         let place = if by_position { format!("tx={}", fields[1..4].join(",")) } else { format!("link={link}") };
@@ -96,7 +96,7 @@ fn a_baseline_is_not_scored_against_samples_that_it_stores() {
     };
     for by_position in [true, false] {
         for (number, set) in ["train", "validation", "test"].into_iter().enumerate() {
-            let [model, baseline] = [0, 1].map(|side| asked(side, set, by_position).replace('\\', ""));
+            let [model, baseline] = [0, 1].map(|side| call(side, set, by_position).replace('\\', ""));
             for answer in [&model, &baseline] {
                 assert!(answer.contains(&format!("\"part\":{number}")), "{set}: {answer:.400}");
             }
@@ -115,22 +115,22 @@ fn pages_open_on_a_test_sample_name_the_set_and_move_together() {
     let opens_on_a_test_sample = |stage: &str| {
         page.wait("document.querySelector('[data-ready]')");
         assert_eq!(page.eval(&format!("{stage}.parts[{stage}.link]")), json!(2), "{stage}");
-        let said = page.eval("document.querySelector('[data-numbers]').textContent");
-        assert!(said.as_str().unwrap().contains("test"), "{stage}: {said}");
+        let message = page.eval("document.querySelector('[data-numbers]').textContent");
+        assert!(message.as_str().unwrap().contains("test"), "{stage}: {message}");
     };
     let stage = "document.querySelector('main').stage";
     opens_on_a_test_sample(stage);
-    let said = |set: &str| -> Vec<String> {
+    let message = |set: &str| -> Vec<String> {
         page.eval(&format!("{stage}.goTo({})", first_of(&run, set)));
         let shown = format!("document.querySelector('[data-numbers]').textContent.includes('({}')", &set[..4]);
         page.wait(&format!("{shown} && !{stage}.busy"));
         let all = page.eval("[...document.querySelectorAll('[data-numbers]')].map((own) => own.textContent)");
         serde_json::from_value(all).unwrap()
     };
-    let [model, baseline] = said("train").try_into().unwrap();
+    let [model, baseline] = message("train").try_into().unwrap();
     assert!(model.starts_with("SSIM 0.") && model.contains("(training), 0.00 m away"), "{model}");
     assert!(baseline.starts_with("not scored: the baseline was fitted to sample "), "{baseline}");
-    let [_, baseline] = said("test").try_into().unwrap();
+    let [_, baseline] = message("test").try_into().unwrap();
     assert!(baseline.starts_with("SSIM ") && baseline.contains("(test), 0.00 m away"), "{baseline}");
     page.eval(&format!("{stage}.goTo({stage}.ordered('id')[3])"));
     page.wait(&format!("{stage}.link === {stage}.ordered('id')[3] && !{stage}.busy"));
@@ -194,9 +194,9 @@ fn the_page_follows_the_transmitter_and_ends_with_its_window() {
     );
     page.wait(&format!("{stage}.link !== null && !{stage}.busy"));
     page.wait("document.querySelector('[data-numbers]').textContent.includes('0.00 m away')");
-    page.eval("{ const own = document.querySelector('[data-moment]'); own.value = 0; own.dispatchEvent(new Event('input')); }");
-    page.wait("document.querySelector('[data-moment-title]').textContent.startsWith('At the start')");
-    page.wait(&format!("{stage}.sides[0].gaussians?.has('births')"));
+    page.eval("{ const own = document.querySelector('[data-snapshot]'); own.value = 0; own.dispatchEvent(new Event('input')); }");
+    page.wait("document.querySelector('[data-snapshot-title]').textContent.startsWith('At the start')");
+    page.wait(&format!("{stage}.sides[0].gaussians?.has('gaussian_ids')"));
     page.resize([390, 800]);
     assert_eq!(page.eval("document.documentElement.scrollWidth <= 390"), json!(true), "a phone shows it whole");
     let unnamed = "[...document.querySelectorAll('.stage input, .stage select, .stage button')].filter((own) => \
@@ -306,7 +306,7 @@ fn a_run_under_way_is_followed() {
 }
 
 #[test]
-fn whoever_means_ill_is_refused_and_the_page_goes_on() {
+fn refuses_malicious_requests_and_keeps_serving() {
     let folder = small_run();
     let served = Served::start(folder, &["run/model.safetensors"]);
     let (host, token) = served.parts();
@@ -332,11 +332,11 @@ fn whoever_means_ill_is_refused_and_the_page_goes_on() {
         (&format!("/{token}/predict?tx=1,2,3&receiver=99"), "", "400"),
         (&format!("/{token}/predict?link=99999999999999999999"), "", "400"),
         (&format!("/{token}/link?link=1000000"), "", "400"),
-        (&format!("/{token}/gaussians?moment=99"), "", "400"),
+        (&format!("/{token}/gaussians?snapshot=99"), "", "400"),
         (&format!("/{token}/gaussians?side=7"), "", "400"),
     ] {
-        let said = served.get(path, headers);
-        assert!(said.contains(&format!(" {status} ")), "{path} {}: {said}", &headers[..headers.len().min(60)]);
+        let message = served.get(path, headers);
+        assert!(message.contains(&format!(" {status} ")), "{path} {}: {message}", &headers[..headers.len().min(60)]);
     }
     let foreign = format!("GET {room} HTTP/1.1\r\nHost: rebound.example\r\nConnection: close\r\n\r\n");
     assert!(served.says(foreign.as_bytes(), false).contains(" 421 "), "a name that leads here is not ours");
@@ -347,8 +347,8 @@ fn whoever_means_ill_is_refused_and_the_page_goes_on() {
     for garbage in
         [&b"\0\xff\xfe rubbish \r\n\r\n"[..], b"GET", b"GET / HTTP/9.9\r\n\r\n", b"\r\n\r\n\r\n", &vec![b'A'; 50_000]]
     {
-        let said = served.says(garbage, true);
-        assert!(!said.contains(" 200 "), "{said}");
+        let message = served.says(garbage, true);
+        assert!(!message.contains(" 200 "), "{message}");
     }
     good();
 }
@@ -397,7 +397,7 @@ fn silent_connections_do_not_block_the_page() {
 }
 
 #[test]
-fn what_cannot_be_viewed_is_told() {
+fn reports_models_that_cannot_be_viewed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
     copy_small_run(path, "run");

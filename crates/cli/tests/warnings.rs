@@ -27,7 +27,7 @@ fn powers(here: &Path, name: &str, (positions, powers): (Vec<[f64; 3]>, Vec<f64>
     save(&Dataset { official, ..data }, &here.join(name)).unwrap();
     let text = format!(
         "Pipeline(name: \"p\", data: Nerf2Rssi(root: \"{name}\"), initializer: Grid(count: 12), readout: \
-         Received(sky_deg: 30), deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), training: (steps: 4, \
+         ReceivedPower(sky_deg: 30), deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), training: (steps: 4, \
          batch: 4, densify_until: 2, prune_until: 3, prune_every: 1, validate_every: 0, densify: (every: 0)), baselines: \
          [NearestNeighbours(k: 1)], metrics: [PowerError()])"
     );
@@ -36,8 +36,8 @@ fn powers(here: &Path, name: &str, (positions, powers): (Vec<[f64; 3]>, Vec<f64>
 
 /// All warnings of a command that succeeds.
 fn warned(here: &Path, arguments: &[&str]) -> Vec<String> {
-    let said = stderr(&succeed(here, arguments));
-    said.lines().filter(|line| line.starts_with("warning: ")).map(str::to_owned).collect()
+    let message = stderr(&succeed(here, arguments));
+    message.lines().filter(|line| line.starts_with("warning: ")).map(str::to_owned).collect()
 }
 
 #[test]

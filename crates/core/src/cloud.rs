@@ -83,8 +83,8 @@ impl GaussianCloud {
     }
 
     /// Adds a column of zeros for each missing entry of `wanted` (name and width); fails if a column has another width.
-    pub fn complete(&mut self, wanted: &[(&str, usize)]) -> Result<(), String> {
-        for &(name, width) in wanted {
+    pub fn complete(&mut self, expected: &[(&str, usize)]) -> Result<(), String> {
+        for &(name, width) in expected {
             match self.extra(name) {
                 Some(own) if own.width == width => {}
                 Some(own) => return Err(format!("column `{name}` has width {}, expected {width}", own.width)),
@@ -135,14 +135,14 @@ impl GaussianCloud {
 
 /// Origin of a row of a new cloud.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Row {
+pub enum RowOrigin {
     /// The same Gaussian: it keeps the moments of the optimiser and its statistics.
     Kept(usize),
     /// A copy of that Gaussian, or one merged from several: its moments start at 0.
     Copied(usize),
 }
 
-impl Row {
+impl RowOrigin {
     /// Returns the row of the old cloud.
     pub fn source(self) -> usize {
         match self {
@@ -153,9 +153,9 @@ impl Row {
 
 /// Result of [`crate::Pruner::edit`]: a cloud with moved or merged Gaussians.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Edit {
+pub struct CloudEdit {
     /// New Gaussians, with all columns.
     pub cloud: GaussianCloud,
     /// Row of the old cloud that each of them continues.
-    pub rows: Vec<Row>,
+    pub rows: Vec<RowOrigin>,
 }

@@ -103,7 +103,7 @@ pub trait Baseline:
     }
 
     /// Fits to all `known` links. Choices use the validation set; if it is empty, samples held out of the training set.
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>>;
 
     /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
@@ -125,7 +125,7 @@ pub trait Predict: Send + Sync {
 
     /// Returns whether it uses the simulated scene (exact or with errors) instead of the training data, as ray tracing
     /// does. It is then an oracle baseline and not ranked.
-    fn knows_scene(&self) -> bool {
+    fn is_oracle(&self) -> bool {
         false
     }
 }
@@ -143,8 +143,8 @@ pub struct Partition {
 
 impl Partition {
     /// Returns all links except the test set.
-    pub fn known(&self) -> Known<'_> {
-        Known { train: &self.train, validation: &self.validation }
+    pub fn known(&self) -> FittingSet<'_> {
+        FittingSet { train: &self.train, validation: &self.validation }
     }
 
     /// Returns the sizes of training, validation and test set.
@@ -177,14 +177,14 @@ pub enum LinkSet {
 
 /// Links for the fit of a baseline: two disjoint lists of indices into [`Dataset::links`](crate::Dataset::links).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Known<'a> {
+pub struct FittingSet<'a> {
     /// Training links, as for models.
     pub train: &'a [usize],
     /// Validation links. Baselines first use them for choices, then for the fit like training links.
     pub validation: &'a [usize],
 }
 
-impl<'a> Known<'a> {
+impl<'a> FittingSet<'a> {
     /// Creates a training set without validation.
     pub fn train(train: &'a [usize]) -> Self {
         Self { train, validation: &[] }

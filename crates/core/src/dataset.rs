@@ -1,6 +1,6 @@
 //! `Dataset`: observations and their positions, in columns.
 
-use crate::words::clean;
+use crate::messages::strip_control;
 use crate::{
     Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver, Result,
     Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
@@ -111,7 +111,7 @@ impl Dataset {
         samples: &[Sample],
         observations: Observations,
     ) -> Result<Self> {
-        let title = clean(&title.into());
+        let title = strip_control(&title.into());
         let refuse = |what: String| Error::Config(format!("data set `{title}`: {what}"));
         check_receivers(&receivers).map_err(refuse)?;
         if let Some(fault) = observations.fault() {
@@ -211,18 +211,21 @@ fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
         return Err("no receiver; give at least one".into());
     }
     for (i, Receiver { name, pose, antennas }) in receivers.iter().enumerate() {
-        let who = if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", clean(name)) };
+        let subject =
+            if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", strip_control(name)) };
         if let Some((_, fault)) = pose.fault() {
-            return Err(format!("{who}: {fault}"));
+            return Err(format!("{subject}: {fault}"));
         }
         if let Some(fault) = antennas.iter().find_map(|place| place_fault(*place)) {
-            return Err(format!("{who}: an antenna {fault}"));
+            return Err(format!("{subject}: an antenna {fault}"));
         }
         if antennas.is_empty() {
-            return Err(format!("{who} has no antenna; give its position in the receiver frame, such as [0, 0, 0]"));
+            return Err(format!(
+                "{subject} has no antenna; give its position in the receiver frame, such as [0, 0, 0]"
+            ));
         }
         if receivers[..i].iter().any(|other| other.name == *name) {
-            return Err(format!("two receivers have the name `{}`; give each a unique name", clean(name)));
+            return Err(format!("two receivers have the name `{}`; give each a unique name", strip_control(name)));
         }
     }
     Ok(())
@@ -289,7 +292,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_data_set_that_cannot_be_is_refused_with_what_is_wrong() {
+    fn rejects_inconsistent_data_set_with_reason() {
         let sample = |id, x| Sample::new(id, [x, 0.0, 0.0]);
         let new = |receiver, points, count: usize, samples| {
             let spectra = Spectra::grey((3, 2), vec![0; 6 * count]).unwrap();
@@ -298,7 +301,7 @@ mod tests {
         let turned = |orientation| Pose { orientation, ..Pose::IDENTITY };
         let far = Pose { position: [1e300, 0.0, 0.0], ..Pose::IDENTITY };
         let good = || vec![sample(1, 0.0)];
-        let said = [
+        let message = [
             new(turned([0.0; 4]), vec![], 1, good()),
             new(turned([0.0, 0.0, 0.0, 1.01]), vec![], 1, good()),
             new(Pose::IDENTITY, vec![], 1, vec![]),
@@ -308,8 +311,8 @@ mod tests {
             new(Pose::IDENTITY, vec![[0.0, f64::INFINITY, 0.0]], 1, good()),
         ];
         let why = ["is zero", "has length 1.01", "1 spectra for 0", "2 spectra for 1", "id 2 follows 2", "NaN", "inf"];
-        for (said, why) in said.iter().zip(why) {
-            assert!(said.starts_with("data set `room`: ") && said.contains(why), "{said}");
+        for (message, why) in message.iter().zip(why) {
+            assert!(message.starts_with("data set `room`: ") && message.contains(why), "{message}");
         }
         assert!(new(far, vec![], 1, good()).contains("receiver: the position is 1e300 m, beyond 1e8 m"));
     }

@@ -31,7 +31,7 @@ impl<T: JsonSchema> Documented for T {
 
 /// Type of a field.
 #[derive(Clone, Debug)]
-pub enum Kind {
+pub enum DocKind {
     /// Plain value, described in words, such as `number`.
     Plain(&'static str),
     /// Struct or enum.
@@ -56,21 +56,21 @@ pub struct Docs {
     /// Doc comment of the type.
     pub text: &'static str,
     /// Fields or variants of the type.
-    pub body: Body,
+    pub body: DocBody,
 }
 
 /// Fields or variants of a type.
 #[derive(Debug)]
-pub enum Body {
+pub enum DocBody {
     /// Fields of a struct.
-    Fields(&'static [Field]),
+    Fields(&'static [DocField]),
     /// Variants of an enum.
-    Variants(&'static [Variant]),
+    Variants(&'static [DocVariant]),
 }
 
 /// Documentation of a field.
 #[derive(Debug)]
-pub struct Field {
+pub struct DocField {
     /// Name of the field; `_0` for the first of an unnamed list.
     pub name: &'static str,
     /// Doc comment of the field.
@@ -78,12 +78,12 @@ pub struct Field {
     /// Whether the field may be omitted.
     pub optional: bool,
     /// Type of the field.
-    pub kind: Kind,
+    pub kind: DocKind,
 }
 
 /// Documentation of a variant of an enum.
 #[derive(Debug)]
-pub struct Variant {
+pub struct DocVariant {
     /// Name of the variant.
     pub name: &'static str,
     /// Doc comment of the variant.
@@ -91,10 +91,10 @@ pub struct Variant {
     /// Whether its fields have names.
     pub named: bool,
     /// Fields of the variant.
-    pub fields: &'static [Field],
+    pub fields: &'static [DocField],
 }
 
-impl Kind {
+impl DocKind {
     /// Returns the struct or enum, also inside an `Option`.
     pub fn docs(&self) -> Option<&'static Docs> {
         match self {
@@ -138,18 +138,18 @@ impl Docs {
     }
 
     /// Returns the fields of a struct.
-    pub fn fields(&self) -> &'static [Field] {
+    pub fn fields(&self) -> &'static [DocField] {
         match self.body {
-            Body::Fields(fields) => fields,
-            Body::Variants(_) => &[],
+            DocBody::Fields(fields) => fields,
+            DocBody::Variants(_) => &[],
         }
     }
 
     /// Returns the field `name` of a struct, or of variant `variant` of an enum.
-    pub fn field(&self, variant: Option<&str>, name: &str) -> Option<&'static Field> {
+    pub fn field(&self, variant: Option<&str>, name: &str) -> Option<&'static DocField> {
         let fields = match self.body {
-            Body::Fields(fields) => fields,
-            Body::Variants(variants) => variants.iter().find(|v| Some(v.name) == variant)?.fields,
+            DocBody::Fields(fields) => fields,
+            DocBody::Variants(variants) => variants.iter().find(|v| Some(v.name) == variant)?.fields,
         };
         fields.iter().find(|field| field.name == name)
     }
@@ -167,16 +167,16 @@ impl Reader<'_> {
             None => schema.get("enum").is_some().then(|| self.variants(schema)),
         };
         let body = match variants {
-            Some(variants) => Body::Variants(variants.leak()),
-            None => Body::Fields(self.fields(schema)),
+            Some(variants) => DocBody::Variants(variants.leak()),
+            None => DocBody::Fields(self.fields(schema)),
         };
-        Box::leak(Box::new(Docs { name: kept(name), text: description(schema), body }))
+        Box::leak(Box::new(Docs { name: leaked(name), text: description(schema), body }))
     }
 
     /// Returns the variants that one schema of an enum represents.
-    fn variants(&self, schema: &Value) -> Vec<Variant> {
+    fn variants(&self, schema: &Value) -> Vec<DocVariant> {
         let text = description(schema);
-        let plain = |name: &str| Variant { name: kept(name), text, named: false, fields: &[] };
+        let plain = |name: &str| DocVariant { name: leaked(name), text, named: false, fields: &[] };
         if let Some(names) = schema.get("enum").and_then(Value::as_array) {
             return names.iter().filter_map(Value::as_str).map(plain).collect();
         }
@@ -196,13 +196,13 @@ impl Reader<'_> {
             } else {
                 unnamed.iter().enumerate().map(field).collect::<Vec<_>>().leak()
             };
-            Variant { name: kept(name), text, named, fields }
+            DocVariant { name: leaked(name), text, named, fields }
         };
         holds.into_iter().flatten().map(with_fields).collect()
     }
 
     /// Returns the fields of a struct, or of a variant with names.
-    fn fields(&self, schema: &Value) -> &'static [Field] {
+    fn fields(&self, schema: &Value) -> &'static [DocField] {
         let required: Vec<&str> =
             schema.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect();
         let all = schema.get("properties").and_then(Value::as_object).into_iter().flatten();
@@ -210,27 +210,31 @@ impl Reader<'_> {
         all.map(field).collect::<Vec<_>>().leak()
     }
 
-    fn field(&self, name: &str, schema: &Value, optional: bool) -> Field {
-        Field { name: kept(name), text: description(schema), optional, kind: self.kind(schema) }
+    fn field(&self, name: &str, schema: &Value, optional: bool) -> DocField {
+        DocField { name: leaked(name), text: description(schema), optional, kind: self.kind(schema) }
     }
 
-    fn kind(&self, schema: &Value) -> Kind {
+    fn kind(&self, schema: &Value) -> DocKind {
         let nullable = schema["type"].as_array().is_some_and(|types| types.contains(&"null".into()));
-        if nullable { Kind::Optional(Box::new(self.inner_kind(schema))) } else { self.inner_kind(schema) }
+        if nullable { DocKind::Optional(Box::new(self.inner_kind(schema))) } else { self.inner_kind(schema) }
     }
 
     /// Returns the type of a schema without `None`.
-    fn inner_kind(&self, schema: &Value) -> Kind {
+    fn inner_kind(&self, schema: &Value) -> DocKind {
         if let Some(words) = schema.get("title").and_then(Value::as_str) {
-            return Kind::Plain(kept(words));
+            return DocKind::Plain(leaked(words));
         }
         if let Some(name) = schema.get("$ref").and_then(Value::as_str) {
             let name = name.rsplit('/').next().unwrap_or_default();
             let of = &self.types[name];
-            return if of.get(PLUGINS).is_some() { Kind::Plugin(kept(name)) } else { Kind::Of(self.docs(name, of)) };
+            return if of.get(PLUGINS).is_some() {
+                DocKind::Plugin(leaked(name))
+            } else {
+                DocKind::Of(self.docs(name, of))
+            };
         }
         if let Some([inner, _null]) = schema.get("anyOf").and_then(Value::as_array).map(Vec::as_slice) {
-            return Kind::Optional(Box::new(self.kind(inner)));
+            return DocKind::Optional(Box::new(self.kind(inner)));
         }
         let kind = match &schema["type"] {
             Value::Array(types) => &types[0],
@@ -238,16 +242,18 @@ impl Reader<'_> {
         };
         let inside = |key: &str| self.kind(&schema[key]);
         match (kind.as_str().unwrap_or_default(), schema.get("prefixItems"), schema.get("minItems")) {
-            ("array", Some(Value::Array(items)), _) => Kind::Tuple(items.iter().map(|item| self.kind(item)).collect()),
-            ("array", _, Some(length)) => Kind::Tuple(vec![inside("items"); length.as_u64().unwrap_or(1) as usize]),
-            ("array", ..) => Kind::List(Box::new(inside("items"))),
-            ("object", ..) => Kind::Map(Box::new(inside("additionalProperties"))),
-            ("boolean", ..) => Kind::Plain("true or false"),
-            ("integer", ..) => Kind::Plain("whole number"),
-            ("number", ..) => Kind::Plain("number"),
-            ("string", ..) if schema["format"] == "path" => Kind::Plain("path"),
-            ("string", ..) => Kind::Plain("text"),
-            _ => Kind::Plain("value"),
+            ("array", Some(Value::Array(items)), _) => {
+                DocKind::Tuple(items.iter().map(|item| self.kind(item)).collect())
+            }
+            ("array", _, Some(length)) => DocKind::Tuple(vec![inside("items"); length.as_u64().unwrap_or(1) as usize]),
+            ("array", ..) => DocKind::List(Box::new(inside("items"))),
+            ("object", ..) => DocKind::Map(Box::new(inside("additionalProperties"))),
+            ("boolean", ..) => DocKind::Plain("true or false"),
+            ("integer", ..) => DocKind::Plain("whole number"),
+            ("number", ..) => DocKind::Plain("number"),
+            ("string", ..) if schema["format"] == "path" => DocKind::Plain("path"),
+            ("string", ..) => DocKind::Plain("text"),
+            _ => DocKind::Plain("value"),
         }
     }
 }
@@ -256,9 +262,9 @@ impl Reader<'_> {
 pub(crate) const PLUGINS: &str = "x-plugins";
 
 fn description(schema: &Value) -> &'static str {
-    kept(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
+    leaked(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
 }
 
-fn kept(text: &str) -> &'static str {
+fn leaked(text: &str) -> &'static str {
     Box::leak(text.into())
 }

@@ -1,6 +1,6 @@
 //! Error type with messages for users: each names the object and the next step.
 
-use crate::words::{clean, told};
+use crate::messages::{sanitize_message, strip_control};
 use std::path::{Path, PathBuf};
 
 /// Error of the toolkit. `is_input` distinguishes invalid input (exit code 2) from other failures (exit code 1).
@@ -24,7 +24,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The content of a file is invalid.
-    #[error("{}:{} {}", shown(path), place(*at), told(message))]
+    #[error("{}:{} {}", shown(path), place(*at), sanitize_message(message))]
     Input {
         /// Path of the file.
         path: PathBuf,
@@ -34,7 +34,7 @@ pub enum Error {
         message: String,
     },
     /// A setting, or a combination of settings, is invalid.
-    #[error("{}", told(.0))]
+    #[error("{}", sanitize_message(.0))]
     Config(String),
     /// A number is not finite.
     #[error("{what} is not finite at step {step}; lower the learning rates in `training.optimizer`, then start again")]
@@ -45,7 +45,7 @@ pub enum Error {
         step: u64,
     },
     /// Training removed all Gaussians except one.
-    #[error("training: one Gaussian is left at step {step}{}; {advice}", told(removed))]
+    #[error("training: one Gaussian is left at step {step}{}; {advice}", sanitize_message(removed))]
     Collapsed {
         /// Training step, from 1.
         step: u64,
@@ -61,7 +61,7 @@ pub enum Error {
     #[error("stopped before completion")]
     Stopped,
     /// Error of a plugin.
-    #[error("{}", told(&.0.to_string()))]
+    #[error("{}", sanitize_message(&.0.to_string()))]
     Plugin(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
@@ -96,7 +96,7 @@ impl Error {
 }
 
 fn shown(path: &Path) -> String {
-    told(&path.display().to_string()).replace(['\n', '\t'], " ")
+    sanitize_message(&path.display().to_string()).replace(['\n', '\t'], " ")
 }
 
 fn place(at: Option<(usize, usize)>) -> String {
@@ -111,7 +111,7 @@ pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -
     let wrong = wrong.to_lowercase();
     let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();
     near.filter(|(distance, name)| *distance <= 2 + name.len() / 3)
-        .map_or_else(String::new, |(_, name)| format!("; did you mean `{}`?", clean(name)))
+        .map_or_else(String::new, |(_, name)| format!("; did you mean `{}`?", strip_control(name)))
 }
 
 #[cfg(test)]
@@ -119,14 +119,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_stands_where_it_is_known() {
+    fn error_shows_position_if_known() {
         let path = Path::new("a.ron");
         assert_eq!(Error::at(path, 3, 7, "no").to_string(), "a.ron:3:7: no");
         assert_eq!(Error::input(path, "no").to_string(), "a.ron: no");
     }
 
     #[test]
-    fn a_message_is_short_and_gives_no_orders_to_the_terminal() {
+    fn message_is_short_and_without_control_characters() {
         let long =
             Error::at(Path::new("a\u{7}.ron"), 1, 2, format!("`{}`; write less", "x".repeat(5_000_000))).to_string();
         assert!(long.starts_with("a\u{fffd}.ron:1:2: `xx") && long.ends_with("xx`; write less") && long.len() < 1_300);

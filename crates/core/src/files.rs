@@ -113,9 +113,9 @@ pub fn check_place(path: &Path) -> Result<()> {
         match fs::metadata(standing) {
             Ok(found) if found.is_dir() => {
                 // The file system rejects a long name only in a folder that exists.
-                let told =
+                let rejected =
                     missing.iter().find_map(|name| fs::symlink_metadata(standing.join(name)).err().filter(is_bad));
-                return told.map_or(Ok(()), |e| refuse(e.to_string()));
+                return rejected.map_or(Ok(()), |e| refuse(e.to_string()));
             }
             Ok(_) if own == path => return Ok(()),
             Ok(_) => return refuse(format!("`{}` is not a folder", own.display())),
@@ -342,7 +342,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_replaced_whole_and_leaves_nothing_beside_it() {
+    fn replaces_file_atomically_without_temporary_files() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.txt");
         write_atomically(&path, b"old").unwrap();
@@ -380,8 +380,8 @@ mod tests {
         fs::write(&path, b"\xef\xbb\xbfx").unwrap();
         assert_eq!(read_text(&path).unwrap(), "x");
         fs::write(&path, b"x\n\xff").unwrap();
-        let said = read_text(&path).unwrap_err().to_string();
-        assert_eq!(said, format!("{}:2:1: this is not text; save the file as UTF-8", path.display()));
+        let message = read_text(&path).unwrap_err().to_string();
+        assert_eq!(message, format!("{}:2:1: this is not text; save the file as UTF-8", path.display()));
     }
 
     #[test]
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_of_somebody_else_is_refused() {
+    fn refuses_folder_with_other_files() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
         refuse_foreign(&out, "a run folder").unwrap();
@@ -417,15 +417,15 @@ mod tests {
         fs::write(out.join(".report.md.7.tmp"), "half").unwrap();
         refuse_foreign(&out, "a run folder").unwrap();
         fs::write(out.join("thesis.tex"), "x").unwrap();
-        let said = refuse_foreign(&out, "a run folder").unwrap_err();
-        assert!(said.is_input() && said.to_string().contains("(it holds `thesis.tex`)"), "{said}");
+        let message = refuse_foreign(&out, "a run folder").unwrap_err();
+        assert!(message.is_input() && message.to_string().contains("(it holds `thesis.tex`)"), "{message}");
         assert!(
             refuse_foreign(&out.join("thesis.tex"), "a run folder").unwrap_err().to_string().contains("not a folder")
         );
         fs::remove_file(out.join("thesis.tex")).unwrap();
         refuse_foreign(&out, "a run folder").unwrap();
-        let said = refuse_occupied(&out).unwrap_err();
-        assert!(said.is_input() && said.to_string().contains("is not empty (it holds `"), "{said}");
+        let message = refuse_occupied(&out).unwrap_err();
+        assert!(message.is_input() && message.to_string().contains("is not empty (it holds `"), "{message}");
         refuse_occupied(&out.join("figures")).unwrap();
         refuse_occupied(&out.join("missing")).unwrap();
     }

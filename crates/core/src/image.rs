@@ -51,7 +51,7 @@ impl Image {
 
 /// Angle in degrees as a linear function of a pixel coordinate: `first + step · pixel`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Axis {
+pub struct AngleAxis {
     /// Angle at pixel 0, degrees.
     pub first: f64,
     /// Angle per pixel, degrees.
@@ -87,8 +87,8 @@ impl Elevation {
     pub const UPPER: Self = Self { first: 0.0, last: 90.0 };
 
     /// Returns the axis over `height` rows.
-    pub fn axis(self, height: usize) -> Axis {
-        Axis { first: self.first, step: (self.last - self.first) / height as f64 }
+    pub fn axis(self, height: usize) -> AngleAxis {
+        AngleAxis { first: self.first, step: (self.last - self.first) / height as f64 }
     }
 
     /// Returns the error in invalid elevations, with the next step.
@@ -128,7 +128,7 @@ pub struct ImagePlane {
     pub wraps: bool,
     /// Azimuth of a column and elevation of a row in the receiver frame, degrees; `None` if pixels have no angles (the
     /// released projection).
-    pub angles: Option<(Axis, Axis)>,
+    pub angles: Option<(AngleAxis, AngleAxis)>,
     /// Sampled pixels of a larger image. Not stored: a model draws whole images.
     #[serde(skip)]
     pub sampling: Sampling,
@@ -171,7 +171,7 @@ impl ImagePlane {
             self.width.is_multiple_of(stride) && self.height.is_multiple_of(stride),
             "a stride divides the sides"
         );
-        let axis = |axis: Axis, offset: usize| Axis {
+        let axis = |axis: AngleAxis, offset: usize| AngleAxis {
             first: axis.first + axis.step * offset as f64,
             step: axis.step * stride as f64,
         };
@@ -190,9 +190,9 @@ impl ImagePlane {
         if stride == 1 {
             return Cow::Borrowed(self);
         }
-        let axis = |axis: Axis, offset: usize| {
+        let axis = |axis: AngleAxis, offset: usize| {
             let step = axis.step / stride as f64;
-            Axis { first: axis.first - step * offset as f64, step }
+            AngleAxis { first: axis.first - step * offset as f64, step }
         };
         Cow::Owned(Self {
             width: self.width * stride,
@@ -206,7 +206,7 @@ impl ImagePlane {
     /// Returns the elevations of its rows, rounded to a billionth of a degree; `None` if the plane has no angles.
     pub fn elevation(&self) -> Option<Elevation> {
         // 90/H · H may differ from 90 in the last bit.
-        let end = |axis: Axis| ((axis.first + axis.step * self.height as f64) * 1e9).round() / 1e9;
+        let end = |axis: AngleAxis| ((axis.first + axis.step * self.height as f64) * 1e9).round() / 1e9;
         self.angles.map(|(_, axis)| Elevation { first: axis.first, last: end(axis) })
     }
 

@@ -4,7 +4,7 @@ use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Real, Result, 
 use std::sync::atomic::AtomicBool;
 
 /// Inputs of an initialiser that reads observations.
-pub struct Seen<'a> {
+pub struct InitializerInput<'a> {
     /// All data.
     pub data: &'a Dataset,
     /// Training links; an initialiser may use only these.
@@ -19,9 +19,12 @@ pub struct Seen<'a> {
     pub stop: &'a AtomicBool,
 }
 
-impl std::fmt::Debug for Seen<'_> {
+impl std::fmt::Debug for InitializerInput<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Seen").field("data", &self.data.title).field("train", &self.train.len()).finish_non_exhaustive()
+        f.debug_struct("InitializerInput")
+            .field("data", &self.data.title)
+            .field("train", &self.train.len())
+            .finish_non_exhaustive()
     }
 }
 
@@ -45,16 +48,16 @@ pub trait Initializer:
     ///
     /// # Errors
     /// As [`Self::initialize`].
-    fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
-        self.initialize(&seen.data.scene, seen.plane, rng)
+    fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+        self.initialize(&input.data.scene, input.plane, rng)
     }
 
     /// Returns initial weights; `None` for the standard initialisation.
     ///
     /// # Errors
     /// The weights do not fit the method.
-    fn weights(&self, seen: &Seen<'_>) -> Result<Option<Vec<Real>>> {
-        let _ = seen;
+    fn weights(&self, input: &InitializerInput<'_>) -> Result<Option<Vec<Real>>> {
+        let _ = input;
         Ok(None)
     }
 

@@ -19,6 +19,7 @@ pub mod files;
 mod image;
 mod initializer;
 mod layout;
+pub mod messages;
 mod method;
 mod metric;
 pub mod neighbours;
@@ -37,25 +38,25 @@ pub mod tape;
 mod task;
 pub mod testing;
 pub mod threads;
-pub mod words;
 
 pub use cholesky::Cholesky;
-pub use cloud::{COLUMN_NAMES, Edit, ExtraColumn, GaussianCloud, Row};
-pub use data_source::{Baseline, DataSource, Known, LinkSet, Partition, Predict, Progress, Split, recognise};
+pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
+pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched};
 pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, did_you_mean};
-pub use image::{Axis, Elevation, Image, ImagePlane, Sampling, stretch};
-pub use initializer::{Initializer, Seen};
+pub use image::{AngleAxis, Elevation, Image, ImagePlane, Sampling, stretch};
+pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightSpec};
 pub use method::{
-    Activated, Appearance, Asked, Cost, Frame, Method, MethodTraits, MethodVjp, Observed, Parameters, Pixels,
+    Activated, Appearance, Cost, ForwardOutput, MeasurementSetup, Method, MethodTraits, MethodVjp, ObservationRequest,
+    Parameters, PixelSubset,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use pruner::{Budget, ColumnSpec, MaskFall, MaskRate, Pruner, PrunerTraits, best};
-pub use rasterizer::{Looked, Projector, Rasterizer, Render, RenderVjp, Survey};
+pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use rng::evenly;
 pub use scene::{
@@ -64,7 +65,7 @@ pub use scene::{
 };
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};
-pub use stats::{CloudStats, Moment, Needs, Phase, Statistic, Statistics};
+pub use stats::{CloudStats, Needs, PassStatistics, Phase, Statistic, StepContext};
 pub use tape::Gate;
 pub use task::{
     Channels, Columns, Description, Headline, Observations, SPEED_OF_LIGHT, Task, gain_at, gain_fault, gains_of,

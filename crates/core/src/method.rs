@@ -3,12 +3,12 @@
 
 use crate::{
     Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs,
-    Origin, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
+    Origin, PassStatistics, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Task, plugin_kind,
 };
 
 /// Receivers and measurement type: all properties of a data set that a trained model needs.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct MeasurementSetup {
     /// Origin of all positions, in the user's frame.
     pub origin: Origin,
     /// Receivers, with poses relative to `origin`.
@@ -21,7 +21,7 @@ pub struct Frame {
     pub frequencies_hz: Vec<f64>,
 }
 
-impl Frame {
+impl MeasurementSetup {
     /// Creates the setup for `data` on the image plane `plane`.
     pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
         let frequencies_hz = data.observations.frequencies_hz().to_vec();
@@ -85,27 +85,27 @@ pub struct Parameters<'a> {
     /// Factors of the pruners on opacity and scale of each Gaussian, `[N]`; `None` if all are 1.
     pub gate: Option<&'a [Real]>,
     /// Factors on the blending weight only, `[N]`; `None` without such a gate, and for methods that do not
-    /// [support](MethodTraits::knows_presence) it.
-    pub presence: Option<&'a [Real]>,
+    /// [support](MethodTraits::supports_existence_gate) it.
+    pub existence: Option<&'a [Real]>,
     /// Weights, in the layout of [`Method::layout`].
     pub weights: &'a [Real],
 }
 
 /// Request for the observations of some links.
 #[derive(Clone, Copy, Debug)]
-pub struct Asked<'a> {
+pub struct ObservationRequest<'a> {
     /// Network inputs per transmitter.
     pub conditions: Conditions<'a>,
     /// Links as rows of `conditions` and receivers of the frame, grouped by transmitter.
     pub links: &'a [Link],
-    /// Selected values of each observation; always all, if the method does not [support](MethodTraits::chooses_pixels)
+    /// Selected values of each observation; always all, if the method does not [support](MethodTraits::supports_pixel_subset)
     /// a selection.
-    pub pixels: Pixels<'a>,
+    pub pixels: PixelSubset<'a>,
 }
 
 /// Selected values of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Pixels<'a> {
+pub enum PixelSubset<'a> {
     /// All values.
     #[default]
     All,
@@ -115,7 +115,7 @@ pub enum Pixels<'a> {
     Own(&'a [usize]),
 }
 
-impl Pixels<'_> {
+impl PixelSubset<'_> {
     /// Returns the number of selected values per link, of `numbers` per observation.
     pub fn of_link(&self, numbers: usize) -> usize {
         match self {
@@ -128,8 +128,8 @@ impl Pixels<'_> {
 
 /// Observations, with the state for the backward pass.
 #[derive(Debug)]
-pub struct Observed {
-    /// Observations `[L, numbers]`, or the values selected by [`Asked::pixels`].
+pub struct ForwardOutput {
+    /// Observations `[L, numbers]`, or the values selected by [`ObservationRequest::pixels`].
     pub numbers: Vec<Real>,
     /// State of the forward pass for [`Method::vjp`].
     pub cache: Cache,
@@ -143,11 +143,11 @@ pub struct MethodVjp {
     /// Derivative with respect to the gate, `[N]`.
     pub gate: Vec<Real>,
     /// Derivative with respect to the existence factor, `[N]`.
-    pub presence: Vec<Real>,
+    pub existence: Vec<Real>,
     /// Derivative with respect to the weights.
     pub weights: Vec<Real>,
     /// Statistics for pruners and densification; zeros if the method draws no splats.
-    pub seen: CloudStats,
+    pub stats: CloudStats,
 }
 
 impl MethodVjp {
@@ -157,9 +157,9 @@ impl MethodVjp {
         Self {
             cloud: parameters.cloud.zeros_like(),
             gate: vec![0.0; n],
-            presence: vec![0.0; n],
+            existence: vec![0.0; n],
             weights: vec![0.0; parameters.weights.len()],
-            seen: CloudStats::zeros(n),
+            stats: CloudStats::zeros(n),
         }
     }
 }
@@ -177,8 +177,8 @@ pub trait Method:
     }
 
     /// Returns the memory of a step over `links` with `pixels` values each.
-    fn cost(&self, frame: &Frame, links: usize, pixels: usize) -> Cost {
-        let _ = (frame, links);
+    fn cost(&self, setup: &MeasurementSetup, links: usize, pixels: usize) -> Cost {
+        let _ = (setup, links);
         Cost { pixels, ..Cost::default() }
     }
 
@@ -186,25 +186,30 @@ pub trait Method:
     ///
     /// # Errors
     /// The method does not support the frame: another measurement type, too many receivers, or no subcarriers.
-    fn layout(&self, frame: &Frame) -> Result<Layout, String>;
+    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String>;
 
     /// Returns the rows of the cloud that can affect observations, for any weights; [`Self::forward`] receives only
     /// these.
-    fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        let _ = frame;
+    fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        let _ = setup;
         (0..cloud.len()).filter(|&i| gate.is_none_or(|gate| gate[i] != 0.0)).collect()
     }
 
     /// Returns the observations of the requested links.
-    fn forward(&self, frame: &Frame, parameters: &Parameters<'_>, asked: &Asked<'_>) -> Observed;
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        parameters: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+    ) -> ForwardOutput;
 
-    /// Adds to `sums`, given the cotangents `d` of [`Observed::numbers`].
+    /// Adds to `sums`, given the cotangents `d` of [`ForwardOutput::numbers`].
     fn vjp(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         parameters: &Parameters<'_>,
-        asked: &Asked<'_>,
-        observed: Observed,
+        request: &ObservationRequest<'_>,
+        observed: ForwardOutput,
         d: &[Real],
         sums: &mut MethodVjp,
     );
@@ -213,47 +218,54 @@ pub trait Method:
     /// numbers]`.
     fn survey(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         parameters: &Parameters<'_>,
-        asked: &Asked<'_>,
+        request: &ObservationRequest<'_>,
         truths: &[Real],
         needs: &Needs,
-    ) -> Statistics {
-        let _ = (frame, asked, truths);
-        Statistics::zeros(needs, parameters.cloud.len())
+    ) -> PassStatistics {
+        let _ = (setup, request, truths);
+        PassStatistics::zeros(needs, parameters.cloud.len())
     }
 
     /// Precomputes transmitter-independent values for many predictions.
-    fn prepare(&self, frame: &Frame, parameters: &Parameters<'_>) -> Cache {
-        let _ = (frame, parameters);
+    fn prepare(&self, setup: &MeasurementSetup, parameters: &Parameters<'_>) -> Cache {
+        let _ = (setup, parameters);
         None
     }
 
-    /// Returns [`Observed::numbers`] of [`Self::forward`], bit-identical, from the result of [`Self::prepare`] for the
+    /// Returns [`ForwardOutput::numbers`] of [`Self::forward`], bit-identical, from the result of [`Self::prepare`] for the
     /// same parameters; also returns the time of each stage.
     fn predict(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         parameters: &Parameters<'_>,
-        asked: &Asked<'_>,
+        request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
         let _ = prepared;
         let start = std::time::Instant::now();
-        let numbers = self.forward(frame, parameters, asked).numbers;
+        let numbers = self.forward(setup, parameters, request).numbers;
         (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
     }
 
     /// Initialises the parameters that depend on the training links `train` of `data`, such as the offsets of
     /// receivers.
-    fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
-        let _ = (frame, data, train, cloud, weights);
+    fn start(
+        &self,
+        setup: &MeasurementSetup,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &mut GaussianCloud,
+        weights: &mut [Real],
+    ) {
+        let _ = (setup, data, train, cloud, weights);
     }
 
     /// Returns the Gaussians as drawn for a transmitter at `tx` (metres from the origin), or without transmitter; none
     /// by default.
-    fn gaussians(&self, frame: &Frame, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
-        let _ = (frame, parameters, tx);
+    fn gaussians(&self, setup: &MeasurementSetup, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
+        let _ = (setup, parameters, tx);
         Activated::default()
     }
 
@@ -281,11 +293,11 @@ pub struct MethodTraits<'a> {
     /// Further columns of the cloud that it reads, by name and width. Their initial value is zero; they are learned at
     /// the rate of `signals` and saved with the model.
     pub columns: Vec<(&'static str, usize)>,
-    /// Whether it supports requests for selected [pixels](Asked::pixels).
-    pub chooses_pixels: bool,
-    /// Whether it supports [`Parameters::presence`]; if not, such gates are multiplied into the other gate.
-    pub knows_presence: bool,
-    /// Whether it provides statistics that [require blending](crate::Statistic::wants_blending).
+    /// Whether it supports requests for selected [pixels](ObservationRequest::pixels).
+    pub supports_pixel_subset: bool,
+    /// Whether it supports [`Parameters::existence`]; if not, such gates are multiplied into the other gate.
+    pub supports_existence_gate: bool,
+    /// Whether it provides statistics that [require blending](crate::Statistic::requires_blending).
     pub blends: bool,
     /// Whether its spectra are scaled from 0 to 1 over the drawn pixels, so that the sampled pixels of a measured
     /// spectrum must be scaled in the same way.
@@ -309,8 +321,8 @@ impl Default for MethodTraits<'_> {
             projector: None,
             deformation: None,
             columns: Vec::new(),
-            chooses_pixels: false,
-            knows_presence: false,
+            supports_pixel_subset: false,
+            supports_existence_gate: false,
             blends: false,
             stretches: false,
         }
@@ -349,7 +361,7 @@ pub struct Cost {
     pub pixels: usize,
     /// Memory for the backward pass that does not depend on the Gaussians, bytes.
     pub bytes: u64,
-    /// Maximum number of links with [a pixel each](Pixels::Own) per request, so that the backward pass fits in memory.
+    /// Maximum number of links with [a pixel each](PixelSubset::Own) per request, so that the backward pass fits in memory.
     /// Larger steps are split.
     pub links_at_once: usize,
 }

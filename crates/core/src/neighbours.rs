@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_that_is_not_a_number_does_not_panic() {
+    fn nan_point_does_not_panic() {
         let points = [[0.0; 3], [Real::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]];
         assert_eq!(nearest_other_squared(&points).len(), 3);
         assert_eq!(nearest_squared(&points, &points).len(), 3);

@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn reads_written_array_back() {
         for (number, shape) in [(Number::U8, vec![3, 90, 360]), (Number::F64, vec![7]), (Number::U16, vec![])] {
             let bytes = npy_header(number, &shape);
             assert!(bytes.len().is_multiple_of(64) && bytes.ends_with(b"\n"));

@@ -1,13 +1,13 @@
-//! `Plugin<dyn Trait>`: a boxed plugin that is read from `Name(field: value, …)` in RON.
+//! `Plugin<dyn Trait>`: a boxed plugin that is read from `BareName(field: value, …)` in RON.
 //!
-//! typetag alone requires `{"Name": (field: value)}`. The adapter presents the one-entry map that typetag expects, so
+//! typetag alone requires `{"BareName": (field: value)}`. The adapter presents the one-entry map that typetag expects, so
 //! that positions in error messages are correct. It then calls the plugin's own check, so that errors of range have a
 //! position too.
 mod adapter;
 
 use crate::did_you_mean;
 use crate::docs::{Docs, Documented, JsonSchema, PLUGINS};
-use adapter::{Name, Tagged};
+use adapter::{BareName, Tagged};
 pub use inventory;
 use schemars::{Schema, SchemaGenerator, json_schema};
 use serde::de::{self, Deserializer, EnumAccess, Visitor};
@@ -43,7 +43,7 @@ macro_rules! plugin_kind {
                 $name::check(self)
             }
         }
-        $crate::plugin::inventory::submit! { $crate::plugin::Family::of::<dyn $name>() }
+        $crate::plugin::inventory::submit! { $crate::plugin::PluginFamily::of::<dyn $name>() }
     };
 }
 
@@ -58,7 +58,7 @@ impl<T: ?Sized + PluginKind> Plugin<T>
 where
     Box<T>: for<'de> Deserialize<'de>,
 {
-    /// Reads `Name(field: value, …)`.
+    /// Reads `BareName(field: value, …)`.
     ///
     /// # Errors
     /// The message of the parser.
@@ -232,7 +232,7 @@ where
                 f.write_str("a plugin, written `Name(field: value, …)`")
             }
             fn visit_enum<A: EnumAccess<'de>>(self, access: A) -> Result<Self::Value, A::Error> {
-                let (Name(name), body) = access.variant()?;
+                let (BareName(name), body) = access.variant()?;
                 let plugin = Box::<T>::deserialize(Tagged(name.clone(), body))?;
                 plugin.check_plugin().map_err(|why| de::Error::custom(format!("{name}: {why}")))?;
                 Ok(Plugin::from(plugin))
@@ -282,11 +282,11 @@ pub fn cached<T: 'static>(cache: &Cache) -> &T {
 
 /// Kind of plugins with its linked members, independent of the trait.
 #[derive(Debug)]
-pub struct Family {
+pub struct PluginFamily {
     /// Name of the trait, such as `Pruner`.
     pub kind: &'static str,
     /// Returns all linked plugins of this kind, sorted by name.
-    pub members: fn() -> Vec<Member>,
+    pub members: fn() -> Vec<PluginEntry>,
     /// Returns a plugin of this kind with all default values written out.
     ///
     /// # Errors
@@ -295,11 +295,11 @@ pub struct Family {
     /// Returns the documentation of the plugin in a text of this kind; `None` if the text is not a plugin.
     pub docs: fn(&str) -> Option<&'static Docs>,
 }
-inventory::collect!(Family);
+inventory::collect!(PluginFamily);
 
 /// One linked plugin.
 #[derive(Clone, Debug)]
-pub struct Member {
+pub struct PluginEntry {
     /// Name of the plugin.
     pub name: &'static str,
     /// Documentation of the plugin; `None` if it has no default values.
@@ -308,7 +308,7 @@ pub struct Member {
     pub text: Result<String, String>,
 }
 
-impl Family {
+impl PluginFamily {
     /// Returns the kind of `T`.
     pub const fn of<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Self
     where
@@ -328,13 +328,13 @@ impl Family {
     }
 }
 
-fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<Member>
+fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<PluginEntry>
 where
     Box<T>: for<'de> Deserialize<'de>,
 {
     let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
-        Ok(plugin) => Member { name, docs: Some(plugin.get().docs()), text: Ok(to_ron(&plugin)) },
-        Err(why) => Member { name, docs: None, text: Err(why) },
+        Ok(plugin) => PluginEntry { name, docs: Some(plugin.get().docs()), text: Ok(to_ron(&plugin)) },
+        Err(why) => PluginEntry { name, docs: None, text: Err(why) },
     };
     registered::<T>().into_iter().map(describe).collect()
 }

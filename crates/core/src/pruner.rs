@@ -1,8 +1,8 @@
 //! `Pruner`: selection of the Gaussians to keep.
 
 use crate::{
-    CloudStats, Edit, Gate, GaussianCloud, Moment, Needs, Real, plugin_kind,
-    tape::{TraceScalar, Traced},
+    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Real, StepContext, plugin_kind,
+    tape::{TraceScalar, TracedCloud},
 };
 
 /// Selects the Gaussians to keep. A pruner is immutable: its state is in columns that it requests; state of the whole
@@ -16,46 +16,46 @@ pub trait Pruner:
 {
     /// Returns `true` for each Gaussian to keep, `[N]`. Called at the prune steps of algorithm 1; with several pruners,
     /// a Gaussian is kept if all keep it.
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool>;
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool>;
 
     /// Returns the statistics for [`CloudStats::asked`] at a prune step, computed by a pass over training transmitters;
     /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
-    fn needs(&self, cloud: &GaussianCloud, moment: &Moment) -> Needs {
-        let _ = (cloud, moment);
+    fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
+        let _ = (cloud, context);
         Needs::nothing()
     }
 
     /// Returns a factor `[N]` on each Gaussian during training; several gates multiply. [`Gate`] defines its effect,
     /// and whether closed Gaussians are skipped; `trace.into()` is a factor on opacity and scale that skips Gaussians
     /// with factor 0.
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        let _ = (cloud, moment);
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
+        let _ = (cloud, context);
         None
     }
 
     /// Returns a term added to the loss in the densification and pruning phases.
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        let _ = (cloud, moment);
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        let _ = (cloud, context);
         None
     }
 
     /// Updates requested columns that are not learned (moving averages, dual variables), once after each step. A
     /// strategy that moves Gaussians (noise on means) does so here too.
-    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, moment: &Moment) {
-        let _ = (cloud, stats, moment);
+    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {
+        let _ = (cloud, stats, context);
     }
 
     /// Returns a new cloud at a prune step, before the calls of [`Pruner::keep`], with moved or merged Gaussians.
     /// `None` for no change.
-    fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Option<Edit> {
-        let _ = (cloud, stats, moment);
+    fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
+        let _ = (cloud, stats, context);
         None
     }
 
     /// Returns the importance of each Gaussian, `[N]`, larger is better. It selects Gaussians under a
     /// [`PrunerTraits::budget`], and the one to keep if all pruners together would remove all. Opacity by default.
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
-        let _ = (stats, moment);
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
+        let _ = (stats, context);
         cloud.opacity_logits.clone()
     }
 
@@ -76,7 +76,7 @@ plugin_kind!(Pruner);
 pub struct PrunerTraits {
     /// Columns to add to the cloud. They survive clone, split, prune and checkpoints.
     pub columns: Vec<ColumnSpec>,
-    /// Way in which it reaches `training.target`; `None` if not supported.
+    /// Way in which it reaches `training.target_count`; `None` if not supported.
     pub budget: Option<Budget>,
     /// Whether it may add Gaussians until that number is reached.
     pub grows: bool,
@@ -150,31 +150,31 @@ impl MaskFall {
     }
 }
 
-/// Way in which a pruner reaches [`Moment::target`], the number of Gaussians at the end of pruning.
+/// Way in which a pruner reaches [`StepContext::target`], the number of Gaussians at the end of pruning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Budget {
     /// The best by [`Pruner::score`], reduced by an equal share at each prune step; [`Pruner::keep`] is not used.
-    Rounds,
+    Gradual,
     /// [`Pruner::keep`] decides, with at least the target number; at the last prune step exactly this number, by
     /// [`Pruner::score`].
-    AtLast,
+    FinalStep,
     /// [`Pruner::edit`] reaches the target; no other pruner removes Gaussians.
-    Own,
+    PrunerManaged,
     /// [`Pruner::keep`] leaves at most this number at each prune step; fewer are allowed.
-    AtMost,
+    UpperBound,
 }
 
 impl Budget {
     /// Returns the Gaussians to keep for a `target`, from the votes of all pruners (`agreed`) and the `scores` of the
     /// pruner with the target: the best, ties by index. Gaussians that a pruner rejected rank after all others.
-    pub fn settle(self, target: usize, agreed: &[bool], scores: &[Real], moment: &Moment) -> Vec<bool> {
+    pub fn settle(self, target: usize, agreed: &[bool], scores: &[Real], context: &StepContext) -> Vec<bool> {
         let open = agreed.iter().filter(|own| **own).count();
         let count = match self {
-            Self::Own => return vec![true; agreed.len()],
-            Self::AtMost => return agreed.to_vec(),
-            Self::Rounds => moment.quota(agreed.len(), target),
-            Self::AtLast if moment.round > 0 && moment.round == moment.rounds => target,
-            Self::AtLast => open.max(target),
+            Self::PrunerManaged => return vec![true; agreed.len()],
+            Self::UpperBound => return agreed.to_vec(),
+            Self::Gradual => context.quota(agreed.len(), target),
+            Self::FinalStep if context.round > 0 && context.round == context.rounds => target,
+            Self::FinalStep => open.max(target),
         };
         best(count, scores, |i| agreed[i])
     }

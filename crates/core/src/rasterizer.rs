@@ -34,7 +34,7 @@ pub trait Projector:
     /// ([`Splats::sampled`]), so that projectors need no support for it.
     ///
     /// If [`Sampling::filter`](crate::Sampling::filter) of `plane` is given, it replaces the low-pass filter of the
-    /// projector: the sky of `readout: Received` has one. A projector that draws other elevations ([`Self::plane_of`])
+    /// projector: the sky of `readout: ReceivedPower` has one. A projector that draws other elevations ([`Self::plane_of`])
     /// must use it.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
 
@@ -102,14 +102,20 @@ pub trait Rasterizer:
         d_pixels: &[Real],
     ) -> RenderVjp;
 
-    /// Returns whether it blends front to back: it then supports [`Splats::presence`] and a [`survey`](Self::survey) of
+    /// Returns whether it blends front to back: it then supports [`Splats::existence`] and a [`survey`](Self::survey) of
     /// its weights.
     fn blends(&self) -> bool {
         false
     }
 
     /// Returns statistics of each splat for the image `render`; empty without blending.
-    fn survey(&self, splats: &Splats, plane: &ImagePlane, render: &Render, survey: &Survey<'_>) -> Vec<Looked> {
+    fn survey(
+        &self,
+        splats: &Splats,
+        plane: &ImagePlane,
+        render: &Render,
+        survey: &SurveyInputs<'_>,
+    ) -> Vec<SplatStats> {
         let _ = (splats, plane, render, survey);
         Vec::new()
     }
@@ -121,7 +127,7 @@ pub trait Rasterizer:
     }
 
     /// Returns the opacity below which a splat is not drawn; 0 if every splat is drawn.
-    fn faintest(&self) -> Real {
+    fn min_drawn_opacity(&self) -> Real {
         0.0
     }
 
@@ -140,7 +146,7 @@ plugin_kind!(Rasterizer);
 
 /// Inputs of [`Rasterizer::survey`] in addition to weights; empty ones are skipped.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Survey<'a> {
+pub struct SurveyInputs<'a> {
     /// Absolute errors of the image, `[height, width]`.
     pub errors: &'a [Real],
     /// Pixels with a high error, `[height, width]`.
@@ -157,7 +163,7 @@ pub struct Survey<'a> {
 
 /// Statistics of one splat in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Looked {
+pub struct SplatStats {
     /// Sum of its blending weights γ·T.
     pub weight: Real,
     /// Maximum of its blending weights.
@@ -176,7 +182,7 @@ pub struct Looked {
     pub fisher: [Real; 15],
 }
 
-impl Looked {
+impl SplatStats {
     /// Adds the statistics of the same splat in another part of the image.
     pub fn add(&mut self, other: &Self) {
         self.weight += other.weight;

@@ -281,8 +281,8 @@ mod tests {
     #[test]
     fn no_coordinate_is_beyond_all_maps() {
         assert_eq!(place_fault([1e8, -1e8, 0.0]), None);
-        let said = place_fault([0.0, 1e308, 0.0]).unwrap();
-        assert_eq!(said, "is 1e308 m, beyond 1e8 m; write three numbers in metres");
+        let message = place_fault([0.0, 1e308, 0.0]).unwrap();
+        assert_eq!(message, "is 1e308 m, beyond 1e8 m; write three numbers in metres");
         assert_eq!(place_fault([f64::NAN, 0.0, 0.0]).unwrap(), "is not finite; write three numbers in metres");
     }
 }

@@ -34,9 +34,9 @@ pub struct Splats {
     pub radii: Vec<Real>,
     /// Opacities `[N]`.
     pub opacities: Vec<Real>,
-    /// Factors on γ after the visibility test, `[N]`, as in [`crate::Gate::Presence`]; empty if all are 1. Only a
+    /// Factors on γ after the visibility test, `[N]`, as in [`crate::Gate::Existence`]; empty if all are 1. Only a
     /// rasterizer that [`blends`](crate::Rasterizer::blends) receives them.
-    pub presence: Vec<Real>,
+    pub existence: Vec<Real>,
 }
 
 impl Primitives {
@@ -76,7 +76,7 @@ impl Splats {
             sigmas2d: vec![[0.0; 2]; n],
             radii: vec![0.0; n],
             opacities: vec![0.0; n],
-            presence: Vec::new(),
+            existence: Vec::new(),
         }
     }
 
@@ -114,7 +114,7 @@ impl Splats {
             sigmas2d: self.sigmas2d.iter().map(|sigmas| sigmas.map(|v| v * s)).collect(),
             radii: self.radii.iter().map(|r| r * s).collect(),
             opacities: self.opacities.clone(),
-            presence: Vec::new(),
+            existence: Vec::new(),
         })
     }
 

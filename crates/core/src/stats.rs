@@ -1,4 +1,4 @@
-//! Inputs of pruners and densification: `Moment`, the `CloudStats` that training accumulates, and the `Statistics` of a
+//! Inputs of pruners and densification: `StepContext`, the `CloudStats` that training accumulates, and the `PassStatistics` of a
 //! pass over training transmitters that a pruner requests.
 
 use crate::{ImagePlane, Real, RenderVjp, Splats, rng};
@@ -29,7 +29,7 @@ impl Phase {
 
 /// Context of a training step for pruners. Random draws use `stream(seed, "pruner …", step)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Moment {
+pub struct StepContext {
     /// Training step, from 1.
     pub step: u64,
     /// Phase of algorithm 1.
@@ -40,12 +40,12 @@ pub struct Moment {
     pub round: u64,
     /// Number of all prune steps.
     pub rounds: u64,
-    /// Value of `training.target`, the number of Gaussians at the end of pruning; only for the pruner that must reach
+    /// Value of `training.target_count`, the number of Gaussians at the end of pruning; only for the pruner that must reach
     /// it.
     pub target: Option<usize>,
 }
 
-impl Moment {
+impl StepContext {
     /// Creates the context of a step that is not a prune step.
     pub fn new(step: u64, phase: Phase, seed: u64) -> Self {
         Self { step, phase, seed, round: 0, rounds: 0, target: None }
@@ -76,7 +76,7 @@ pub struct CloudStats {
     /// Sum of blending weights γ·T over pixels and renders, `[N]`.
     pub weight: Vec<Real>,
     /// Statistics of [`crate::Pruner::needs`] from a pass at this prune step; empty at all other steps.
-    pub asked: Statistics,
+    pub requested: PassStatistics,
 }
 
 impl CloudStats {
@@ -139,29 +139,29 @@ impl CloudStats {
 /// links of the pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Statistic {
-    /// [`Statistics::weight`].
+    /// [`PassStatistics::weight`].
     Weight,
-    /// [`Statistics::largest_weight`].
+    /// [`PassStatistics::largest_weight`].
     LargestWeight,
-    /// [`Statistics::weight_per_area`].
+    /// [`PassStatistics::weight_per_area`].
     WeightPerArea,
-    /// [`Statistics::signal_mean`] and [`Statistics::signal_max`].
+    /// [`PassStatistics::signal_mean`] and [`PassStatistics::signal_max`].
     SignalWeight,
-    /// [`Statistics::error`] and [`Statistics::high_error`].
+    /// [`PassStatistics::error`] and [`PassStatistics::high_error`].
     Error {
         /// Threshold of a high error, between the smallest (0) and the largest (1) error of a spectrum.
         high: Real,
     },
-    /// [`Statistics::top`].
+    /// [`PassStatistics::top`].
     Top {
         /// Number of top splats per pixel.
         count: usize,
     },
-    /// [`Statistics::sensitivity`].
+    /// [`PassStatistics::sensitivity`].
     Sensitivity,
-    /// [`Statistics::fisher`].
+    /// [`PassStatistics::fisher`].
     Fisher,
-    /// [`Statistics::elimination`].
+    /// [`PassStatistics::elimination`].
     Elimination {
         /// Maximum number of Gaussians for which it is computed: the cost grows with its square.
         most: usize,
@@ -170,7 +170,7 @@ pub enum Statistic {
 
 impl Statistic {
     /// Returns whether it uses blending weights, which not every rasterizer has. The exact loss does not.
-    pub fn wants_blending(self) -> bool {
+    pub fn requires_blending(self) -> bool {
         !matches!(self, Self::Elimination { .. })
     }
 }
@@ -231,7 +231,7 @@ impl Needs {
 
 /// Statistics of a pass, `[N]` each; empty if not requested.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Statistics {
+pub struct PassStatistics {
     /// Number of links of the pass.
     pub links: usize,
     /// Sum of the weights.
@@ -260,7 +260,7 @@ pub struct Statistics {
     pub elimination: Vec<Real>,
 }
 
-impl Statistics {
+impl PassStatistics {
     /// Creates zeros of the statistics in `needs`.
     pub fn zeros(needs: &Needs, n: usize) -> Self {
         let mut zeros = Self::default();

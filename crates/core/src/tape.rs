@@ -17,19 +17,19 @@ pub type TraceScalar = Tensor<(), Real, Cpu, OwnedTape<Real, Cpu>>;
 pub type Leaf = Tensor<(usize,), Real, Cpu>;
 
 /// Columns of a cloud as leaves of the tape, for [`crate::Pruner::gate`] and [`crate::Pruner::penalty`].
-pub struct Traced {
+pub struct TracedCloud {
     device: Cpu,
     len: usize,
     columns: Vec<(String, Leaf)>,
 }
 
-impl std::fmt::Debug for Traced {
+impl std::fmt::Debug for TracedCloud {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Traced").field("len", &self.len).finish_non_exhaustive()
+        f.debug_struct("TracedCloud").field("len", &self.len).finish_non_exhaustive()
     }
 }
 
-impl Traced {
+impl TracedCloud {
     /// Makes every column of `cloud` a leaf.
     pub fn new(cloud: &GaussianCloud) -> Self {
         let device = Cpu::default();
@@ -147,14 +147,14 @@ pub enum Gate {
     Whole(Trace),
     /// Factor on the absorbed light only: γ = M·min(0.99, o·G). A Gaussian with factor 0 still receives a derivative,
     /// so that it can come back.
-    Presence(Trace),
+    Existence(Trace),
 }
 
 impl Gate {
     /// Returns the factor of either variant.
     pub fn factor(self) -> Trace {
         match self {
-            Self::Whole(factor) | Self::Presence(factor) => factor,
+            Self::Whole(factor) | Self::Existence(factor) => factor,
         }
     }
 }

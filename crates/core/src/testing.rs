@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 /// paths. `None`, reported by [`skipped`], if it is absent. The variable `PWRFGS_SHARED` sets that folder, by default
 /// `shared` next to the checkout.
 pub fn shared(what: &str) -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let path = std::env::var_os("PWRFGS_SHARED").map_or_else(beside, PathBuf::from).join(what);
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    let path = std::env::var_os("PWRFGS_SHARED").map_or_else(default_folder, PathBuf::from).join(what);
     if path.exists() {
         return Some(path);
     }

@@ -77,7 +77,7 @@ impl DataSource for Arrays {
             return Err(Error::input(&path, format!("{what}; give as many of each")));
         }
         let pictures = ids.iter().copied().collect();
-        let known = index::Known { table, rows: ids.len(), pictures: &pictures, samples: &ids };
+        let known = index::SpectrumIds { table, rows: ids.len(), pictures: &pictures, samples: &ids };
         let official = index::read(&root, &|word| known.find(word))?;
         let points = points_of(base, self.points.as_deref())?;
         let spectra = checked(spectra, &path, progress)?;

@@ -16,8 +16,8 @@ pub use log_distance::LogDistance;
 pub use neighbours::{NearestNeighbours, Neighbours};
 pub use ridge::Ridge;
 
-use pwrfgs_core::words::clean;
-use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task};
+use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// Mean of all training spectra, independent of the transmitter: the lower reference for every score. For received
@@ -43,7 +43,7 @@ impl Baseline for MeanSpectrum {
         if task.has_pixels { self.name() } else { "mean of the receiver".into() }
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         ByReceiver::fit(data, known, |known| {
             let weighted: Vec<(usize, f64)> = all_of(known)?.into_iter().map(|i| (i, 1.0)).collect();
             Ok(Constant(weighted_mean(data, &weighted)))
@@ -52,7 +52,7 @@ impl Baseline for MeanSpectrum {
 }
 
 /// All known samples, sorted; an error if there are none.
-fn all_of(known: Known<'_>) -> Result<Vec<usize>> {
+fn all_of(known: FittingSet<'_>) -> Result<Vec<usize>> {
     let all = known.all();
     if all.is_empty() {
         return Err(Error::Config("a baseline needs at least one training sample; change the split".into()));
@@ -62,7 +62,7 @@ fn all_of(known: Known<'_>) -> Result<Vec<usize>> {
 
 /// Samples to choose hyperparameters with: (training samples, samples to predict). Without a validation set every tenth
 /// training sample is held out; with fewer than two samples none is.
-fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
+fn choosing(known: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
     const EVERY: usize = 10;
     if !known.validation.is_empty() && !known.train.is_empty() {
         return (known.train.to_vec(), known.validation.to_vec());
@@ -81,7 +81,7 @@ impl Predict for Constant {
     }
 }
 
-impl Fitted for Constant {
+impl ReceiverPredictor for Constant {
     fn notes(_: &[(&str, &Self)]) -> Option<String> {
         None
     }
@@ -99,7 +99,7 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
 }
 
 /// Predictor fitted to the links of one receiver.
-pub(super) trait Fitted: Predict {
+pub(super) trait ReceiverPredictor: Predict {
     /// Notes below a table of scores, for all receivers by name.
     fn notes(each: &[(&str, &Self)]) -> Option<String>;
 }
@@ -112,12 +112,12 @@ pub(super) struct ByReceiver<P> {
     pooled: Option<P>,
 }
 
-impl<P: Fitted> ByReceiver<P> {
+impl<P: ReceiverPredictor> ByReceiver<P> {
     /// Fits one predictor per receiver with `fit`; a single receiver is fitted to all links unchanged.
     pub(super) fn fit<'a>(
         data: &'a Dataset,
-        known: Known<'_>,
-        fit: impl Fn(Known<'_>) -> Result<P>,
+        known: FittingSet<'_>,
+        fit: impl Fn(FittingSet<'_>) -> Result<P>,
     ) -> Result<Box<dyn Predict + 'a>>
     where
         P: 'a,
@@ -125,10 +125,10 @@ impl<P: Fitted> ByReceiver<P> {
         let receivers = &data.scene.receivers;
         let of_each = [known.train, known.validation].map(|links| of_receivers(data, links));
         let fit_one = |r: usize| {
-            let own = Known { train: &of_each[0][r], validation: &of_each[1][r] };
+            let own = FittingSet { train: &of_each[0][r], validation: &of_each[1][r] };
             // If there is nothing to fit, `fit` returns the error.
             let is_deaf = own.train.is_empty() && own.validation.is_empty() && receivers.len() > 1;
-            Ok((clean(&receivers[r].name), if is_deaf { None } else { Some(fit(own)?) }))
+            Ok((strip_control(&receivers[r].name), if is_deaf { None } else { Some(fit(own)?) }))
         };
         let each = (0..receivers.len()).map(fit_one).collect::<Result<Vec<_>>>()?;
         let pooled = if each.iter().any(|(_, own)| own.is_none()) { Some(fit(known)?) } else { None };
@@ -143,7 +143,7 @@ fn of_receivers(data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
     all
 }
 
-impl<P: Fitted> Predict for ByReceiver<P> {
+impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
     fn predict(&self, query: Query<'_>) -> Image {
         let own = self.each.get(query.receiver).and_then(|(_, own)| own.as_ref());
         let any = || self.each.iter().find_map(|(_, own)| own.as_ref());
@@ -187,7 +187,7 @@ impl Baseline for Zero {
         Err(Error::Config(format!("{what}; use MeanSpectrum()")))
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         all_of(known)?;
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))

@@ -9,8 +9,8 @@ use crate::nerf2::{index, read_transmitters};
 use crate::npy::read_complex;
 use crate::text::{at, read_yaml};
 use pwrfgs_core::{
-    Channels as Observed, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
-    Simulation,
+    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result,
+    Sample, Simulation,
 };
 use serde::{Deserialize, Serialize};
 use serde_saphyr::Spanned;
@@ -127,20 +127,20 @@ impl DataSource for Channels {
             let what = format!("holds channels of {count} transmitters, but {} {}", table.display(), positions.len());
             return Err(Error::input(&path, format!("{what}; give as many of each")));
         }
-        let said = Said::of(self, &root)?;
-        let frequencies_hz = match &said.frequencies_hz {
+        let message = ChannelMetadata::of(self, &root)?;
+        let frequencies_hz = match &message.frequencies_hz {
             Some(all) if all.len() == width => all.clone(),
             Some(all) => {
                 let what = format!("has {width} subcarriers, but receiver.yml lists {} `frequencies_hz`", all.len());
                 return Err(Error::input(&path, format!("{what}; give as many of each")));
             }
-            None => subcarriers(&path, said.carrier_hz, said.spacing_hz, width)?,
+            None => subcarriers(&path, message.carrier_hz, message.spacing_hz, width)?,
         };
-        let receiver = said.receiver(&path, antennas)?;
+        let receiver = message.receiver(&path, antennas)?;
         let rows = index::read(&root, &|word| index::row(word, &table.display().to_string(), count))?;
         let samples: Vec<Sample> = (0..).zip(positions).map(|(id, tx)| Sample::new(id, tx)).collect();
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
-        let channels = Observed { antennas, frequencies_hz, gains };
+        let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = title(&name, simulation.as_ref(), "channels");
@@ -170,7 +170,7 @@ impl DataSource for Channels {
 }
 
 /// Settings, completed from `receiver.yml`.
-struct Said {
+struct ChannelMetadata {
     carrier_hz: f64,
     spacing_hz: f64,
     /// Frequencies of the subcarriers, Hz, if listed one by one.
@@ -181,7 +181,7 @@ struct Said {
 
 /// Content of `receiver.yml`; antenna positions are in the world frame.
 #[derive(Deserialize)]
-struct File {
+struct ReceiverFile {
     name: Spanned<String>,
     position: Spanned<[f64; 3]>,
     orientation: Spanned<[f64; 4]>,
@@ -192,7 +192,7 @@ struct File {
     frequencies_hz: Option<Vec<f64>>,
 }
 
-impl Said {
+impl ChannelMetadata {
     fn of(source: &Channels, root: &Path) -> Result<Self> {
         let path = root.join("receiver.yml");
         if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(place), .. } = source
@@ -206,7 +206,7 @@ impl Said {
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
         let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";
-        let file: File = read_yaml(&path, advice, expected)?;
+        let file: ReceiverFile = read_yaml(&path, advice, expected)?;
         if let Some(fault) = name_fault(&file.name.value) {
             return Err(at(&path, &file.name, fault));
         }

@@ -1,7 +1,7 @@
 //! Validation of data sets from folders, `import` or arrays in memory. A data set that passes [`check`] can be saved
 //! and read back unchanged.
 
-use pwrfgs_core::words::{clean, quoted};
+use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra};
 use rayon::prelude::*;
 
@@ -30,20 +30,20 @@ fn fault(data: &Dataset) -> Option<String> {
     let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
     let of_powers = || data.observations.powers()?.iter().enumerate().find_map(fault);
     let name = receivers.iter().find_map(|receiver| name_fault(&receiver.name));
-    let silent = || Some(unheard(data.transmitters.len(), receivers.len(), links)?.words(receivers));
+    let silent = || Some(unlinked_node(data.transmitters.len(), receivers.len(), links)?.words(receivers));
     of_spectra.or_else(of_powers).or(name).or_else(|| antennas_fault(data)).or_else(silent)
 }
 
 /// Transmitter or receiver without any link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unheard {
+pub enum UnlinkedNode {
     /// Index of the transmitter, counted from 0.
     Transmitter(usize),
     /// Index of the receiver, counted from 0.
     Receiver(usize),
 }
 
-impl Unheard {
+impl UnlinkedNode {
     fn words(self, receivers: &[Receiver]) -> String {
         match self {
             Self::Transmitter(i) => format!("no receiver received transmitter {i}; leave it out"),
@@ -56,15 +56,15 @@ impl Unheard {
 
 /// The first transmitter without a link, else the first receiver without one; `links` are (transmitter, receiver)
 /// pairs.
-pub fn unheard(
+pub fn unlinked_node(
     transmitters: usize,
     receivers: usize,
     links: impl IntoIterator<Item = (usize, usize)>,
-) -> Option<Unheard> {
+) -> Option<UnlinkedNode> {
     let (mut sends, mut receives) = (vec![false; transmitters], vec![false; receivers]);
     links.into_iter().for_each(|(transmitter, receiver)| (sends[transmitter], receives[receiver]) = (true, true));
     let missing = |all: &[bool]| all.iter().position(|has_link| !has_link);
-    missing(&sends).map(Unheard::Transmitter).or_else(|| missing(&receives).map(Unheard::Receiver))
+    missing(&sends).map(UnlinkedNode::Transmitter).or_else(|| missing(&receives).map(UnlinkedNode::Receiver))
 }
 
 /// Problem with a received power, dBm.
@@ -122,7 +122,8 @@ fn first_value_fault(spectra: &Spectra) -> Option<String> {
 
 /// Problem with a receiver name: not usable as a column heading, or control characters.
 pub(crate) fn name_fault(name: &str) -> Option<String> {
-    let fits = clean(name) == name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
+    let fits =
+        strip_control(name) == name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
     let what = "1 to 100 characters without quotes, control characters or blanks at the ends";
     (!fits).then(|| format!("receiver name {} is invalid; use {what}", quoted(name)))
 }

@@ -1,7 +1,7 @@
 //! Functions shared by all readers and writers of data folders.
 
 use crate::geometry::read_points;
-use pwrfgs_core::words::clean;
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{DataSource, Error, Origin, Pose, Receiver, Result, Simulation, files};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -61,7 +61,7 @@ pub(crate) fn points_of(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 
 
 /// Name of a folder.
 pub(crate) fn folder_name(root: &Path) -> String {
-    clean(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
+    strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
 
 /// `manifest.json` as written by `pwrfgs simulate`.

@@ -9,10 +9,11 @@
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
 use crate::text::{
-    Field, POINT_ADVICE, VERTEX_ADVICE, XyzColumns, lines, no_longer, read_bytes, read_text, split_blanks, split_commas,
+    POINT_ADVICE, TextField, VERTEX_ADVICE, XyzColumns, lines, no_longer, read_bytes, read_text, split_blanks,
+    split_commas,
 };
 use pwrfgs_core::files::MAX_NUMBERS;
-use pwrfgs_core::words::quoted;
+use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
@@ -53,7 +54,7 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
         match keyword.text {
             "v" => vertices.push(XyzColumns([1, 2, 3]).read(path, line, &fields, VERTEX_ADVICE)?),
             "f" => {
-                let corner = |field: &Field<'_>| corner(path, line, *field, vertices.len());
+                let corner = |field: &TextField<'_>| corner(path, line, *field, vertices.len());
                 let corners = fields[1..].iter().map(corner).collect::<Result<Vec<i64>>>()?;
                 polygons.push(&corners, count).map_err(|what| Error::at(path, line, keyword.column, what))?;
             }
@@ -69,7 +70,7 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
 
 /// Vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative index counts back from the
 /// last vertex so far.
-fn corner(path: &Path, line: usize, field: Field<'_>, so_far: usize) -> Result<i64> {
+fn corner(path: &Path, line: usize, field: TextField<'_>, so_far: usize) -> Result<i64> {
     let mut parts = field.text.split('/');
     let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
     // Optional texture and normal indices, nothing else.
@@ -202,7 +203,7 @@ mod obj_tests {
     }
 
     #[test]
-    fn mistakes_are_told_with_their_place() {
+    fn reports_position_of_invalid_input() {
         let v = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
         let index = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
         let range =
@@ -247,7 +248,7 @@ mod point_tests {
     }
 
     #[test]
-    fn xyz_and_csv_say_the_same() {
+    fn xyz_and_csv_give_equal_points() {
         let points = vec![[1.0, -2.0, 0.5], [0.0, 1e-3, 3.0]];
         assert_eq!(read("a.xyz", b"# room\n1 -2 0.5 255 0 0\n\n0\t1e-3 3\n").unwrap(), points);
         assert_eq!(read("a.csv", b"1,-2,0.5\r\n0,1e-3,3,extra\r\n").unwrap(), points);
@@ -255,7 +256,7 @@ mod point_tests {
     }
 
     #[test]
-    fn mistakes_in_text_are_told_with_their_place() {
+    fn reports_position_of_invalid_text() {
         let advice = POINT_ADVICE;
         let cases: [(&str, &[u8], String); 11] = [
             ("a.csv", b"x,y,z,X\n1,2,3,4\n", "DIR/a.csv:1:7: a second column `x`; name each of x, y and z once".into()),

@@ -131,8 +131,8 @@ impl<'a> Sink<'a> {
 
     /// Called before the first spectrum, which comes from `from`.
     fn begin(&mut self, from: &Path, shape: [usize; 3], number: Number) -> Result<()> {
-        let (elevation, say) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
-        if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), say) {
+        let (elevation, advice) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
+        if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), advice) {
             return Err(Error::input(from, fault));
         }
         let kept = if number.is_float() || self.scale.is_some() { Number::F32 } else { number };

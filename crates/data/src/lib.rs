@@ -31,7 +31,7 @@ mod text;
 pub use arrays::Arrays;
 pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Ridge, Zero};
 pub use channels::{Channels, ReceiverPlace};
-pub use checks::{Unheard, check, power_fault, shape_fault, unheard};
+pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use geometry::{read_mesh, read_points};
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum};

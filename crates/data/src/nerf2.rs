@@ -15,7 +15,8 @@ use crate::checks::shape_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
-    DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files, words::clean,
+    DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files,
+    messages::strip_control,
 };
 use receivers::Gateway;
 use serde::{Deserialize, Serialize};
@@ -87,7 +88,7 @@ impl DataSource for Nerf2Spectrum {
         let known_pictures = files.keys().copied().collect();
         let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
         let known =
-            index::Known { table: "tx_pos.csv", rows: positions.len(), pictures: &known_pictures, samples: &ids };
+            index::SpectrumIds { table: "tx_pos.csv", rows: positions.len(), pictures: &known_pictures, samples: &ids };
         let official = index::read(&root, &|word| known.find(word))?;
         if ids.is_empty() {
             let what = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
@@ -108,7 +109,7 @@ impl DataSource for Nerf2Spectrum {
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
-        let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), clean);
+        let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
         let simulation = simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
@@ -127,9 +128,9 @@ impl DataSource for Nerf2Spectrum {
 
 /// Returns an error if the image size does not match its angles.
 pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
-    let say =
+    let advice =
         "`elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml";
-    shape_fault(elevation, stated, size, say).map_or(Ok(()), |what| Err(Error::input(path, what)))
+    shape_fault(elevation, stated, size, advice).map_or(Ok(()), |what| Err(Error::input(path, what)))
 }
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.

@@ -79,14 +79,14 @@ pub(crate) fn read_positions(path: &Path) -> Result<Vec<[f64; 3]>> {
 
 /// Complex array `[M,A,F]`, row-major.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Complex {
+pub(crate) struct ComplexArray {
     pub(crate) shape: [usize; 3],
     /// Real and imaginary parts.
     pub(crate) values: Vec<[f64; 2]>,
 }
 
 /// Reads the complex array of a file; `shape` describes its three dimensions in words.
-pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<Complex> {
+pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<ComplexArray> {
     let refuse = |e| Error::read(path, e);
     let mut file = files::open(path).map_err(refuse)?;
     let header = Header::read(path, &mut file)?;
@@ -95,7 +95,7 @@ pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<Complex> {
 }
 
 /// Reads the complex numbers from the `left` bytes after the header.
-fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: &str) -> Result<Complex> {
+fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: &str) -> Result<ComplexArray> {
     let refuse = |what: String| Error::input(path, what);
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let double = match header.descr.as_str() {
@@ -131,7 +131,7 @@ fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: 
     } else {
         bytes.as_chunks().0.iter().map(single).collect()
     };
-    let all = Complex { shape, values: parts.as_chunks().0.to_vec() };
+    let all = ComplexArray { shape, values: parts.as_chunks().0.to_vec() };
     if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
         let [re, im] = all.values[i / 2];
         return Err(refuse(format!("{} is {:?}; give finite numbers", all.place(path, i / 2), (re, im))));
@@ -139,7 +139,7 @@ fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: 
     Ok(all)
 }
 
-impl Complex {
+impl ComplexArray {
     /// Returns an error for numbers that are too large to compute with.
     pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
         let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();

@@ -9,9 +9,9 @@ mod header;
 mod tests;
 
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{Field, POINT_ADVICE, XyzColumns, fault_of, lines, number, split_blanks};
-use header::{Element, Encoding, Header, Kind, Scalar};
-use pwrfgs_core::{Error, Result, words::quoted};
+use crate::text::{POINT_ADVICE, TextField, XyzColumns, fault_of, lines, number, split_blanks};
+use header::{PlyElement, PlyEncoding, PlyHeader, PropertyKind, Scalar};
+use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
 const ANEW: &str = "the file is cut short: copy it again";
@@ -19,13 +19,13 @@ const INDEX_ADVICE: &str = "correct the index of the vertex";
 
 /// Reads the positions of all vertices.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
-    let header = Header::parse(path, bytes)?;
+    let header = PlyHeader::parse(path, bytes)?;
     Ok(Contents::parse(path, &header, &bytes[header.bytes..], None)?.vertices)
 }
 
 /// Reads the surface: vertices, and faces split into triangles.
 pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
-    let header = Header::parse(path, bytes)?;
+    let header = PlyHeader::parse(path, bytes)?;
     let corners = header.corners(path)?;
     let contents = Contents::parse(path, &header, &bytes[header.bytes..], Some(corners))?;
     contents.polygons.triangulate(path, contents.vertices)
@@ -40,14 +40,14 @@ struct Contents {
 
 impl Contents {
     /// Parses the body; `corners`: indices of the face element and of its corner property.
-    fn parse(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+    fn parse(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
         match header.encoding {
-            Encoding::Ascii => Self::parse_ascii(path, header, body, corners),
-            Encoding::Little | Encoding::Big => Self::parse_binary(path, header, body, corners),
+            PlyEncoding::Ascii => Self::parse_ascii(path, header, body, corners),
+            PlyEncoding::Little | PlyEncoding::Big => Self::parse_binary(path, header, body, corners),
         }
     }
 
-    fn parse_ascii(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+    fn parse_ascii(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
         let text = String::from_utf8_lossy(body);
         let mut rows = lines(&text).map(|(line, row)| (line + header.lines, row));
         let mut contents = Self::default();
@@ -77,8 +77,8 @@ impl Contents {
         }
     }
 
-    fn parse_binary(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
-        let mut body = Body { rest: body, is_big: header.encoding == Encoding::Big };
+    fn parse_binary(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+        let mut body = BinaryBody { rest: body, is_big: header.encoding == PlyEncoding::Big };
         let mut contents = Self::default();
         let mut row = Vec::new();
         for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
@@ -87,13 +87,13 @@ impl Contents {
                 let ended = || Error::input(path, ends(element, i));
                 for (p, property) in element.properties.iter().enumerate() {
                     match property.kind {
-                        Kind::Scalar(scalar) => {
+                        PropertyKind::Scalar(scalar) => {
                             let value = body.value(scalar).ok_or_else(ended)?;
                             if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
                                 point[k] = value;
                             }
                         }
-                        Kind::List { length, item } => {
+                        PropertyKind::List { length, item } => {
                             let raw = body.list(length, item).ok_or_else(ended)?;
                             if corners == Some((e, p)) {
                                 let value = |raw| whole(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
@@ -122,12 +122,17 @@ impl Contents {
 }
 
 /// Index of the first field of each property in a row: a list has a length field followed by that many fields.
-fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], element: &Element) -> Result<Vec<usize>> {
+fn field_of_each_property(
+    path: &Path,
+    line: usize,
+    fields: &[TextField<'_>],
+    element: &PlyElement,
+) -> Result<Vec<usize>> {
     let mut starts = Vec::with_capacity(element.properties.len());
     let mut next = 0;
     for property in &element.properties {
         starts.push(next);
-        let fits = |field: &Field<'_>, scalar: Scalar| match scalar.misfit(field.text) {
+        let fits = |field: &TextField<'_>, scalar: Scalar| match scalar.misfit(field.text) {
             Some(what) => {
                 let what = format!("{} is not {what}, as property `{}` is", quoted(field.text), property.name);
                 Err(Error::at(path, line, field.column, what + "; correct the row or the header"))
@@ -135,7 +140,7 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
             None => Ok(()),
         };
         let taken = match (property.kind, fields.get(next)) {
-            (Kind::List { length: kind, item }, Some(field)) => {
+            (PropertyKind::List { length: kind, item }, Some(field)) => {
                 let length: Option<usize> = field.text.parse().ok();
                 let fault = || format!("{} is not the length of a list; correct the row", quoted(field.text));
                 let length = length.ok_or_else(|| Error::at(path, line, field.column, fault()))?;
@@ -144,8 +149,12 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
                 length.saturating_add(1)
             }
             // The point parser reports this in more detail.
-            (Kind::Scalar(Scalar::F32 | Scalar::F64), _) if ["x", "y", "z"].contains(&property.name.as_str()) => 1,
-            (Kind::Scalar(scalar), Some(field)) => fits(field, scalar).map(|()| 1)?,
+            (PropertyKind::Scalar(Scalar::F32 | Scalar::F64), _)
+                if ["x", "y", "z"].contains(&property.name.as_str()) =>
+            {
+                1
+            }
+            (PropertyKind::Scalar(scalar), Some(field)) => fits(field, scalar).map(|()| 1)?,
             (_, None) => 1,
         };
         next = next.saturating_add(taken);
@@ -163,7 +172,7 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
 }
 
 /// Parses a whole number in a list of corners.
-fn index(path: &Path, line: usize, field: Field<'_>) -> Result<i64> {
+fn index(path: &Path, line: usize, field: TextField<'_>) -> Result<i64> {
     let value = number(path, line, field, INDEX_ADVICE)?;
     let fault = || Error::at(path, line, field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
     whole(value).ok_or_else(fault)
@@ -174,17 +183,17 @@ fn whole(value: f64) -> Option<i64> {
     (value.fract() == 0.0).then_some(value as i64)
 }
 
-fn ends(element: &Element, done: usize) -> String {
+fn ends(element: &PlyElement, done: usize) -> String {
     format!("ends after {done} of {} rows of element `{}`; {ANEW}", element.count, element.name)
 }
 
 /// Remaining bytes of a binary body; reads return `None` at its end.
-struct Body<'a> {
+struct BinaryBody<'a> {
     rest: &'a [u8],
     is_big: bool,
 }
 
-impl<'a> Body<'a> {
+impl<'a> BinaryBody<'a> {
     fn take(&mut self, count: usize) -> Option<&'a [u8]> {
         let (head, rest) = self.rest.split_at_checked(count)?;
         self.rest = rest;

@@ -162,12 +162,12 @@ mod tests {
             assert!((1..n - 1).all(|k| area(at(0), at(k), at(k + 1))[2] > 0.0), "{n} corners");
         }
         let (vertices, corners) = (dented(500), (0..500).collect::<Vec<u32>>());
-        let said = fan_apex(&vertices, &corners, 100).unwrap_err();
-        assert_eq!(said, "is too intricate to be filled by a fan of triangles");
+        let shown = fan_apex(&vertices, &corners, 100).unwrap_err();
+        assert_eq!(shown, "is too intricate to be filled by a fan of triangles");
     }
 
     #[test]
-    fn polygons_that_cannot_be_filled_are_told() {
+    fn reports_polygons_that_cannot_be_filled() {
         let u = [[0.0, 0.0], [3.0, 0.0], [3.0, 3.0], [2.0, 3.0], [2.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]];
         let advice = "is not filled by any fan of triangles; triangulate the mesh where it was made";
         assert_eq!(triangles(&u).unwrap_err(), format!("a.obj: face 1 of 8 corners {advice}"));

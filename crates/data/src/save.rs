@@ -10,7 +10,7 @@ use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{MAX_TEXT, NewFolder};
-use pwrfgs_core::words::cell;
+use pwrfgs_core::messages::cell;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Result, Spectra};
 use std::fmt::Write as _;
 use std::fs;

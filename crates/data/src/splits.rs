@@ -30,8 +30,8 @@ const DEFAULT_VALIDATION: f64 = 0.1;
 
 /// `share` of `n`, rounded; at least one if the share is positive, and never all.
 fn part(share: f64, n: usize) -> usize {
-    let wanted = (share * n as f64).round() as usize;
-    wanted.max(usize::from(share > 0.0)).min(n.saturating_sub(1))
+    let target = (share * n as f64).round() as usize;
+    target.max(usize::from(share > 0.0)).min(n.saturating_sub(1))
 }
 
 /// Moves a random `share` of `train` to a separate list: (train, validation).

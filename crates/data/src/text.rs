@@ -4,7 +4,7 @@
 //! line end.
 
 use crate::checks::{NOT_RECEIVED, power_fault};
-use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, words::quoted};
+use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, messages::quoted};
 use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
 use std::{fmt::Display, io::ErrorKind, path::Path};
@@ -17,7 +17,7 @@ pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
 
 /// Field of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Field<'a> {
+pub(crate) struct TextField<'a> {
     pub(crate) text: &'a str,
     pub(crate) column: usize,
 }
@@ -69,7 +69,7 @@ pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
 }
 
 /// Fields between commas, without surrounding blanks and quotes.
-pub(crate) fn split_commas(line: &str) -> Vec<Field<'_>> {
+pub(crate) fn split_commas(line: &str) -> Vec<TextField<'_>> {
     let mut quoted = false;
     let parts = line.split(|c| {
         quoted ^= c == '"';
@@ -85,32 +85,32 @@ pub(crate) fn split_commas(line: &str) -> Vec<Field<'_>> {
 }
 
 /// Fields between blanks.
-pub(crate) fn split_blanks(line: &str) -> Vec<Field<'_>> {
+pub(crate) fn split_blanks(line: &str) -> Vec<TextField<'_>> {
     placed(line, line.split_whitespace())
 }
 
 /// Slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally: a
 /// face of a mesh may have a million corners in one line.
-fn placed<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<Field<'a>> {
+fn placed<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
     let (mut last, mut column) = (0, 1);
     let place = |text: &'a str| {
         let start = text.as_ptr() as usize - line.as_ptr() as usize;
         column += line[last..start].chars().count();
         last = start;
-        Field { text, column }
+        TextField { text, column }
     };
     parts.map(place).collect()
 }
 
 /// Parses a finite number; `advice` is the next step otherwise.
-pub(crate) fn number(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
+pub(crate) fn number(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<f64> {
     let fault = |what: &str| Error::at(path, line, field.column, format!("{} is {what}; {advice}", quoted(field.text)));
     let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
     if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
 }
 
 /// Parses a coordinate, metres: finite and at most 1e8 m.
-pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
+pub(crate) fn coordinate(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<f64> {
     let value = number(path, line, field, advice)?;
     if value.abs() <= MAX_COORDINATE_M {
         return Ok(value);
@@ -126,7 +126,7 @@ pub(crate) fn fault_of(point: [f64; 3]) -> Option<String> {
 }
 
 /// Returns an error for a row with more fields than the header, for example due to decimal commas.
-pub(crate) fn no_longer(path: &Path, line: usize, row: &[Field<'_>], header: usize) -> Result<()> {
+pub(crate) fn no_longer(path: &Path, line: usize, row: &[TextField<'_>], header: usize) -> Result<()> {
     match row.get(header..).and_then(|more| more.iter().find(|field| !field.text.is_empty())) {
         Some(field) => {
             let (have, what) = (row.len(), "write decimals with a point, and one value a column");
@@ -140,10 +140,10 @@ pub(crate) fn no_longer(path: &Path, line: usize, row: &[Field<'_>], header: usi
 fn cell<'a>(
     path: &Path,
     line: usize,
-    row: &[Field<'a>],
+    row: &[TextField<'a>],
     (column, name): (usize, &str),
     advice: &str,
-) -> Result<Field<'a>> {
+) -> Result<TextField<'a>> {
     row.get(column).copied().ok_or_else(|| {
         let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
         let (have, need, name) = (row.len(), column + 1, quoted(name));
@@ -157,7 +157,7 @@ fn cell<'a>(
 }
 
 /// Power in the column of the receiver `name`, dBm; -100 if no signal was received.
-pub(crate) fn power(path: &Path, line: usize, row: &[Field<'_>], (column, name): (usize, &str)) -> Result<f64> {
+pub(crate) fn power(path: &Path, line: usize, row: &[TextField<'_>], (column, name): (usize, &str)) -> Result<f64> {
     let advice = "give the power in dBm, or -100 if the gateway received no signal";
     let field = cell(path, line, row, (column, name), advice)?;
     let dbm = number(path, line, field, advice)?;
@@ -175,7 +175,7 @@ pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 
 impl XyzColumns {
     /// Finds the columns in a header, in any order and either case, among other columns.
-    pub(crate) fn from_header(path: &Path, line: usize, header: &[Field<'_>]) -> Result<Self> {
+    pub(crate) fn from_header(path: &Path, line: usize, header: &[TextField<'_>]) -> Result<Self> {
         let find = |name: &str| {
             let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
             let (column, _) = found.next().ok_or_else(|| {
@@ -193,7 +193,7 @@ impl XyzColumns {
     }
 
     /// The three coordinates of a row.
-    pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[f64; 3]> {
+    pub(crate) fn read(self, path: &Path, line: usize, row: &[TextField<'_>], advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
             *value = coordinate(path, line, cell(path, line, row, (column, name), advice)?, advice)?;

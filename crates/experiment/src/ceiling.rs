@@ -3,7 +3,7 @@
 //! The pairs depend on the split. If most test samples were measured shortly before or after a training sample, the
 //! ceiling uses pairs near in time, which share short-term conditions; otherwise it uses pairs far apart in time.
 
-use crate::repeatability::{AtZero, FAR_IDS, Lapse, Likeness, in_order, likeness};
+use crate::repeatability::{FAR_IDS, PairLag, PairSimilarity, ZeroDistanceEstimate, in_order, similarity};
 use crate::scores::CEILING;
 use crate::text::{grouped, number};
 use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result, Task};
@@ -11,9 +11,9 @@ use std::sync::atomic::AtomicBool;
 
 /// Noise ceiling of a test set: best score to expect from a predictor.
 #[derive(Clone, Debug, Default)]
-pub struct Ceiling {
+pub struct NoiseCeiling {
     /// Metric keys with their ceiling; empty if it cannot be estimated.
-    pub of: Vec<(String, AtZero)>,
+    pub of: Vec<(String, ZeroDistanceEstimate)>,
     /// Notes below the table: the pairs used, or why there is no ceiling.
     pub notes: Vec<String>,
 }
@@ -27,27 +27,27 @@ pub fn ceiling(
     partition: &Partition,
     metrics: &[Plugin<dyn Metric>],
     stop: &AtomicBool,
-) -> Result<Ceiling> {
+) -> Result<NoiseCeiling> {
     let lags = lags(data, partition);
-    let (lapse, why) = lapse(data, &lags);
-    let found = likeness(data, lapse, false, metrics, stop)?;
-    let known = |m: &crate::repeatability::Similarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
-    let of: Vec<(String, AtZero)> = found.metrics.iter().filter_map(known).collect();
+    let (lag, why) = lag(data, &lags);
+    let found = similarity(data, lag, false, metrics, stop)?;
+    let known = |m: &crate::repeatability::MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
+    let of: Vec<(String, ZeroDistanceEstimate)> = found.metrics.iter().filter_map(known).collect();
     let unknown = found.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
     let notes = match (of.is_empty(), found.metrics.first().map(|m| &m.at_zero)) {
         (false, _) => {
             let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
-            notes(data.task(), &found, lapse, &why, &of).into_iter().chain(unknown.map(by)).collect()
+            notes(data.task(), &found, lag, &why, &of).into_iter().chain(unknown.map(by)).collect()
         }
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
     };
-    Ok(Ceiling { of, notes })
+    Ok(NoiseCeiling { of, notes })
 }
 
 /// Kind of sample pairs that the noise ceiling of `partition` uses.
-pub fn lapse_of(data: &Dataset, partition: &Partition) -> Lapse {
-    lapse(data, &lags(data, partition)).0
+pub fn lapse_of(data: &Dataset, partition: &Partition) -> PairLag {
+    lag(data, &lags(data, partition)).0
 }
 
 /// Difference of ids between each test sample and the nearest training or validation sample.
@@ -63,27 +63,33 @@ fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
 }
 
 /// Kind of pairs, and the reason.
-fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
+fn lag(data: &Dataset, lags: &[u32]) -> (PairLag, String) {
     if !in_order(data) {
-        return (Lapse::Far, "since samples with consecutive ids are not close in space".into());
+        return (PairLag::Far, "since samples with consecutive ids are not close in space".into());
     }
     let near = lags.iter().filter(|lag| **lag <= FAR_IDS).count();
     let percent = |count: usize| (100 * count + lags.len() / 2) / lags.len().max(1);
     if 2 * near >= lags.len() {
         let share = percent(near);
-        (Lapse::Near, format!("since {share} % of the test samples have a known one at most {FAR_IDS} ids away"))
+        (PairLag::Near, format!("since {share} % of the test samples have a known one at most {FAR_IDS} ids away"))
     } else {
         let share = percent(lags.len() - near);
-        (Lapse::Far, format!("since {share} % of the test samples have no known one within {FAR_IDS} ids"))
+        (PairLag::Far, format!("since {share} % of the test samples have no known one within {FAR_IDS} ids"))
     }
 }
 
-fn notes(task: Task, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
+fn notes(
+    task: Task,
+    found: &PairSimilarity,
+    lag: PairLag,
+    why: &str,
+    of: &[(String, ZeroDistanceEstimate)],
+) -> Vec<String> {
     let what = task.ceiling.note;
     let is_perfect = task.ceiling.share < 1.0; // the row is that of the perfect predictor already
     let more = if is_perfect { "" } else { "; a perfect predictor of the mean could reach a little more" };
-    let (pairs, words) = (grouped(found.closest as i64), lapse.words());
-    let interval = |(key, at_zero): &(String, AtZero)| {
+    let (pairs, words) = (grouped(found.closest as i64), lag.words());
+    let interval = |(key, at_zero): &(String, ZeroDistanceEstimate)| {
         let [low, high] = at_zero.interval.map(number);
         format!("{key} {low} to {high}")
     };
@@ -115,17 +121,17 @@ mod tests {
     }
 
     #[test]
-    fn the_partition_says_which_pairs_are_the_ceiling() {
+    fn partition_selects_pairs_of_noise_ceiling() {
         let walk = data(|id| f64::from(id) * 0.01);
-        let of = |data: &Dataset, partition: &Partition| lapse(data, &lags(data, partition));
+        let of = |data: &Dataset, partition: &Partition| lag(data, &lags(data, partition));
         let (near, why) = of(&walk, &partition(|i| i % 5 == 0));
-        assert_eq!(near, Lapse::Near);
+        assert_eq!(near, PairLag::Near);
         assert_eq!(why, "since 100 % of the test samples have a known one at most 30 ids away");
         let (far, why) = of(&walk, &partition(|i| (100..300).contains(&i)));
-        assert_eq!(far, Lapse::Far);
+        assert_eq!(far, PairLag::Far);
         assert_eq!(why, "since 70 % of the test samples have no known one within 30 ids");
         let anywhere = data(|id| f64::from(id * 149 % 400));
-        assert_eq!(of(&anywhere, &partition(|i| i % 5 == 0)).0, Lapse::Far, "ids carry no time information");
+        assert_eq!(of(&anywhere, &partition(|i| i % 5 == 0)).0, PairLag::Far, "ids carry no time information");
     }
 
     #[test]

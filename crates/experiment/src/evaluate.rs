@@ -3,12 +3,14 @@
 //! Baselines choose their hyperparameters on the validation set and are then fitted on training and validation samples
 //! together, which makes them stronger.
 
-use crate::bench::Bench;
 use crate::ceiling::ceiling;
+use crate::evaluation_set::EvaluationSet;
 use crate::record::Confidence;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, check_stopped, staged};
-use pwrfgs_core::{Dataset, Error, Image, ImagePlane, Known, ModelFacts, Partition, Result, evenly, words::clean};
+use pwrfgs_core::{
+    Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
+};
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
@@ -39,7 +41,7 @@ pub fn evaluate(
             drawn.first, drawn.last, data.elevation.first, data.elevation.last
         )));
     }
-    let test = Bench::new(data, &partition.test, plane);
+    let test = EvaluationSet::new(data, &partition.test, plane);
     let score = |ensemble: &Ensemble, ready: &Prepared<'_>, name: &str, session: &mut Session<'_>| {
         let facts = ModelFacts {
             means: &ensemble.means_from(data.scene.origin),
@@ -66,7 +68,7 @@ pub fn evaluate(
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.task());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
-        bounds.extend(fitted.knows_scene().then(|| name.clone()));
+        bounds.extend(fitted.is_oracle().then(|| name.clone()));
         predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
@@ -99,11 +101,11 @@ pub(crate) fn validation_baselines(
     if part.is_empty() || pipeline.training.validate_every == 0 {
         return Ok(Vec::new());
     }
-    let (bench, metrics) = (Bench::new(data, &part, plane), defaults::validation(data.task()));
+    let (bench, metrics) = (EvaluationSet::new(data, &part, plane), defaults::validation(data.task()));
     let mut all = Vec::new();
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
-        let fitted = baseline.fit(data, Known::train(&partition.train))?;
+        let fitted = baseline.fit(data, FittingSet::train(&partition.train))?;
         let name = baseline.name_for(data.task());
         let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
         all.extend(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)));
@@ -131,22 +133,22 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     if known != listening {
         return refuse(format!("the model has {known} receivers, but the data have {listening}"));
     }
-    for (known, heard) in model.receivers().iter().zip(&data.scene.receivers) {
+    for (known, measured) in model.receivers().iter().zip(&data.scene.receivers) {
         // The name of a single receiver is a placeholder and is not compared.
-        if known.name != heard.name && !task.has_pixels && listening > 1 {
+        if known.name != measured.name && !task.has_pixels && listening > 1 {
             return refuse(format!(
                 "receiver `{}` of the model is called `{}` in the data",
-                clean(&known.name),
-                clean(&heard.name)
+                strip_control(&known.name),
+                strip_control(&measured.name)
             ));
         }
     }
     let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
-    let (known, heard) = (model.frequencies(), data.observations.frequencies_hz());
-    if !(known.len() == heard.len() && known.iter().zip(heard).all(|(a, b)| near(a, b))) {
+    let (known, measured) = (model.frequencies(), data.observations.frequencies_hz());
+    if !(known.len() == measured.len() && known.iter().zip(measured).all(|(a, b)| near(a, b))) {
         let first = |all: &[f64]| all.first().copied().unwrap_or_default();
-        let (known, heard) = (first(known), first(heard));
-        return refuse(format!("subcarriers of the model begin at {known} Hz, but those of the data at {heard} Hz"));
+        let (known, measured) = (first(known), first(measured));
+        return refuse(format!("subcarriers of the model begin at {known} Hz, but those of the data at {measured} Hz"));
     }
     Ok(())
 }

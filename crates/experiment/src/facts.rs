@@ -58,19 +58,19 @@ pub struct Facts {
     pub scores: Option<ScoreTable>,
     /// Sizes and checksums of the finished files by name, for verification.
     #[serde(default)]
-    pub files: BTreeMap<String, Mark>,
+    pub files: BTreeMap<String, FileDigest>,
 }
 
 /// Size and checksum of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Mark {
+pub struct FileDigest {
     /// Length, bytes.
     pub bytes: u64,
     /// Checksum in the format of `sha256sum`.
     pub sha256: String,
 }
 
-impl Mark {
+impl FileDigest {
     pub(crate) fn of(bytes: &[u8]) -> Self {
         Self { bytes: bytes.len() as u64, sha256: digest(bytes) }
     }
@@ -159,7 +159,7 @@ impl Facts {
         for name in sealed().filter(|name| folder.join(name).is_file()) {
             let path = folder.join(name);
             let bytes = files::read(&path).map_err(|e| Error::read(&path, e))?;
-            self.files.insert(name.into(), Mark::of(&bytes));
+            self.files.insert(name.into(), FileDigest::of(&bytes));
         }
         Ok(())
     }
@@ -180,7 +180,7 @@ impl Facts {
         let Some(mark) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);
         let found = match if_found(&path, files::read(&path))? {
-            Some(bytes) if Mark::of(&bytes) == *mark => return Ok(()),
+            Some(bytes) if FileDigest::of(&bytes) == *mark => return Ok(()),
             Some(bytes) if bytes.len() as u64 == mark.bytes => "its content differs".to_owned(),
             Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), mark.bytes),
             None => "it is missing".into(),

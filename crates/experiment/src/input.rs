@@ -1,7 +1,7 @@
 //! Reads pipelines from files and `--set` arguments, with absolute paths.
 
 use pwrfgs_core::{Result, files::read_text};
-use pwrfgs_pipeline::{Change, Draft, Fault, Pipeline};
+use pwrfgs_pipeline::{Change, EditFault, Pipeline, PipelineEdit};
 use std::path::{Path, PathBuf};
 
 /// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to
@@ -17,17 +17,17 @@ pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
 pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
     let mut draft = parse_base(text, path)?;
     set_all(&mut draft, set)?;
-    draft.finish().map_err(Fault::in_arguments)?.resolved()
+    draft.finish().map_err(EditFault::in_arguments)?.resolved()
 }
 
 /// Reads the pipeline in `path` unchanged, with absolute paths.
-pub(crate) fn read_base(path: &Path) -> Result<Draft> {
+pub(crate) fn read_base(path: &Path) -> Result<PipelineEdit> {
     parse_base(&read_text(path)?, path)
 }
 
-fn parse_base(text: &str, path: &Path) -> Result<Draft> {
-    let mut draft = Draft::of(&Pipeline::parse(text, path)?);
-    change(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(Fault::in_arguments)?;
+fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
+    let mut draft = PipelineEdit::of(&Pipeline::parse(text, path)?);
+    change(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(EditFault::in_arguments)?;
     Ok(draft)
 }
 
@@ -35,7 +35,7 @@ fn parse_base(text: &str, path: &Path) -> Result<Draft> {
 ///
 /// # Errors
 /// An invalid change.
-pub(crate) fn change(draft: &mut Draft, changes: &[Change], here: &Path) -> Result<(), Fault> {
+pub(crate) fn change(draft: &mut PipelineEdit, changes: &[Change], here: &Path) -> Result<(), EditFault> {
     changes.iter().try_for_each(|change| draft.set(change))?;
     draft.rebase(&|path| absolute(here, path))
 }
@@ -44,9 +44,9 @@ pub(crate) fn change(draft: &mut Draft, changes: &[Change], here: &Path) -> Resu
 ///
 /// # Errors
 /// An invalid argument.
-pub(crate) fn set_all(draft: &mut Draft, set: &[String]) -> Result<()> {
+pub(crate) fn set_all(draft: &mut PipelineEdit, set: &[String]) -> Result<()> {
     let changes: Vec<Change> = set.iter().map(|argument| Change::argument(argument)).collect::<Result<_>>()?;
-    change(draft, &changes, Path::new("")).map_err(Fault::in_arguments)
+    change(draft, &changes, Path::new("")).map_err(EditFault::in_arguments)
 }
 
 /// Pipeline ready to run: paths relative to `base`, and the scale applied.

@@ -5,10 +5,10 @@ mod pose;
 mod rotation;
 mod spectra;
 
-pub use pose::{PoseCheck, Verdict};
+pub use pose::{PoseCheck, PoseVerdict};
 
-use crate::bench::Bench;
 use crate::ceiling::ceiling;
+use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, peak_memory};
 use crate::input::prepared;
 use crate::load::{load, observed};
@@ -262,7 +262,7 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
         };
         let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
         line.push(length(test_distance(data, &partition)));
-        let bench = Bench::new(data, &evenly(&partition.test, TESTED), &plane);
+        let bench = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
         for (baseline, name) in pipeline.baselines.iter().zip(&names) {
             let fitted = baseline.fit(data, partition.known())?;
             let found = bench.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;

@@ -24,7 +24,7 @@ const LOOK: &str = "validation/";
 #[derive(Debug)]
 pub(crate) struct Journal {
     curve: Series,
-    looks: Series,
+    validation_series: Series,
     events: Option<Events>,
     steps: u64,
     seconds: f64,
@@ -35,20 +35,20 @@ impl Journal {
     pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, task: Task, done: u64) -> Result<Self> {
         let (curve, rows) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
         let columns = format!("step,{}", task.headline.columns.join(","));
-        let (looks, seen) = Series::open(&folder.file(VALIDATION), &columns, done)?;
+        let (validation_series, validations) = Series::open(&folder.file(VALIDATION), &columns, done)?;
         let seconds = rows.last().map_or(0.0, |row| seconds_of(row));
-        let mut journal = Self { curve, looks, events: None, steps: pipeline.training.steps, seconds };
+        let mut journal = Self { curve, validation_series, events: None, steps: pipeline.training.steps, seconds };
         if pipeline.tensorboard {
             journal.events = Some(Events::create(&folder.file(EVENTS))?);
-            journal.replay(&rows, &seen)?;
+            journal.replay(&rows, &validations)?;
         }
         Ok(journal)
     }
 
     /// Rewrites the events of earlier rows, in their original order.
-    fn replay(&mut self, rows: &[String], seen: &[String]) -> Result<()> {
+    fn replay(&mut self, rows: &[String], validations: &[String]) -> Result<()> {
         let of_curve = rows.iter().map(|row| (step_of(row), "", &self.curve.header, row));
-        let of_looks = seen.iter().map(|row| (step_of(row), LOOK, &self.looks.header, row));
+        let of_looks = validations.iter().map(|row| (step_of(row), LOOK, &self.validation_series.header, row));
         let mut all: Vec<_> = of_curve.chain(of_looks).collect();
         all.sort_by_key(|(step, ..)| *step);
         let mut ago = 0.0;
@@ -79,11 +79,13 @@ impl Journal {
     }
 
     /// Records a validation.
-    pub(crate) fn validation(&mut self, seen: &Validation) -> Result<()> {
-        let Validation { step, values: [mean, median, third], .. } = seen;
+    pub(crate) fn validation(&mut self, validations: &Validation) -> Result<()> {
+        let Validation { step, values: [mean, median, third], .. } = validations;
         let row = format!("{step},{mean},{median},{third}");
-        self.looks.push(&row)?;
-        self.events.as_mut().map_or(Ok(()), |events| events.push(*step, &scalars(LOOK, &self.looks.header, &row), 0.0))
+        self.validation_series.push(&row)?;
+        self.events
+            .as_mut()
+            .map_or(Ok(()), |events| events.push(*step, &scalars(LOOK, &self.validation_series.header, &row), 0.0))
     }
 
     /// Records the mean of each metric on the test set at the last step, for TensorBoard.
@@ -100,7 +102,7 @@ impl Journal {
     /// Flushes all files to disk; called before each checkpoint, which must never be ahead of them.
     pub(crate) fn sync(&self) -> Result<()> {
         self.curve.sync()?;
-        self.looks.sync()?;
+        self.validation_series.sync()?;
         self.events.as_ref().map_or(Ok(()), Events::sync)
     }
 }
@@ -212,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_row_is_told_unless_it_comes_after_all_that_are_kept() {
+    fn reports_damaged_row_before_checkpoint_only() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.csv");
         let open = |text: &[u8], done| {
@@ -221,9 +223,9 @@ mod tests {
         };
         assert_eq!(open(b"step,loss\n10,0.5\n\0\xff\0\n", 20), Ok(vec!["10,0.5".into()]));
         assert_eq!(open(b"stop,loss\n10,0.5\n", 0), Ok(vec![]), "nothing is kept");
-        let said = open(b"step,loss\n1\xff0,0.5\n20,0.4\n", 20).unwrap_err();
-        assert!(said.contains("curve.csv:2:1: this row does not begin with a step"), "{said}");
-        let said = open(b"stop,loss\n10,0.5\n", 20).unwrap_err();
-        assert!(said.contains("curve.csv:1:1: the first line is not `step,loss`; repair the file"), "{said}");
+        let message = open(b"step,loss\n1\xff0,0.5\n20,0.4\n", 20).unwrap_err();
+        assert!(message.contains("curve.csv:2:1: this row does not begin with a step"), "{message}");
+        let message = open(b"stop,loss\n10,0.5\n", 20).unwrap_err();
+        assert!(message.contains("curve.csv:1:1: the first line is not `step,loss`; repair the file"), "{message}");
     }
 }

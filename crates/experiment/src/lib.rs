@@ -1,13 +1,13 @@
 //! Runs from pipeline to scores: training loop, run folder, evaluation, sweeps and exports.
 //!
 //! This crate uses traits, not plugins; a program links the plugins it needs (`pwrfgs` links the built-in ones). A
-//! [`Page`] function creates the report of a run from its folder.
+//! [`PageBuilder`] function creates the report of a run from its folder.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-mod bench;
 mod ceiling;
 mod evaluate;
+mod evaluation_set;
 mod events;
 mod facts;
 pub mod folder;
@@ -31,10 +31,10 @@ pub mod sweep;
 pub mod text;
 mod training;
 
-pub use bench::Bench;
-pub use ceiling::{Ceiling, ceiling, lapse_of};
+pub use ceiling::{NoiseCeiling, ceiling, lapse_of};
 pub use evaluate::{check_alike, evaluate};
-pub use facts::{Facts, Machine, Mark};
+pub use evaluation_set::EvaluationSet;
+pub use facts::{Facts, FileDigest, Machine};
 pub use input::{read_pipeline, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{data_warnings, equality_warning, load, observed, position_warning};
@@ -43,9 +43,9 @@ pub use paired::Paired;
 pub use record::Record;
 pub use repeatability::{Repeatability, repeatability};
 pub use run_folder::RunFolder;
-pub use runner::{Outcome, run};
+pub use runner::{RunOutcome, run};
 pub use samples::TestSamples;
 pub use scores::{CEILING, ScoreTable, Scores};
-pub use session::{LoadedRun, Observer, Page, Session, Silent, Start, Validation, staged};
+pub use session::{LoadedRun, NoopObserver, Observer, PageBuilder, Session, Start, Validation, staged};
 pub use statistics::Summary;
-pub use study::{Race, Setting, Study, Variant, Way, distinct, one_line};
+pub use study::{ParetoComparison, Setting, Study, StudyVariant, VariantFamily, distinct, one_line};

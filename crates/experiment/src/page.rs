@@ -1,6 +1,6 @@
 //! Report of a run, created from its folder at the end of a run or by `pwrfgs report`.
 
-use crate::facts::{Facts, Mark, now};
+use crate::facts::{Facts, FileDigest, now};
 use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
 use crate::input::read_pipeline;
 use crate::load::load;
@@ -8,7 +8,7 @@ use crate::record::{Confidence, Record};
 use crate::run_folder::RunFolder;
 use crate::samples::to_csv;
 use crate::scores::{ScoreTable, Scores};
-use crate::session::{LoadedRun, Observer, Page, Session};
+use crate::session::{LoadedRun, Observer, PageBuilder, Session};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::Ensemble;
@@ -36,7 +36,7 @@ pub fn write_results(
     (pipeline, facts): (&Pipeline, &Facts),
     (data, partition, model): (&Dataset, &Partition, &Ensemble),
     (scores, confidence): (&Scores, Option<&Confidence>),
-    page: Option<Page>,
+    page: Option<PageBuilder>,
 ) -> Result<()> {
     let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
     put(SAMPLES, to_csv(data, partition))?;
@@ -78,7 +78,7 @@ pub(crate) fn conclude(
 ///
 /// # Errors
 /// The run has not finished, another process uses it, a file is damaged, or the data have changed.
-pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> Result<()> {
+pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observer) -> Result<()> {
     let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
     let mut rebuild = || {
         let unfinished = || Error::Config(format!("{} has not finished; run it first", held.name().display()));
@@ -87,8 +87,10 @@ pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> R
         let (partition, model) = (record.partition(&data)?, record.model(&data)?);
         let text = page(&LoadedRun { record: &record, data: &data, partition: &partition, model: &model })?;
         let path = held.file(REPORT);
-        let mark = Mark::of(text.as_bytes());
-        if record.facts.files.get(REPORT) == Some(&mark) && files::read(&path).is_ok_and(|own| Mark::of(&own) == mark) {
+        let mark = FileDigest::of(text.as_bytes());
+        if record.facts.files.get(REPORT) == Some(&mark)
+            && files::read(&path).is_ok_and(|own| FileDigest::of(&own) == mark)
+        {
             return Ok(());
         }
         // The checksum always belongs to the current page.

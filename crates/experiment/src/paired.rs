@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_note_names_what_is_drawn() {
+    fn note_describes_bootstrap_units() {
         let pairs = Paired { edge_m: Some(0.4), cubes: 9, rows: Vec::new() };
         let words = "over 9 cubes of 0.40 m; with fewer than ten cubes";
         assert!(pairs.note(Task::Spectrum).contains(words), "{}", pairs.note(Task::Spectrum));

@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_damaged_series_is_told() {
+    fn reports_damaged_series() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.csv");
         let wrong = [
@@ -242,8 +242,8 @@ mod tests {
         ];
         for (text, why) in wrong {
             std::fs::write(&path, text).unwrap();
-            let said = whole_series(&path, 20).unwrap_err();
-            assert!(said.is_input() && said.to_string().contains(why), "{said}");
+            let message = whole_series(&path, 20).unwrap_err();
+            assert!(message.is_input() && message.to_string().contains(why), "{message}");
         }
         std::fs::write(&path, "step,phase,loss\n10,densify,NaN\n20,prune,inf\n").unwrap();
         assert_eq!(whole_series(&path, 20).unwrap().len(), 2);

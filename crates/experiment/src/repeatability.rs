@@ -11,13 +11,13 @@
 mod extrapolate;
 mod pairs;
 
-pub use extrapolate::AtZero;
-pub use pairs::{FAR_IDS, Lapse, NEAR_IDS, in_order};
+pub use extrapolate::ZeroDistanceEstimate;
+pub use pairs::{FAR_IDS, NEAR_IDS, PairLag, in_order};
 
 use crate::session::check_stopped;
 use crate::statistics::Summary;
-use extrapolate::{Scale, at_zero};
-use pairs::Pair;
+use extrapolate::{MetricScale, at_zero};
+use pairs::SamplePair;
 use pwrfgs_core::{
     Dataset, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Plugin, Result, Scope, Task, Values, evenly,
 };
@@ -42,25 +42,25 @@ const PIXELS: usize = 1 << 21;
 #[derive(Clone, Debug)]
 pub struct Repeatability {
     /// Pairs at most [`NEAR_IDS`] ids apart.
-    pub near: Likeness,
+    pub near: PairSimilarity,
     /// Pairs more than [`FAR_IDS`] ids apart.
-    pub far: Likeness,
+    pub far: PairSimilarity,
 }
 
 /// Agreement of the spectra of sample pairs, by each per-sample metric.
 #[derive(Clone, Debug)]
-pub struct Likeness {
+pub struct PairSimilarity {
     /// Number of closest pairs used for the extrapolation.
     pub closest: usize,
     /// Largest distance between the transmitters of these pairs, metres; 0 without pairs.
     pub reach_m: f64,
     /// One entry per metric.
-    pub metrics: Vec<Similarity>,
+    pub metrics: Vec<MetricSimilarity>,
 }
 
 /// One metric of pairs: score of the earlier spectrum as a prediction of the later one.
 #[derive(Clone, Debug)]
-pub struct Similarity {
+pub struct MetricSimilarity {
     /// Name, such as `ssim`.
     pub key: String,
     /// Unit, or empty.
@@ -68,16 +68,16 @@ pub struct Similarity {
     /// Direction of better values.
     pub goal: Goal,
     /// Ranges of distance, ascending; ranges without pairs are omitted.
-    pub bins: Vec<Bin>,
+    pub bins: Vec<DistanceBin>,
     /// Mean over unrelated pairs: samples drawn at random. NaN if there are none.
     pub unrelated: f64,
     /// Extrapolation to distance zero, or why it is not possible.
-    pub at_zero: Result<AtZero, String>,
+    pub at_zero: Result<ZeroDistanceEstimate, String>,
 }
 
 /// Pairs in a range of distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bin {
+pub struct DistanceBin {
     /// Lower limit of the distance between the transmitters, metres, inclusive.
     pub from_m: f64,
     /// Upper limit, metres, exclusive.
@@ -96,51 +96,51 @@ pub struct Bin {
 /// # Errors
 /// A metric returns an error or a spectrum cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
 pub fn repeatability(data: &Dataset, metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Repeatability> {
-    let of = |lapse| likeness(data, lapse, true, metrics, stop);
-    Ok(Repeatability { near: of(Lapse::Near)?, far: of(Lapse::Far)? })
+    let of = |lag| similarity(data, lag, true, metrics, stop);
+    Ok(Repeatability { near: of(PairLag::Near)?, far: of(PairLag::Far)? })
 }
 
 /// Measures one kind of pairs: the closest, and, for the whole `curve`, some of the others.
-pub(crate) fn likeness(
+pub(crate) fn similarity(
     data: &Dataset,
-    lapse: Lapse,
+    lag: PairLag,
     curve: bool,
     metrics: &[Plugin<dyn Metric>],
     stop: &AtomicBool,
-) -> Result<Likeness> {
-    let pairs = pairs::find(data, lapse);
+) -> Result<PairSimilarity> {
+    let pairs = pairs::find(data, lag);
     // Measured pairs: the closest, some of every range of distances, and unrelated ones.
-    let mut wanted = closest(&pairs);
-    let closest = wanted.len();
+    let mut selected = closest(&pairs);
+    let closest = selected.len();
     let mut ranges = Vec::new();
     for (edges, range) in pairs::bins(&pairs).into_iter().filter(|_| curve) {
-        let first = wanted.len();
-        wanted.extend(evenly(&pairs[range], A_BIN));
-        ranges.push((edges, first..wanted.len()));
+        let first = selected.len();
+        selected.extend(evenly(&pairs[range], A_BIN));
+        ranges.push((edges, first..selected.len()));
     }
-    let related = wanted.len();
-    wanted.extend(pairs::unrelated(data));
-    let similarity = |measured: Measured| {
-        let Measured { key, unit, goal, best, values } = measured;
+    let related = selected.len();
+    selected.extend(pairs::unrelated(data));
+    let similarity = |measured: PairMetric| {
+        let PairMetric { key, unit, goal, best, values } = measured;
         let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);
         let bin = |([from_m, to_m], range): &([f64; 2], Range<usize>)| {
             let Summary { mean, median, .. } = summary(&values[range.clone()]);
-            Bin { from_m: *from_m, to_m: *to_m, pairs: range.len(), mean, median }
+            DistanceBin { from_m: *from_m, to_m: *to_m, pairs: range.len(), mean, median }
         };
         let unrelated = summary(&values[related..]).mean;
-        let scale = Scale { goal, best, unrelated };
+        let scale = MetricScale { goal, best, unrelated };
         let at_zero = if closest < LEAST {
-            let (words, cm) = (lapse.words(), REACH_M * 100.0);
+            let (words, cm) = (lag.words(), REACH_M * 100.0);
             let what = format!("are within {cm:.0} cm of each other; at least {LEAST} are needed");
             Err(format!("{closest} pairs of samples {words} {what}"))
         } else {
-            at_zero(&wanted[..closest], &single(data.task(), &values[..closest]), &scale)
+            at_zero(&selected[..closest], &single(data.task(), &values[..closest]), &scale)
         };
-        Similarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
+        MetricSimilarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
     };
-    let metrics = measure(data, &wanted, metrics, stop)?.into_iter().map(similarity).collect();
-    let reach_m = wanted[..closest].last().map_or(0.0, |pair| pair.distance);
-    Ok(Likeness { closest, reach_m, metrics })
+    let metrics = measure(data, &selected, metrics, stop)?.into_iter().map(similarity).collect();
+    let reach_m = selected[..closest].last().map_or(0.0, |pair| pair.distance);
+    Ok(PairSimilarity { closest, reach_m, metrics })
 }
 
 /// Scores of a perfect predictor of the mean reading, given `values` between two readings.
@@ -150,7 +150,7 @@ fn single(task: Task, values: &[f64]) -> Vec<f64> {
 
 /// Pairs used for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly equal
 /// distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
-fn closest(pairs: &[Pair]) -> Vec<Pair> {
+fn closest(pairs: &[SamplePair]) -> Vec<SamplePair> {
     let within = &pairs[..pairs.partition_point(|pair| pair.distance <= REACH_M)];
     let first = &within[..within.len().min(CLOSEST)];
     match first {
@@ -160,7 +160,7 @@ fn closest(pairs: &[Pair]) -> Vec<Pair> {
 }
 
 /// One metric of all pairs, in their order.
-struct Measured {
+struct PairMetric {
     key: String,
     unit: String,
     goal: Goal,
@@ -170,22 +170,27 @@ struct Measured {
 }
 
 /// Scores the earlier spectrum of each pair as a prediction of the later one, by the per-sample metrics.
-fn measure(data: &Dataset, pairs: &[Pair], metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Vec<Measured>> {
+fn measure(
+    data: &Dataset,
+    pairs: &[SamplePair],
+    metrics: &[Plugin<dyn Metric>],
+    stop: &AtomicBool,
+) -> Result<Vec<PairMetric>> {
     let metrics: Vec<&Plugin<dyn Metric>> = metrics.iter().filter(|m| m.scope() == Scope::Sample).collect();
     let plane = data.plane();
     let itself = [data.image(0)];
     let best = evaluate(data, &plane, &metrics, &itself, &itself)?;
     let started = |m: Measurement| match m.values {
         Values::PerSample(best) if best.len() == 1 => {
-            Some(Measured { key: m.key, unit: m.unit, goal: m.goal, best: best[0], values: Vec::new() })
+            Some(PairMetric { key: m.key, unit: m.unit, goal: m.goal, best: best[0], values: Vec::new() })
         }
         _ => None,
     };
-    let mut all: Vec<Measured> = best.into_iter().filter_map(started).collect();
+    let mut all: Vec<PairMetric> = best.into_iter().filter_map(started).collect();
     let size = (PIXELS / (data.width * data.height).max(1)).clamp(1, CHUNK);
     for some in pairs.chunks(size) {
         check_stopped(stop)?;
-        let images = |side: fn(&Pair) -> usize| some.par_iter().map(|pair| data.image(side(pair))).collect();
+        let images = |side: fn(&SamplePair) -> usize| some.par_iter().map(|pair| data.image(side(pair))).collect();
         let (earlier, later): (Vec<Image>, Vec<Image>) = (images(|pair| pair.earlier), images(|pair| pair.later));
         data.observations.check()?;
         for found in evaluate(data, &plane, &metrics, &earlier, &later)? {
@@ -206,7 +211,7 @@ fn evaluate(
     predictions: &[Image],
     truths: &[Image],
 ) -> Result<Vec<Measurement>> {
-    let seen = Evaluation { predictions, truths, ..Evaluation::of(data, plane) };
-    let found: Result<Vec<_>> = metrics.iter().map(|metric| metric.evaluate(&seen)).collect();
+    let evaluation = Evaluation { predictions, truths, ..Evaluation::of(data, plane) };
+    let found: Result<Vec<_>> = metrics.iter().map(|metric| metric.evaluate(&evaluation)).collect();
     Ok(found?.concat())
 }

@@ -5,7 +5,7 @@ use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed};
 use crate::input;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, HeldFolder, refuse_foreign, write_new};
-use pwrfgs_core::words::clean;
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::fs::{File, TryLockError};
@@ -195,8 +195,8 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<
              choose another --out or remove the folder",
             folder.display(),
             line + 1,
-            clean(there).trim_end_matches(','),
-            clean(here).trim_end_matches(',')
+            strip_control(there).trim_end_matches(','),
+            strip_control(here).trim_end_matches(',')
         ))),
         None if theirs.lines().count() == ours.lines().count() => {
             Ok(if alike { RunState::Begun } else { RunState::ScoredOtherwise })

@@ -20,7 +20,7 @@ use std::time::Instant;
 
 /// Outcome of a run.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Outcome {
+pub enum RunOutcome {
     /// All results are written.
     Finished {
         /// Summary of all scores.
@@ -43,7 +43,7 @@ pub enum Outcome {
 /// # Errors
 /// Invalid input, before files are written; a folder that cannot be written; values that are not finite. Files written
 /// so far stay intact.
-pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<Outcome> {
+pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<RunOutcome> {
     let begun = Instant::now();
     loop {
         if let Some(end) = attempt(pipeline, (base, out), session, begun)? {
@@ -58,9 +58,9 @@ fn attempt(
     (base, out): (&Path, &Path),
     session: &mut Session<'_>,
     begun: Instant,
-) -> Result<Option<Outcome>> {
+) -> Result<Option<RunOutcome>> {
     let pipeline = &prepared(pipeline, base)?;
-    let already = |scores| Some(Outcome::Finished { scores, already: true });
+    let already = |scores| Some(RunOutcome::Finished { scores, already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.verified(out, reported)? {
         // A finished run may have been restarted since, by another process with another pipeline.
@@ -86,7 +86,7 @@ fn attempt(
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
         held => match trainer(pipeline, (&data, &partition), held.as_ref(), session) {
-            Err(Error::Stopped) => return Ok(Some(Outcome::Interrupted { step: 0 })),
+            Err(Error::Stopped) => return Ok(Some(RunOutcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
         },
     };
@@ -109,13 +109,13 @@ fn complete<'a>(
     mut training: Training<'a, '_>,
     trainer: Option<(Trainer<'a>, Estimate)>,
     (folder, mut facts): (&RunFolder, Facts),
-) -> Result<Outcome> {
+) -> Result<RunOutcome> {
     let Training { pipeline, data, partition, .. } = training;
     let model = match trainer {
         None => file::read(&folder.file(MODEL_FILE))?,
         Some((mut trainer, estimate)) => match training.train(&mut trainer, estimate, folder, &mut facts)? {
             Some(model) => model,
-            None => return Ok(Outcome::Interrupted { step: trainer.done() }),
+            None => return Ok(RunOutcome::Interrupted { step: trainer.done() }),
         },
     };
     let (session, begun, model) = (training.session, Instant::now(), Ensemble::of(model));
@@ -123,7 +123,7 @@ fn complete<'a>(
     let scored = evaluate(&model, pipeline, data, partition, session)
         .and_then(|found| Ok((found, validation_baselines(model.plane(), pipeline, data, partition, session)?)));
     let (found, baselines) = match scored {
-        Err(Error::Stopped) => return Ok(Outcome::Unscored),
+        Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
         scored => scored?,
     };
     facts.validation_baselines = baselines;
@@ -133,5 +133,5 @@ fn complete<'a>(
         Journal::open(folder, pipeline, data.task(), pipeline.training.steps)?.scores(&found.0.table)?;
     }
     let scores = conclude(folder, pipeline, &mut facts, (data, partition, &model), found, session)?;
-    Ok(Outcome::Finished { scores, already: false })
+    Ok(RunOutcome::Finished { scores, already: false })
 }

@@ -1,6 +1,6 @@
 //! Score table as text for a terminal.
 
-use crate::scores::{CEILING, Cell, ScoreTable};
+use crate::scores::{CEILING, ScoreCell, ScoreTable};
 use crate::text::{aligned, grouped, number};
 
 impl ScoreTable {
@@ -40,7 +40,7 @@ impl ScoreTable {
                 let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
                 let ranks = self.ranks(row, k);
                 let alone = ranks.iter().flatten().count() < 2;
-                let cell = |(cell, rank): (&Cell, &Option<usize>)| match cell.numbers().get(k) {
+                let cell = |(cell, rank): (&ScoreCell, &Option<usize>)| match cell.numbers().get(k) {
                     Some(value) => format!("{}{}", number(*value), if *rank == Some(0) && !alone { "*" } else { " " }),
                     None => "n/a ".to_owned(),
                 };

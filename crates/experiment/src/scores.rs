@@ -5,7 +5,7 @@
 use crate::paired::{Paired, PairedRow, is_compared};
 use crate::statistics::{Blocks, Difference, Summary, null_is_infinite};
 use crate::text::{Lines, csv_rows, damaged};
-use pwrfgs_core::words::text_of;
+use pwrfgs_core::messages::text_of;
 use pwrfgs_core::{Goal, Measurement, Result, Task, Values};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
@@ -72,13 +72,13 @@ pub struct MetricRow {
     /// Whether larger is better.
     pub higher_is_better: bool,
     /// One cell per predictor.
-    pub cells: Vec<Cell>,
+    pub cells: Vec<ScoreCell>,
 }
 
 /// One metric of one predictor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Cell {
+pub enum ScoreCell {
     /// Summary over the test samples.
     Samples(Summary),
     /// One value for the whole model.
@@ -87,7 +87,7 @@ pub enum Cell {
     NotApplicable(String),
 }
 
-impl Cell {
+impl ScoreCell {
     /// Summary of a measurement.
     pub(crate) fn of(measurement: &Measurement) -> Self {
         match &measurement.values {
@@ -100,7 +100,7 @@ impl Cell {
     /// Mean, median and worse percentile of per-sample values; the value of a whole model; or nothing.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
-            Self::Samples(Summary { mean, median, p10 }) => vec![*mean, *median, *p10],
+            Self::Samples(Summary { mean, median, tail10 }) => vec![*mean, *median, *tail10],
             Self::Whole(value) => vec![*value],
             Self::NotApplicable(_) => Vec::new(),
         }
@@ -110,7 +110,7 @@ impl Cell {
 impl MetricRow {
     /// Whether some predictor has per-sample values.
     pub fn is_per_sample(&self) -> bool {
-        self.cells.iter().any(|c| matches!(c, Cell::Samples(_)))
+        self.cells.iter().any(|c| matches!(c, ScoreCell::Samples(_)))
     }
 }
 
@@ -125,11 +125,11 @@ impl Scores {
                         key: m.key.clone(),
                         unit: m.unit.clone(),
                         higher_is_better: m.goal == Goal::Higher,
-                        cells: vec![Cell::NotApplicable("not measured".into()); predictors.len()],
+                        cells: vec![ScoreCell::NotApplicable("not measured".into()); predictors.len()],
                     });
                     metrics.len() - 1
                 });
-                metrics[place].cells[p] = Cell::of(m);
+                metrics[place].cells[p] = ScoreCell::of(m);
             }
         }
         let names = predictors.iter().map(|(name, _)| name.clone()).collect();
@@ -155,7 +155,7 @@ impl Scores {
     pub(crate) fn paired(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
         let blocks = Blocks::new(positions);
         let (_, own) = self.predictors.first()?;
-        let wanted = own.iter().filter(|m| is_compared(&m.key, self.table.task));
+        let compared = own.iter().filter(|m| is_compared(&m.key, self.table.task));
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = self.samples(MODEL, key)?.iter().zip(self.samples(baseline, key)?);
             let differences = self.ids.iter().zip(pairs).map(|(id, (model, floor))| (*id, model - floor));
@@ -166,7 +166,7 @@ impl Scores {
         let rows: Vec<PairedRow> = self
             .table
             .baselines()
-            .flat_map(|name| wanted.clone().filter_map(move |m| row(name, &m.key, m.goal)))
+            .flat_map(|name| compared.clone().filter_map(move |m| row(name, &m.key, m.goal)))
             .collect();
         (!rows.is_empty()).then_some(Paired { edge_m: blocks.edge_m, cubes: blocks.count, rows })
     }
@@ -186,12 +186,12 @@ impl ScoreTable {
         self.predictors.push(CEILING.into());
         for row in &mut self.metrics {
             let found = of.iter().find(|(key, _)| *key == row.key);
-            let cell = |(_, summary): &(String, Summary)| Cell::Samples(*summary);
-            row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
+            let cell = |(_, summary): &(String, Summary)| ScoreCell::Samples(*summary);
+            row.cells.push(found.map_or_else(|| ScoreCell::NotApplicable("no estimate".into()), cell));
         }
     }
 
-    /// [`Cell::numbers`] of one metric of one predictor or the noise ceiling.
+    /// [`ScoreCell::numbers`] of one metric of one predictor or the noise ceiling.
     pub fn numbers(&self, predictor: &str, key: &str) -> Option<Vec<f64>> {
         let place = self.predictors.iter().position(|name| name == predictor)?;
         Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(place)?.numbers())
@@ -211,7 +211,7 @@ impl ScoreTable {
     /// Rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 percentile); `None` for
     /// oracle baselines, the ceiling, and missing values. Equal values share a rank.
     pub fn ranks(&self, metric: &MetricRow, k: usize) -> Vec<Option<usize>> {
-        let value = |(name, cell): (&String, &Cell)| {
+        let value = |(name, cell): (&String, &ScoreCell)| {
             cell.numbers().get(k).copied().filter(|v| !v.is_nan() && self.is_ranked(name))
         };
         let values: Vec<Option<f64>> = self.predictors.iter().zip(&metric.cells).map(value).collect();
@@ -286,14 +286,14 @@ impl Scores {
                 Values::PerSample(values)
             }
             (None, Some(value), _) => Values::Whole(*value),
-            (_, None, Some(Cell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
+            (_, None, Some(ScoreCell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
             (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
         };
         let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
         let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
         // JSON has neither infinity nor NaN: the summary is computed from the values.
         if let Some(cell) = row.cells.get_mut(place) {
-            *cell = Cell::of(&measurement);
+            *cell = ScoreCell::of(&measurement);
         }
         match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
             Some((_, measured)) => measured.push(measurement),
@@ -365,21 +365,21 @@ mod tests {
     }
 
     #[test]
-    fn the_ceiling_stands_last_and_in_no_ranking() {
-        let ceiling = Summary { mean: 0.9, median: 0.95, p10: 0.8 };
+    fn ceiling_row_is_last_and_unranked() {
+        let ceiling = Summary { mean: 0.9, median: 0.95, tail10: 0.8 };
         let mut scores = scores();
         scores.table.add_ceiling(&[("ssim".into(), ceiling)]);
         let table = &scores.table;
         assert_eq!(table.predictors, [MODEL, "k, far", CEILING]);
         assert_eq!(table.metrics[0].cells[2].numbers(), [0.9, 0.95, 0.8]);
-        assert_eq!(table.metrics[1].cells[2], Cell::NotApplicable("no estimate".into()));
+        assert_eq!(table.metrics[1].cells[2], ScoreCell::NotApplicable("no estimate".into()));
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1), None]);
         assert!(table.to_text().lines().nth(1).unwrap().ends_with(CEILING), "{}", table.to_text());
         assert!(!scores.to_csv().contains("ceiling"), "no number a test sample");
     }
 
     #[test]
-    fn csv_has_one_line_a_value() {
+    fn csv_has_one_line_per_value() {
         let expected = "predictor,metric,sample,value\nmodel,ssim,3,0.5\nmodel,ssim,7,0.7\nmodel,gaussians,,2613\n\
                         \"k, far\",ssim,3,0.75\n\"k, far\",ssim,7,0.25\n\"k, far\",gaussians,,n/a\n";
         assert_eq!(scores().to_csv(), expected);
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn scores_are_read_as_they_were_measured() {
+    fn scores_round_trip_through_csv() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scores.csv");
         let mut measured = scores();

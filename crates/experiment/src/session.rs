@@ -81,9 +81,9 @@ pub trait Observer: Send {
 
 /// Observer that ignores all events, and board that ignores all runs.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Silent;
+pub struct NoopObserver;
 
-impl Observer for Silent {}
+impl Observer for NoopObserver {}
 
 /// Performs `work` and reports its progress to the observer as the stage `name`.
 pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
@@ -112,7 +112,7 @@ pub struct LoadedRun<'a> {
 }
 
 /// Function that creates the report of a run as a single HTML file.
-pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
+pub type PageBuilder = fn(&LoadedRun<'_>) -> Result<String>;
 
 /// Observer, cancellation and report of a run, a sweep or an evaluation.
 pub struct Session<'a> {
@@ -121,7 +121,7 @@ pub struct Session<'a> {
     /// Once it is set, work ends early with [`Error::Stopped`], or with a checkpoint.
     pub stop: &'a AtomicBool,
     /// Makes `report.html`; `None` writes none.
-    pub page: Option<Page>,
+    pub page: Option<PageBuilder>,
 }
 
 impl std::fmt::Debug for Session<'_> {
@@ -158,13 +158,13 @@ mod tests {
     #[test]
     fn a_stage_begins_at_nothing_and_never_goes_back() {
         #[derive(Default)]
-        struct Ear(Vec<(String, usize, usize)>);
-        impl Observer for Ear {
+        struct RecordingObserver(Vec<(String, usize, usize)>);
+        impl Observer for RecordingObserver {
             fn on_stage(&mut self, name: &str, done: usize, total: usize) {
                 self.0.push((name.into(), done, total));
             }
         }
-        let mut ear = Ear::default();
+        let mut ear = RecordingObserver::default();
         let out = staged(&mut ear, "spectra", |progress| {
             [1, 3, 2, 3, 4].iter().for_each(|done| progress(*done, 4));
             "done"

@@ -31,7 +31,7 @@ pub struct Summary {
     pub median: f64,
     /// Bad tail: the 10th percentile if higher is better, else the 90th.
     #[serde(deserialize_with = "null_is_infinite")]
-    pub p10: f64,
+    pub tail10: f64,
 }
 
 impl Summary {
@@ -42,7 +42,7 @@ impl Summary {
         Self {
             mean: values.iter().sum::<f64>() / values.len() as f64,
             median: quantile(&sorted, 0.5),
-            p10: quantile(&sorted, if higher_is_better { 0.1 } else { 0.9 }),
+            tail10: quantile(&sorted, if higher_is_better { 0.1 } else { 0.9 }),
         }
     }
 }
@@ -84,14 +84,14 @@ impl Spread {
 
 /// Differences of one seed in one block of space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cell {
+pub struct BlockSum {
     /// Sum of the differences.
     pub sum: f64,
     /// Number of differences.
     pub count: usize,
 }
 
-impl Cell {
+impl BlockSum {
     /// Adds a difference.
     pub fn add(&mut self, difference: f64) {
         self.sum += difference;
@@ -112,12 +112,13 @@ pub struct Difference {
 
 impl Difference {
     /// Difference of `cells[seed][block]`, all seeds with the same blocks; `None` without any difference.
-    pub fn of(cells: &[Vec<Cell>]) -> Option<Self> {
+    pub fn of(cells: &[Vec<BlockSum>]) -> Option<Self> {
         Self::with_replicates(cells, REPLICATES)
     }
 
-    fn with_replicates(cells: &[Vec<Cell>], replicates: usize) -> Option<Self> {
-        let cells: Vec<&[Cell]> = cells.iter().map(Vec::as_slice).filter(|c| c.iter().any(|c| c.count > 0)).collect();
+    fn with_replicates(cells: &[Vec<BlockSum>], replicates: usize) -> Option<Self> {
+        let cells: Vec<&[BlockSum]> =
+            cells.iter().map(Vec::as_slice).filter(|c| c.iter().any(|c| c.count > 0)).collect();
         let seeds: Vec<usize> = (0..cells.len()).collect();
         let blocks: Vec<usize> =
             (0..cells.first()?.len()).filter(|b| cells.iter().any(|seed| seed[*b].count > 0)).collect();
@@ -150,7 +151,7 @@ fn drawn(random: &mut Rng, all: &[usize]) -> Vec<usize> {
 }
 
 /// Mean over `seeds` of the mean over `blocks`; seeds without differences in these blocks are skipped.
-fn mean(cells: &[&[Cell]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
+fn mean(cells: &[&[BlockSum]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
     let of_seed = |seed: &usize| {
         let (sum, count) = blocks
             .iter()
@@ -208,8 +209,8 @@ impl Blocks {
     }
 
     /// Differences of test samples, by id, collected by block; values that are not finite are omitted.
-    pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<Cell> {
-        let mut cells = vec![Cell::default(); self.count];
+    pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<BlockSum> {
+        let mut cells = vec![BlockSum::default(); self.count];
         for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
             if let Some(block) = self.of(id) {
                 cells[block].add(difference);
@@ -238,12 +239,12 @@ mod tests {
 
     impl Model {
         /// Normal differences about 0, `samples` in each cell.
-        fn draw(self, random: &mut Rng, [seeds, blocks, samples]: [usize; 3]) -> Vec<Vec<Cell>> {
+        fn draw(self, random: &mut Rng, [seeds, blocks, samples]: [usize; 3]) -> Vec<Vec<BlockSum>> {
             let mut normal = |deviation: f64| deviation * f64::from(rng::normal(random));
             let of_block: Vec<f64> = (0..blocks).map(|_| normal(self.block)).collect();
             let of_seed: Vec<f64> = (0..seeds).map(|_| normal(self.seed)).collect();
             let mut cell = |seed: &f64, block: &f64| {
-                let mut cell = Cell::default();
+                let mut cell = BlockSum::default();
                 (0..samples).for_each(|_| cell.add(seed + block + normal(self.sample)));
                 cell
             };
@@ -253,7 +254,7 @@ mod tests {
         /// Share of intervals that contain the true mean, 0.
         fn coverage(self, shape: [usize; 3]) -> f64 {
             let mut random = rng::stream(7, "coverage", 0);
-            let holds = |cells: &[Vec<Cell>]| {
+            let holds = |cells: &[Vec<BlockSum>]| {
                 let (low, high) = Difference::with_replicates(cells, 400).unwrap().interval.unwrap();
                 low <= 0.0 && 0.0 <= high
             };
@@ -321,12 +322,12 @@ mod tests {
     }
 
     #[test]
-    fn spectra_drawn_one_by_one_would_promise_too_much() {
+    fn sample_bootstrap_underestimates_interval_of_correlated_spectra() {
         let model = Model { block: 1.0, sample: 0.5, ..Model::default() };
         let cells = model.draw(&mut rng::stream(3, "test", 0), [1, 40, 8]);
         // The same eight differences per block, as if each were a separate block.
-        let each = |c: &Cell| vec![Cell { sum: c.sum / 8.0, count: 1 }; 8];
-        let single: Vec<Vec<Cell>> = cells.iter().map(|seed| seed.iter().flat_map(each).collect()).collect();
+        let each = |c: &BlockSum| vec![BlockSum { sum: c.sum / 8.0, count: 1 }; 8];
+        let single: Vec<Vec<BlockSum>> = cells.iter().map(|seed| seed.iter().flat_map(each).collect()).collect();
         let [with, without] = [&cells, &single].map(|c| width(&Difference::of(c).unwrap()));
         assert!(without < 0.5 * with, "{without} against {with}");
     }
@@ -340,13 +341,15 @@ mod tests {
     #[test]
     fn too_little_gives_no_interval() {
         assert_eq!(Difference::of(&[]), None);
-        assert_eq!(Difference::of(&[vec![Cell::default(); 3]]), None);
-        let one = |sum| Cell { sum, count: 1 };
-        let found = Difference::of(&[vec![Cell::default(), one(0.5)], vec![Cell::default(), one(0.7)]]).unwrap();
+        assert_eq!(Difference::of(&[vec![BlockSum::default(); 3]]), None);
+        let one = |sum| BlockSum { sum, count: 1 };
+        let found =
+            Difference::of(&[vec![BlockSum::default(), one(0.5)], vec![BlockSum::default(), one(0.7)]]).unwrap();
         assert_eq!((found.mean, found.interval, found.seeds), (0.6, None, 2));
         assert!(!found.is_clear());
         // Blocks with data of only one seed: the other seed is skipped there.
-        let found = Difference::of(&[vec![one(1.0), Cell::default()], vec![Cell::default(), one(3.0)]]).unwrap();
+        let found =
+            Difference::of(&[vec![one(1.0), BlockSum::default()], vec![BlockSum::default(), one(3.0)]]).unwrap();
         assert_eq!((found.mean, found.interval, found.is_clear()), (2.0, Some((1.0, 3.0)), true));
     }
 
@@ -354,9 +357,9 @@ mod tests {
     fn quantiles_interpolate_as_numpy_does() {
         let s = Summary::of(&[4.0, 1.0, 2.0, 3.0], true);
         assert_eq!((s.mean, s.median), (2.5, 2.5));
-        assert!((s.p10 - 1.3).abs() < 1e-12);
+        assert!((s.tail10 - 1.3).abs() < 1e-12);
         assert!(
-            (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).p10 - 3.7).abs() < 1e-12,
+            (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).tail10 - 3.7).abs() < 1e-12,
             "the bad tail is at the other end"
         );
         assert!(Summary::of(&[], true).mean.is_nan());
@@ -375,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn few_places_have_a_cube_each_and_one_place_has_one() {
+    fn few_positions_get_one_cube_each() {
         let places = BTreeMap::from([(1, [0.0; 3]), (5, [0.1, 0.0, 0.0]), (9, [3.0, 0.0, 1.0])]);
         let places = places.into_iter().map(|(id, place)| (id, Some(place))).collect();
         let blocks = Blocks::new(&places);

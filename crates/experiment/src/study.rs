@@ -6,7 +6,7 @@
 
 mod setting;
 
-pub use setting::{Race, Setting, Variant, Way, distinct, one_line};
+pub use setting::{ParetoComparison, Setting, StudyVariant, VariantFamily, distinct, one_line};
 
 use crate::Record;
 use crate::folder::PIPELINE;

@@ -13,20 +13,20 @@ pub mod slurm;
 mod status;
 
 pub use check::{check, estimate};
-pub use experiment::{Axis, Experiment, Slurm, Variant};
+pub use experiment::{Axis, Experiment, Slurm, SweepVariant};
 pub use listing::{LISTING, ListedRun, Listing};
-pub use plan::{JOINED, Plan, PlannedRun};
-pub use status::State;
+pub use plan::{JOINED, PlannedRun, SweepPlan};
+pub use status::RunStage;
 
 use crate::evaluate::evaluate;
-use crate::facts::{Facts, Mark};
+use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
 use crate::load::load;
 use crate::page::conclude;
 use crate::run_folder::RunFolder;
-use crate::runner::{Outcome, run};
+use crate::runner::{RunOutcome, run};
 use crate::scores::ScoreTable;
-use crate::session::{Observer, Session, Silent};
+use crate::session::{NoopObserver, Observer, Session};
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::{Ensemble, file};
@@ -43,26 +43,26 @@ use std::time::Instant;
 pub struct SweepEnd {
     /// Runs by index in the plan, with their result: [`Error::Busy`] if another process uses the folder; other failures
     /// are also stored in the sweep folder.
-    pub runs: Vec<(usize, Result<Outcome>)>,
+    pub runs: Vec<(usize, Result<RunOutcome>)>,
     /// The joined model, if the plan joins models and all runs have finished.
-    pub joined: Option<Outcome>,
+    pub joined: Option<RunOutcome>,
 }
 
 /// Observer of all runs of a sweep.
-pub trait Board: Sync {
+pub trait SweepObserver: Sync {
     /// Called when a run, an index in the plan, starts; returns the observer of its steps.
     fn starts(&self, run: usize) -> Box<dyn Observer>;
 
     /// Called when a run ends.
-    fn ends(&self, run: usize, end: &Result<Outcome>);
+    fn ends(&self, run: usize, end: &Result<RunOutcome>);
 }
 
-impl Board for Silent {
+impl SweepObserver for NoopObserver {
     fn starts(&self, _: usize) -> Box<dyn Observer> {
         Box::new(Self)
     }
 
-    fn ends(&self, _: usize, _: &Result<Outcome>) {}
+    fn ends(&self, _: usize, _: &Result<RunOutcome>) {}
 }
 
 /// Performs `runs` of the plan in order, `jobs` at a time, sharing the threads of the calling pool. A failed run does
@@ -70,12 +70,12 @@ impl Board for Silent {
 /// runs, and the observer of the session the joining of models.
 ///
 /// # Errors
-/// Errors of [`Plan::claim`]; threads cannot be started, or models cannot be joined.
+/// Errors of [`SweepPlan::claim`]; threads cannot be started, or models cannot be joined.
 pub fn execute(
-    plan: &Plan,
+    plan: &SweepPlan,
     runs: &[usize],
     jobs: usize,
-    board: &dyn Board,
+    board: &dyn SweepObserver,
     session: &mut Session<'_>,
 ) -> Result<SweepEnd> {
     drop(plan.claim()?);
@@ -120,14 +120,15 @@ pub fn pool(jobs: usize) -> Result<ThreadPool> {
 }
 
 /// Performs one run.
-fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Result<Outcome> {
+fn one(plan: &SweepPlan, place: usize, session: &mut Session<'_>) -> Result<RunOutcome> {
     let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
     plan.forget_failure(place);
     // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
     let work = || run(pipeline, Path::new(""), &folder, session);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-        Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))
+        let message =
+            panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        Err(Error::Config(format!("the program panicked: {}", message.unwrap_or("no message"))))
     });
     // Another process may have claimed it meanwhile.
     if let Err(error) = &outcome
@@ -144,9 +145,9 @@ fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Result<Outcome> 
 ///
 /// # Errors
 /// Same as [`crate::run`].
-fn join(plan: &Plan, session: &mut Session<'_>) -> Result<Option<Outcome>> {
+fn join(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<RunOutcome>> {
     let Some(pipeline) = &plan.joined else { return Ok(None) };
-    if !plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+    if !plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
         return Ok(None);
     }
     let out = plan.folder.join(JOINED);
@@ -160,7 +161,7 @@ fn join(plan: &Plan, session: &mut Session<'_>) -> Result<Option<Outcome>> {
 
 /// Joining in a claimed folder.
 struct Join<'a, 's> {
-    plan: &'a Plan,
+    plan: &'a SweepPlan,
     pipeline: &'a Pipeline,
     session: &'a mut Session<'s>,
     begun: Instant,
@@ -168,14 +169,14 @@ struct Join<'a, 's> {
 
 impl Join<'_, '_> {
     /// Writes and scores the model, unless the same model with these scores exists.
-    fn end(&mut self, folder: &mut RunFolder) -> Result<Outcome> {
+    fn end(&mut self, folder: &mut RunFolder) -> Result<RunOutcome> {
         let ensemble = self.assemble()?;
         let bytes = file::ensemble_to_bytes(&ensemble);
-        let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&Mark::of(&bytes));
+        let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
         if Facts::read(folder.path())?.is_some_and(is_joined)
             && let Some(scores) = folder.state().verified(folder.path(), self.session.page.is_some())?
         {
-            return Ok(Outcome::Finished { scores, already: true });
+            return Ok(RunOutcome::Finished { scores, already: true });
         }
         let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
         self.pipeline.check_data(&data)?;
@@ -183,8 +184,8 @@ impl Join<'_, '_> {
         let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
         write_atomically(&folder.file(MODEL_FILE), &bytes)?;
         match self.assess(&ensemble, (&data, &partition), folder, facts) {
-            Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
-            Err(Error::Stopped) => Ok(Outcome::Unscored),
+            Ok(scores) => Ok(RunOutcome::Finished { scores, already: false }),
+            Err(Error::Stopped) => Ok(RunOutcome::Unscored),
             Err(error) => Err(error),
         }
     }

@@ -1,7 +1,7 @@
 //! Text format of numbers, durations, tables and CSV.
 
 use pwrfgs_core::files::read_text;
-use pwrfgs_core::words::cell;
+use pwrfgs_core::messages::cell;
 use pwrfgs_core::{Error, Result};
 use serde::de::DeserializeOwned;
 use std::path::Path;

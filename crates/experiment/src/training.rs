@@ -4,19 +4,19 @@
 //! and a resumed run truncates the series to its checkpoint, so its files equal those of an uninterrupted run.
 //! Snapshots depend only on the step and are written before its checkpoint; a resumed run rewrites them.
 
-use crate::bench::Bench;
+use crate::evaluation_set::EvaluationSet;
 use crate::facts::{Facts, free_memory};
 use crate::folder::{CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::Journal;
 use crate::run_folder::RunFolder;
-use crate::session::{Session, Silent, Start, Validation, staged};
+use crate::session::{NoopObserver, Session, Start, Validation, staged};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, Values, evenly};
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
-use pwrfgs_train::{Estimate, Pruned, Trainer, check_available, network_bytes};
+use pwrfgs_train::{Estimate, PruneStepState, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -113,13 +113,13 @@ impl Training<'_, '_> {
             estimate,
         });
         let origin = self.data.scene.origin;
-        let write = |name, step, cloud: &GaussianCloud, births: &[u32], gates| {
-            Snapshot::of(step, cloud, origin).known(births, gates).write(&folder.file(name))
+        let write = |name, step, cloud: &GaussianCloud, gaussian_ids: &[u32], gates| {
+            Snapshot::of(step, cloud, origin).known(gaussian_ids, gates).write(&folder.file(name))
         };
         if trainer.done() == 0 {
             let named = |warning: &String| format!("{}: {warning}", folder.name().display());
             trainer.warnings().iter().for_each(|warning| self.session.observer.on_warning(&named(warning)));
-            write(START_SNAPSHOT, 0, trainer.cloud(), trainer.births(), trainer.gates())?;
+            write(START_SNAPSHOT, 0, trainer.cloud(), trainer.gaussian_ids(), trainer.gates())?;
         }
         // The event file of an earlier start has the same events, so it needs no separate checkpoint.
         let mut fullest = Snapshot::read(&folder.file(UNPRUNED_SNAPSHOT))?.map_or(0, |before| before.means.len());
@@ -127,27 +127,27 @@ impl Training<'_, '_> {
             let stopped = self.session.stop.load(Ordering::Relaxed);
             if !stopped {
                 let begun = Instant::now();
-                let report = trainer.step().inspect_err(|_| self.kept(folder))?;
+                let report = trainer.step().inspect_err(|_| self.report_last_checkpoint(folder))?;
                 let seconds = begun.elapsed().as_secs_f64();
-                if let Some(Pruned { cloud, births, gates, round }) = &report.pruned {
+                if let Some(PruneStepState { cloud, gaussian_ids, gates, round }) = &report.pruned {
                     if cloud.len() > fullest {
                         fullest = cloud.len();
-                        write(UNPRUNED_SNAPSHOT, report.step, cloud, births, gates.clone())?;
+                        write(UNPRUNED_SNAPSHOT, report.step, cloud, gaussian_ids, gates.clone())?;
                     }
                     if let Some(name) = pruned_snapshot(*round) {
-                        write(name, report.step, trainer.cloud(), trainer.births(), trainer.gates())?;
+                        write(name, report.step, trainer.cloud(), trainer.gaussian_ids(), trainer.gates())?;
                     }
                 }
-                let look = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);
-                let seen = if look && !looked_at.is_empty() {
+                let validates = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);
+                let scored = if validates && !looked_at.is_empty() {
                     Some(validate(report.step, &trainer.model(), self.data, &looked_at)?)
                 } else {
                     None
                 };
                 journal.step(&report, seconds)?;
-                if let Some(seen) = &seen {
-                    journal.validation(seen)?;
-                    self.session.observer.on_validation(seen);
+                if let Some(scored) = &scored {
+                    journal.validation(scored)?;
+                    self.session.observer.on_validation(scored);
                 }
                 self.session.observer.on_step(&report);
                 facts.gaussians = report.gaussians;
@@ -178,7 +178,7 @@ impl Training<'_, '_> {
     }
 
     /// Reports that the last checkpoint outlives a failed step.
-    fn kept(&mut self, folder: &RunFolder) {
+    fn report_last_checkpoint(&mut self, folder: &RunFolder) {
         if folder.file(CHECKPOINT).is_file() {
             let path = folder.name().join(CHECKPOINT);
             self.session.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
@@ -189,16 +189,16 @@ impl Training<'_, '_> {
 /// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the bad tail
 /// of the first if there is no second.
 fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
-    let bench = Bench::new(data, part, &model.stages.plane);
+    let bench = EvaluationSet::new(data, part, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
-    let measured = bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?;
-    let Summary { mean, median, p10 } = match measured.first().map(|m| &m.values) {
+    let measured = bench.model("the model", model, None, &metrics, &mut Session::new(&mut NoopObserver))?;
+    let Summary { mean, median, tail10 } = match measured.first().map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
         other => {
             let mean = other.map_or(f64::NAN, Values::mean);
-            Summary { mean, median: mean, p10: mean }
+            Summary { mean, median: mean, tail10: mean }
         }
     };
-    let third = measured.get(1).map_or(p10, |m| m.values.mean());
+    let third = measured.get(1).map_or(tail10, |m| m.values.mean());
     Ok(Validation { step, task, values: [mean, median, third] })
 }

@@ -12,7 +12,7 @@ mod start;
 
 pub use grid::Grid;
 pub use point_cloud::PointCloud;
-pub use random::{Random, Site};
+pub use random::{AroundReceivers, Random};
 
 use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Result, Scene, rng::Rng};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ impl Initializer for NoGaussians {
 
 #[cfg(test)]
 mod tests {
-    use pwrfgs_core::{Axis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Sampling, Scene};
+    use pwrfgs_core::{AngleAxis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Sampling, Scene};
 
     /// Scene with the measured receiver and three points.
     pub(crate) fn scene() -> Scene {
@@ -57,7 +57,7 @@ mod tests {
 
     /// Creates an image plane with angles (true pose) or without (released projection).
     pub(crate) fn plane(angles: bool) -> ImagePlane {
-        let axis = Axis { first: 0.0, step: 1.0 };
+        let axis = AngleAxis { first: 0.0, step: 1.0 };
         ImagePlane {
             width: 360,
             height: 90,
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn values_out_of_range_are_refused() {
+    fn rejects_values_out_of_range() {
         for (text, field) in [
             ("Random(count: 0)", "count"),
             ("Random(count: 99000000)", "count"),

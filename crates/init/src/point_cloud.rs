@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn without_points_it_says_what_to_do() {
+    fn missing_points_give_advice() {
         let scene = Scene { points: vec![], ..scene() };
         let made = PointCloud::default().initialize(&scene, &plane(true), &mut rng::stream(1, "init", 0));
         let message = made.unwrap_err().to_string();

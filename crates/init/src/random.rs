@@ -77,12 +77,12 @@ impl Initializer for Random {
 /// ```
 /// # use pwrfgs_init as _;
 /// # use pwrfgs_core::{Initializer, Plugin};
-/// Plugin::<dyn Initializer>::parse("Site(count: 900, near: 0.5, spread_m: 2.5, scale_m: 0.8)")?;
+/// Plugin::<dyn Initializer>::parse("AroundReceivers(count: 900, near: 0.5, spread_m: 2.5, scale_m: 0.8)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Site {
+pub struct AroundReceivers {
     /// Number of Gaussians.
     pub count: usize,
     /// Share of the Gaussians near the receivers, 0 to 1.
@@ -97,14 +97,14 @@ pub struct Site {
     pub signal_scale: Real,
 }
 
-impl Default for Site {
+impl Default for AroundReceivers {
     fn default() -> Self {
         Self { count: 900, near: 0.5, spread_m: 2.5, scale_m: 0.8, opacity: 0.3, signal_scale: 1.0 }
     }
 }
 
 #[typetag::serde]
-impl Initializer for Site {
+impl Initializer for AroundReceivers {
     fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let near = (self.near * self.count as Real).round() as usize;
         let (low, high) = scene.bounds;
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn without_angles_they_lie_about_the_origin_as_released() {
+    fn without_angles_gaussians_surround_origin() {
         let means = means(false);
         let mean = means.iter().sum::<Vec3>() / means.len() as Real;
         assert!(mean.length() < 0.2, "{mean} is not the origin");
@@ -179,10 +179,10 @@ mod tests {
     }
 
     #[test]
-    fn every_receiver_has_its_share_and_the_rest_stays_inside() {
+    fn receivers_share_gaussians_and_rest_fill_box() {
         let mut site = scene();
         site.receivers.push(Receiver::new("second", Pose { position: [40.0, 0.0, 2.0], ..Pose::IDENTITY }));
-        let settings = Site { count: 400, ..Site::default() };
+        let settings = AroundReceivers { count: 400, ..AroundReceivers::default() };
         let cloud = settings.initialize(&site, &plane(false), &mut stream(0, "init", 0)).unwrap();
         for receiver in &site.receivers {
             let close = cloud.means.iter().filter(|m| (Vec3::from_array(**m) - receiver.pose.origin()).length() < 8.0);

@@ -5,7 +5,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::unwrap_used, clippy::disallowed_methods)] // a table for developers
 
 use pwrfgs_core::{Real, testing::shared};
-use pwrfgs_methods::virtual_transmitters::{Links, Pursuit, field, pursue, snr_of};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue, snr_of};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -39,11 +39,11 @@ fn main() {
         let n = band.positions.len();
         let train = n - n / 5;
         let frequencies = [band.frequency];
-        let links = |p| Links { positions: p, antennas: &[[0.0; 3]], frequencies: &frequencies };
+        let links = |p| ChannelInputs { positions: p, antennas: &[[0.0; 3]], frequencies: &frequencies };
         let (before, after) = band.positions.split_at(train);
         let (h, h_after) = band.channel.split_at(train);
-        let default = Pursuit::default();
-        let options = Pursuit {
+        let default = PursuitOptions::default();
+        let options = PursuitOptions {
             reach: set("REACH", default.reach),
             step: set("STEP", default.step),
             most: set("MOST", default.most as f64) as usize,
@@ -60,12 +60,12 @@ fn main() {
             ..default
         };
         let start = Instant::now();
-        let mut tell = |p: &pwrfgs_methods::virtual_transmitters::Progress| {
+        let mut report_progress = |p: &pwrfgs_methods::virtual_transmitters::SearchProgress| {
             if verbose {
                 eprintln!("{:6.1} s {p:?}", start.elapsed().as_secs_f64());
             }
         };
-        let found = pursue(&links(before), h, &options, &AtomicBool::new(false), &mut tell).unwrap();
+        let found = pursue(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let cloud = found.to_cloud();
         let fitted = snr_of(&field(&cloud, None, &links(before)), h);

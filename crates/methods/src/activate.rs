@@ -45,14 +45,14 @@ pub struct ActivationVjp {
     /// Derivative with respect to the gate, `[N]`.
     pub gate: Vec<Real>,
     /// Derivative with respect to the existence probability, `[N]`, which no activation uses.
-    pub presence: Vec<Real>,
+    pub existence: Vec<Real>,
 }
 
 impl ActivationVjp {
     /// Creates zeros of the shapes of `cloud` and `deltas`.
     pub fn zeros(cloud: &GaussianCloud, deltas: &Deltas) -> Self {
-        let (gate, presence) = (vec![0.0; cloud.len()], vec![0.0; cloud.len()]);
-        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate, presence }
+        let (gate, existence) = (vec![0.0; cloud.len()], vec![0.0; cloud.len()]);
+        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate, existence }
     }
 }
 

@@ -1,17 +1,17 @@
-//! `Group`: links that are drawn together because they share a receiver and a geometry. Also shared code of methods
+//! `ReceiverGroup`: links that are drawn together because they share a receiver and a geometry. Also shared code of methods
 //! with a [`Deformation`] and an [`Activation`].
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Asked, Conditions, Dataset, Deformation, DeformationInputs, Deltas, Frame, GaussianCloud, Link, Method,
-    MethodVjp, Parameters, Pixels, Pose, Real, Vec3,
+    Activated, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, Link, MeasurementSetup,
+    Method, MethodVjp, ObservationRequest, Parameters, PixelSubset, Pose, Real, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
 
 /// Links of one receiver.
 #[derive(Debug)]
-pub(crate) struct Group {
+pub(crate) struct ReceiverGroup {
     pub(crate) receiver: usize,
     /// Indices into the list of links.
     pub(crate) links: Vec<usize>,
@@ -19,7 +19,7 @@ pub(crate) struct Group {
     rows: Vec<usize>,
 }
 
-impl Group {
+impl ReceiverGroup {
     /// Groups all links by receiver; one group per link if links do not `share` a geometry.
     pub(crate) fn all(links: &[Link], receivers: usize, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
@@ -48,8 +48,8 @@ impl Group {
     }
 
     /// Returns the distance from receiver to transmitter per link, metres; empty if positions are unknown.
-    pub(crate) fn distances(&self, pose: &Pose, asked: &Asked<'_>) -> Vec<Real> {
-        let txs = asked.conditions.positions();
+    pub(crate) fn distances(&self, pose: &Pose, request: &ObservationRequest<'_>) -> Vec<Real> {
+        let txs = request.conditions.positions();
         let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - pose.origin()).length());
         self.rows.iter().filter_map(distance).collect()
     }
@@ -91,12 +91,12 @@ impl Group {
         // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
         let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
-        let given = vjp(&terms, batch, own);
+        let gradients = vjp(&terms, batch, own);
         if let Some(all) = all {
             let part = std::mem::replace(&mut own.deltas, all);
             self.add_back(&part, &mut own.deltas, n);
         }
-        given
+        gradients
     }
 
     fn copy(&self, deltas: &Deltas, n: usize) -> Deltas {
@@ -153,7 +153,7 @@ pub(crate) fn vjp(
     }
     sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
     sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
-    sums.presence.iter_mut().zip(&own.presence).for_each(|(sum, d)| *sum += d);
+    sums.existence.iter_mut().zip(&own.existence).for_each(|(sum, d)| *sum += d);
 }
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
@@ -161,14 +161,14 @@ pub(crate) fn vjp(
 pub(crate) fn gaussians(
     deformation: &dyn Deformation,
     activation: Activation,
-    frame: &Frame,
+    setup: &MeasurementSetup,
     p: &Parameters<'_>,
     tx: Option<[Real; 3]>,
     strengths: impl Fn(&[Real]) -> Vec<Real>,
 ) -> Activated {
     let network = &p.weights[..deformation.layout().numbers()];
     let deform = |tx: [Real; 3]| {
-        deformation.forward(&DeformationInputs::new(network, &p.cloud.means, &[tx], &frame.pose()), &None)
+        deformation.forward(&DeformationInputs::new(network, &p.cloud.means, &[tx], &setup.pose()), &None)
     };
     let deltas = tx.map_or_else(Deltas::default, deform);
     let signals = activation.signals(p.cloud, &deltas, 0..1);
@@ -180,15 +180,19 @@ pub(crate) fn gaussians(
 /// Returns the predictions of `method` for the links `part` before the first step, `[part, numbers]`.
 pub(crate) fn untrained(
     method: &dyn Method,
-    frame: &Frame,
+    setup: &MeasurementSetup,
     data: &Dataset,
     part: &[usize],
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
     let inputs = method.traits().inputs;
-    let (conditions, links) = frame.conditions(inputs, part.iter().map(|&i| data.query(i)));
-    let asked = Asked { conditions: Conditions::new(inputs, &conditions), links: &links, pixels: Pixels::All };
-    method.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers
+    let (conditions, links) = setup.conditions(inputs, part.iter().map(|&i| data.query(i)));
+    let request = ObservationRequest {
+        conditions: Conditions::new(inputs, &conditions),
+        links: &links,
+        pixels: PixelSubset::All,
+    };
+    method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request).numbers
 }
 
 /// Initialises those parameters of the deformation that depend on the features of the training set.
@@ -201,11 +205,11 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
 }
 
 /// Rejects several receivers if the network reads the receiver position.
-pub(crate) fn check_receivers(deformation: &dyn Deformation, frame: &Frame) -> Result<(), String> {
-    if frame.receivers.len() > 1 && deformation.traits().reads_receiver {
+pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
+    if setup.receivers.len() > 1 && deformation.traits().reads_receiver {
         return Err(format!(
             "the deformation depends on the receiver position, but the data have {} receivers; use Factored() or Mlp()",
-            frame.receivers.len()
+            setup.receivers.len()
         ));
     }
     Ok(())

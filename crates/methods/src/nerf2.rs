@@ -6,7 +6,7 @@
 //! transmitter, view ──────────────────────────────┴─► signal net ─► what each sample emits ──────┘
 //! ```
 //!
-//! [`Nerf2`] is the method and [`Rays`] are the rays of a receiver. `network` holds the layers, `path` the emission of
+//! [`Nerf2`] is the method and [`RayBundle`] are the rays of a receiver. `network` holds the layers, `path` the emission of
 //! samples and the attenuation along the ray, `walk` the forward and backward pass of a chunk of rays, `group` the
 //! links that share rays. The trunk does not depend on the transmitter: it is computed once for all transmitters of a
 //! call, and cached for predictions.
@@ -20,7 +20,7 @@ mod walk;
 #[cfg(test)]
 mod oracle;
 
-use pwrfgs_core::{Frame, JsonSchema, Pixels, Real, consts};
+use pwrfgs_core::{JsonSchema, MeasurementSetup, PixelSubset, Real, consts};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -160,7 +160,7 @@ impl Nerf2 {
 
 /// Rays from one position, with equal samples on each.
 #[derive(Clone, Debug)]
-pub(crate) struct Rays {
+pub(crate) struct RayBundle {
     /// Origin of all rays, in the network's unit of length.
     pub(crate) origin: [Real; 3],
     /// Unit vectors of the rays, world frame.
@@ -169,20 +169,20 @@ pub(crate) struct Rays {
     pub(crate) samples: Vec<Real>,
 }
 
-impl Rays {
+impl RayBundle {
     /// Creates the rays of receiver `receiver`; for a spectrum only those of `pixels`.
-    pub(crate) fn of(method: &Nerf2, frame: &Frame, receiver: usize, pixels: &Pixels<'_>) -> Self {
-        let pose = &frame.receivers[receiver].pose;
+    pub(crate) fn of(method: &Nerf2, setup: &MeasurementSetup, receiver: usize, pixels: &PixelSubset<'_>) -> Self {
+        let pose = &setup.receivers[receiver].pose;
         let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
-        let directions = if frame.task.has_pixels {
-            let plane = &frame.plane;
+        let directions = if setup.task.has_pixels {
+            let plane = &setup.plane;
             let at = |p: usize| {
                 let (column, row) = (p % plane.width, p / plane.width);
                 turned(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
             };
             match pixels {
-                Pixels::All => (0..frame.numbers()).map(at).collect(),
-                Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
+                PixelSubset::All => (0..setup.numbers()).map(at).collect(),
+                PixelSubset::Same(places) | PixelSubset::Own(places) => places.iter().map(|&p| at(p)).collect(),
             }
         } else {
             method.sky().into_iter().map(turned).collect()

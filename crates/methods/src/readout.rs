@@ -23,7 +23,7 @@ pub enum Readout {
     MinMax,
     /// Received power in dBm: 10 log₁₀ of c₀² + c₁² integrated over solid angle, plus a learned offset and path-loss
     /// term per receiver. The sky is a grid of directions with a pixel size of `sky_deg`.
-    Received {
+    ReceivedPower {
         /// Pixel size of the sky, degrees; a divisor of 180.
         #[serde(default = "sky_deg")]
         sky_deg: u32,
@@ -46,12 +46,12 @@ const fn filter_deg2() -> Real {
 
 impl Readout {
     /// Readout of a received power with the standard settings.
-    pub const RECEIVED: Self = Self::Received { sky_deg: sky_deg(), filter_deg2: filter_deg2() };
+    pub const RECEIVED: Self = Self::ReceivedPower { sky_deg: sky_deg(), filter_deg2: filter_deg2() };
 
     /// Returns the measurement type of the output.
     pub fn task(self) -> Task {
         match self {
-            Self::Received { .. } => Task::Power,
+            Self::ReceivedPower { .. } => Task::Power,
             _ => Task::Spectrum,
         }
     }
@@ -62,10 +62,10 @@ impl Readout {
     /// The message states the valid values.
     pub fn check(self) -> Result<(), String> {
         match self {
-            Self::Received { sky_deg, .. } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
+            Self::ReceivedPower { sky_deg, .. } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
                 Err(format!("readout: `sky_deg` is {sky_deg}; give a divisor of 180 up to 60, such as 10"))
             }
-            Self::Received { filter_deg2, .. } if !(filter_deg2 > 0.0 && filter_deg2 <= 1e4) => Err(format!(
+            Self::ReceivedPower { filter_deg2, .. } if !(filter_deg2 > 0.0 && filter_deg2 <= 1e4) => Err(format!(
                 "readout: `filter_deg2` is {filter_deg2}; give degrees² above 0 and up to 10000, such as 30"
             )),
             _ => Ok(()),

@@ -8,13 +8,13 @@
 mod linear_start;
 mod waves;
 
-use crate::groups::{self, Group, OFFSETS};
+use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
-    Activated, Appearance, Asked, Cache, Cost, Dataset, Deformation, DeformationInputs, Deltas, Frame, GaussianCloud,
-    JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Plugin, Real, StageTimes, Task,
-    WeightSpec, cached, consts, evenly,
+    Activated, Appearance, Cache, Cost, Dataset, Deformation, DeformationInputs, Deltas, ForwardOutput, GaussianCloud,
+    JsonSchema, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, ObservationRequest, Parameters, Plugin,
+    Real, StageTimes, Task, WeightSpec, cached, consts, evenly,
 };
 use pwrfgs_networks::Mlp;
 use serde::{Deserialize, Serialize};
@@ -57,10 +57,10 @@ struct Ready {
 }
 
 /// Results of the forward pass for the backward pass.
-struct Kept {
+struct ForwardCache {
     deltas: Deltas,
     /// Per group: its links, its waves, and signals `[N, links, 2]`.
-    received: Vec<(Group, Waves, Vec<Real>)>,
+    received: Vec<(ReceiverGroup, Waves, Vec<Real>)>,
 }
 
 /// Maximum number of links from which the level is initialised.
@@ -85,7 +85,7 @@ impl SplattedChannel {
         &self,
         p: &Parameters<'_>,
         deltas: &Deltas,
-        group: &Group,
+        group: &ReceiverGroup,
         (waves, level): (&Waves, Real),
     ) -> (Vec<Real>, Vec<Real>) {
         let (terms, batch) = group.terms(deltas, p.cloud.len());
@@ -96,25 +96,32 @@ impl SplattedChannel {
     }
 
     /// Initialises the levels so that predicted channels are as strong as the measured ones, in any unit.
-    fn start_level(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &GaussianCloud, weights: &mut [Real]) {
+    fn start_level(
+        &self,
+        setup: &MeasurementSetup,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &GaussianCloud,
+        weights: &mut [Real],
+    ) {
         let part = evenly(train, LEVEL_LINKS);
-        let numbers = groups::untrained(self, frame, data, &part, (cloud, weights));
+        let numbers = groups::untrained(self, setup, data, &part, (cloud, weights));
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
         let ratio = measured / energy(&numbers);
         if ratio.is_finite() && ratio > 0.0 {
-            offsets_mut(frame, weights).iter_mut().for_each(|level| *level += (0.5 * ratio.log10()) as Real);
+            offsets_mut(setup, weights).iter_mut().for_each(|level| *level += (0.5 * ratio.log10()) as Real);
         }
     }
 }
 
 /// Splits the weights into those of the network and the offsets of the receivers.
-fn parts<'a>(frame: &Frame, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
-    weights.split_at(weights.len() - frame.receivers.len())
+fn parts<'a>(setup: &MeasurementSetup, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
+    weights.split_at(weights.len() - setup.receivers.len())
 }
 
-fn offsets_mut<'a>(frame: &Frame, weights: &'a mut [Real]) -> &'a mut [Real] {
-    let network = weights.len() - frame.receivers.len();
+fn offsets_mut<'a>(setup: &MeasurementSetup, weights: &'a mut [Real]) -> &'a mut [Real] {
+    let network = weights.len() - setup.receivers.len();
     &mut weights[network..]
 }
 
@@ -127,118 +134,125 @@ impl Method for SplattedChannel {
         MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, deformation, ..MethodTraits::default() }
     }
 
-    fn cost(&self, frame: &Frame, _: usize, _: usize) -> Cost {
-        let per_gaussian = self.deformation.traits().kept_per_gaussian + PER_WAVE * frame.numbers() / 2;
-        Cost { per_gaussian, pixels: frame.numbers(), ..Cost::default() }
+    fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
+        let per_gaussian = self.deformation.traits().kept_per_gaussian + PER_WAVE * setup.numbers() / 2;
+        Cost { per_gaussian, pixels: setup.numbers(), ..Cost::default() }
     }
 
-    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
-        if !frame.task.is_complex {
-            return Err(format!("method: SplattedChannel predicts channels, but the data are {}", frame.task.plural));
+    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
+        if !setup.task.is_complex {
+            return Err(format!("method: SplattedChannel predicts channels, but the data are {}", setup.task.plural));
         }
-        groups::check_receivers(&*self.deformation, frame)?;
-        if frame.receivers.iter().any(|own| own.antennas.len() != frame.receivers[0].antennas.len()) {
+        groups::check_receivers(&*self.deformation, setup)?;
+        if setup.receivers.iter().any(|own| own.antennas.len() != setup.receivers[0].antennas.len()) {
             return Err("receivers have different numbers of antennas; give all of them the same number".into());
         }
         let mut layout = self.deformation.layout();
-        layout.weights.push(WeightSpec::zeros(OFFSETS, vec![frame.receivers.len()]));
+        layout.weights.push(WeightSpec::zeros(OFFSETS, vec![setup.receivers.len()]));
         Ok(layout)
     }
 
-    fn drawable(&self, _: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+    fn drawable(&self, _: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         groups::rows(&*self.deformation, cloud, gate)
     }
 
-    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
-        let (network, offsets) = parts(frame, p.weights);
-        let pose = frame.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+        let (network, offsets) = parts(setup, p.weights);
+        let pose = setup.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
         let deltas = self.deformation.forward(&inputs, &None);
-        let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
+        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
         let mut received = Vec::new();
-        for group in Group::all(asked.links, frame.receivers.len(), true) {
-            let waves = Waves::new(frame, &frame.receivers[group.receiver], p.cloud, p.gate);
+        for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
+            let waves = Waves::new(setup, &setup.receivers[group.receiver], p.cloud, p.gate);
             let (own, signals) = self.sum(p, &deltas, &group, (&waves, level(offsets, group.receiver)));
-            group.scatter(&own, frame.numbers(), &mut numbers);
+            group.scatter(&own, setup.numbers(), &mut numbers);
             received.push((group, waves, signals));
         }
-        Observed { numbers, cache: Some(Arc::new(Kept { deltas, received })) }
+        ForwardOutput { numbers, cache: Some(Arc::new(ForwardCache { deltas, received })) }
     }
 
     fn vjp(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         p: &Parameters<'_>,
-        asked: &Asked<'_>,
-        observed: Observed,
+        request: &ObservationRequest<'_>,
+        observed: ForwardOutput,
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
-        let Kept { deltas, received } = cached(&observed.cache);
+        let ForwardCache { deltas, received } = cached(&observed.cache);
         let (n, activation) = (p.cloud.len(), self.activation());
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
-        let (network, offsets) = parts(frame, p.weights);
+        let (network, offsets) = parts(setup, p.weights);
         for (group, waves, signals) in received {
             let links = group.links.len();
             let level = level(offsets, group.receiver);
-            let d: Vec<Real> = group.gather(d, frame.numbers()).iter().map(|d| level * d).collect();
+            let d: Vec<Real> = group.gather(d, setup.numbers()).iter().map(|d| level * d).collect();
             let along: Real = waves.sum(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
             sums.weights[network.len() + group.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
-            let receiver = &frame.receivers[group.receiver];
-            Waves::vjp(frame, receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
+            let receiver = &setup.receivers[group.receiver];
+            Waves::vjp(setup, receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
             group.terms_vjp(deltas, n, &mut own, |terms, batch, own| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, own);
             });
             for (i, signals) in signals.chunks_exact((2 * links).max(1)).enumerate() {
                 let mean = signals.iter().map(|s| s * s).sum::<Real>() / links.max(1) as Real;
-                sums.seen.visible[i] += 1.0;
-                sums.seen.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * mean.sqrt();
+                sums.stats.visible[i] += 1.0;
+                sums.stats.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * mean.sqrt();
             }
         }
-        let pose = frame.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let pose = setup.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
         groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 
-    fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
-        let deformation = self.deformation.prepare(parts(frame, p.weights).0, &p.cloud.means, &frame.pose());
-        let waves = frame.receivers.iter().map(|receiver| Waves::new(frame, receiver, p.cloud, p.gate)).collect();
+    fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
+        let deformation = self.deformation.prepare(parts(setup, p.weights).0, &p.cloud.means, &setup.pose());
+        let waves = setup.receivers.iter().map(|receiver| Waves::new(setup, receiver, p.cloud, p.gate)).collect();
         Some(Arc::new(Ready { deformation, waves }))
     }
 
     fn predict(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         p: &Parameters<'_>,
-        asked: &Asked<'_>,
+        request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
         let start = Instant::now();
         let Ready { deformation, waves } = cached(prepared);
-        let (network, offsets) = parts(frame, p.weights);
-        let pose = frame.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let (network, offsets) = parts(setup, p.weights);
+        let pose = setup.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
         let deltas = self.deformation.forward(&inputs, deformation);
         let network = start.elapsed().as_secs_f64();
-        let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
-        for group in Group::all(asked.links, frame.receivers.len(), true) {
+        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
+        for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
             let (own, _) = self.sum(p, &deltas, &group, (&waves[group.receiver], level(offsets, group.receiver)));
-            group.scatter(&own, frame.numbers(), &mut numbers);
+            group.scatter(&own, setup.numbers(), &mut numbers);
         }
         let blending = start.elapsed().as_secs_f64() - network;
         (numbers, StageTimes { network, blending, ..StageTimes::default() })
     }
 
-    fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
-        let network = parts(frame, weights).0.len();
+    fn start(
+        &self,
+        setup: &MeasurementSetup,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &mut GaussianCloud,
+        weights: &mut [Real],
+    ) {
+        let network = parts(setup, weights).0.len();
         groups::start(&*self.deformation, data, train, &mut weights[..network]);
-        if !self.start_linear(frame, data, train, cloud, weights) {
-            self.start_level(frame, data, train, cloud, weights);
+        if !self.start_linear(setup, data, train, cloud, weights) {
+            self.start_level(setup, data, train, cloud, weights);
         }
     }
 
-    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
-        groups::gaussians(&*self.deformation, self.activation(), frame, p, tx, magnitudes)
+    fn gaussians(&self, setup: &MeasurementSetup, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
+        groups::gaussians(&*self.deformation, self.activation(), setup, p, tx, magnitudes)
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //! means, p_tx ─► deform ─► ΔS, ΔR, Δs
 //! cloud, Δ, M ─► activate ─► project ─► prepare the rasterizer      (Geometry, once a receiver)
-//!                 signals ─► rasterize                              (Drawing) ─► read out ─► P̂
+//!                 signals ─► rasterize                              (BlendedSignals) ─► read out ─► P̂
 //! ```
 
 mod method;
@@ -13,8 +13,8 @@ mod survey;
 use crate::{Activation, ActivationVjp, Calibration, Readout, groups};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Elevation, Frame, GaussianCloud, ImagePlane, JsonSchema, Parameters, Pose, Primitives,
-    Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
+    Cache, Deformation, Deltas, Elevation, GaussianCloud, ImagePlane, JsonSchema, MeasurementSetup, Parameters, Pose,
+    Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
 };
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
@@ -61,7 +61,7 @@ impl Default for Splatting {
 
 /// Viewpoint and image plane of a receiver.
 #[derive(Clone, Debug, PartialEq)]
-pub struct View {
+pub struct ReceiverView {
     /// Pose of the receiver, relative to the origin of the frame.
     pub pose: Pose,
     /// Image plane of the sky.
@@ -74,18 +74,18 @@ pub struct Gates<'a> {
     /// Factors on opacity and scale.
     pub whole: Option<&'a [Real]>,
     /// Factors on the blending weight only (existence).
-    pub presence: Option<&'a [Real]>,
+    pub existence: Option<&'a [Real]>,
 }
 
 impl<'a> From<Option<&'a [Real]>> for Gates<'a> {
     fn from(whole: Option<&'a [Real]>) -> Self {
-        Self { whole, presence: None }
+        Self { whole, existence: None }
     }
 }
 
 impl<'a> From<&Parameters<'a>> for Gates<'a> {
     fn from(p: &Parameters<'a>) -> Self {
-        Self { whole: p.gate, presence: p.presence }
+        Self { whole: p.gate, existence: p.existence }
     }
 }
 
@@ -107,7 +107,7 @@ pub struct Geometry {
 
 /// Blended signals of transmitters with a common geometry, and the state for the backward pass.
 #[derive(Debug)]
-pub struct Drawing {
+pub struct BlendedSignals {
     /// Range of transmitters in the batch.
     pub batch: Range<usize>,
     /// Geometry of the splats.
@@ -158,21 +158,22 @@ pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
 
 impl Splatting {
     /// Returns the image plane of a receiver: the spectrum, or a coarse sky that is integrated to a power.
-    pub fn sky(&self, frame: &Frame) -> ImagePlane {
-        self.whole_sky(frame).expect("`layout` refuses what draws no whole sky")
+    pub fn sky(&self, setup: &MeasurementSetup) -> ImagePlane {
+        self.whole_sky(setup).expect("`layout` refuses what draws no whole sky")
     }
 
     /// Returns the image plane of a receiver.
     ///
     /// # Errors
     /// The projector does not cover the whole sky.
-    fn whole_sky(&self, frame: &Frame) -> Result<ImagePlane, String> {
-        let Readout::Received { sky_deg, filter_deg2 } = self.readout else { return Ok(frame.plane.clone()) };
+    fn whole_sky(&self, setup: &MeasurementSetup) -> Result<ImagePlane, String> {
+        let Readout::ReceivedPower { sky_deg, filter_deg2 } = self.readout else { return Ok(setup.plane.clone()) };
         self.readout.check()?;
         // Both poles have a row, so that the cells cover the sphere.
         let (width, height, side) = (360 / sky_deg as usize, 180 / sky_deg as usize + 1, f64::from(sky_deg));
         let whole = Elevation { first: -90.0, last: 90.0 + side };
-        let advice = |why| format!("readout: Received needs the whole sky, but the projector: {why}; use Mercator()");
+        let advice =
+            |why| format!("readout: ReceivedPower needs the whole sky, but the projector: {why}; use Mercator()");
         let mut sky = self.projector.plane_of(width, height, whole).map_err(advice)?;
         sky.sampling.filter = Some(filter_deg2 / (side * side) as Real);
         Ok(sky)
@@ -188,28 +189,28 @@ impl Splatting {
     }
 
     /// Returns the views of all receivers of the frame.
-    pub fn views(&self, frame: &Frame) -> Vec<View> {
-        let plane = self.sky(frame);
-        frame.receivers.iter().map(|receiver| View { pose: receiver.pose, plane: plane.clone() }).collect()
+    pub fn views(&self, setup: &MeasurementSetup) -> Vec<ReceiverView> {
+        let plane = self.sky(setup);
+        setup.receivers.iter().map(|receiver| ReceiverView { pose: receiver.pose, plane: plane.clone() }).collect()
     }
 
     /// Returns the rows of `cloud` that may be visible for any output of the network: gate open, opacity above the
     /// limit of the rasterizer, inside the view of the projector. Only these rows pass through the network; all rows if
     /// the network couples them.
-    pub fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+    pub fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         let open = groups::rows(&*self.deformation, cloud, gate);
         if self.deformation.traits().couples_gaussians {
             return open;
         }
-        let mut seen = vec![false; cloud.len()];
-        for View { pose, plane } in self.views(frame) {
+        let mut visible = vec![false; cloud.len()];
+        for ReceiverView { pose, plane } in self.views(setup) {
             let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
-            seen.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
+            visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
         }
-        let faintest = self.rasterizer.faintest();
+        let min_drawn_opacity = self.rasterizer.min_drawn_opacity();
         let drawn = |i: &usize| {
             let gate = gate.map_or(1.0, |g| g[*i]);
-            seen[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= faintest
+            visible[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= min_drawn_opacity
         };
         open.into_iter().filter(drawn).collect()
     }
@@ -217,7 +218,7 @@ impl Splatting {
     /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view.
     pub fn geometry(
         &self,
-        view: &View,
+        view: &ReceiverView,
         cloud: &GaussianCloud,
         deltas: &Deltas,
         b: usize,
@@ -228,11 +229,11 @@ impl Splatting {
         let whole = view.plane.whole();
         let mut splats = self.projector.project(&primitives, &view.pose, &whole).sampled(&view.plane);
         let mut unveiled = Vec::new();
-        match gates.presence {
-            Some(presence) if self.rasterizer.blends() => splats.presence = presence.to_vec(),
-            Some(presence) => {
+        match gates.existence {
+            Some(existence) if self.rasterizer.blends() => splats.existence = existence.to_vec(),
+            Some(existence) => {
                 unveiled.clone_from(&splats.opacities);
-                splats.opacities.iter_mut().zip(presence).for_each(|(o, m)| *o *= m);
+                splats.opacities.iter_mut().zip(existence).for_each(|(o, m)| *o *= m);
             }
             None => {}
         }
@@ -246,19 +247,19 @@ impl Splatting {
     /// it is available.
     pub fn draw(
         &self,
-        view: &View,
+        view: &ReceiverView,
         cloud: &GaussianCloud,
         deltas: &Deltas,
         batch: Range<usize>,
         gates: Gates<'_>,
-        still: Option<&Arc<Geometry>>,
-    ) -> Drawing {
+        shared_geometry: Option<&Arc<Geometry>>,
+    ) -> BlendedSignals {
         let fresh = || Arc::new(self.geometry(view, cloud, deltas, batch.start, gates));
-        let geometry = still.cloned().unwrap_or_else(fresh);
+        let geometry = shared_geometry.cloned().unwrap_or_else(fresh);
         let signals = self.activation().signals(cloud, deltas, batch.clone());
         let (channels, Geometry { splats, cache, .. }) = (self.readout.channels() * batch.len(), &*geometry);
         let render = self.rasterizer.forward_prepared(splats, &signals, channels, &view.plane, cache);
-        Drawing { batch, geometry, signals, render }
+        BlendedSignals { batch, geometry, signals, render }
     }
 
     /// Derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and returns those of
@@ -266,31 +267,31 @@ impl Splatting {
     #[allow(clippy::too_many_arguments)] // what `draw` has, what it gave, and the two ends of the derivative
     pub fn draw_vjp(
         &self,
-        view: &View,
-        drawing: &Drawing,
+        view: &ReceiverView,
+        drawing: &BlendedSignals,
         cloud: &GaussianCloud,
         deltas: &Deltas,
         gates: Gates<'_>,
         d_pixels: &[Real],
         sums: &mut ActivationVjp,
     ) -> RenderVjp {
-        let Drawing { batch, geometry, signals, render } = drawing;
+        let BlendedSignals { batch, geometry, signals, render } = drawing;
         let (activation, splats) = (self.activation(), &geometry.splats);
         let channels = activation.channels * batch.len();
         let mut d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
-        if let Some(presence) = gates.presence.filter(|_| !geometry.unveiled.is_empty()) {
-            d.splats.presence = d.splats.opacities.iter().zip(&geometry.unveiled).map(|(d, o)| d * o).collect();
-            d.splats.opacities.iter_mut().zip(presence).for_each(|(d, m)| *d *= m);
+        if let Some(existence) = gates.existence.filter(|_| !geometry.unveiled.is_empty()) {
+            d.splats.existence = d.splats.opacities.iter().zip(&geometry.unveiled).map(|(d, o)| d * o).collect();
+            d.splats.opacities.iter_mut().zip(existence).for_each(|(d, m)| *d *= m);
         }
         let d_primitives = self.project_vjp(view, geometry, &d.splats);
         activation.geometry_vjp(cloud, deltas, batch.start, gates.whole, &d_primitives, sums);
-        sums.presence.iter_mut().zip(&d.splats.presence).for_each(|(sum, d)| *sum += d);
+        sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
         activation.signals_vjp(cloud, deltas, batch.clone(), &d.signals, sums);
         d
     }
 
     /// Returns the cotangents of the primitives, given those of the splats in pixels of the view's plane.
-    pub(crate) fn project_vjp(&self, view: &View, geometry: &Geometry, d: &Splats) -> Primitives {
+    pub(crate) fn project_vjp(&self, view: &ReceiverView, geometry: &Geometry, d: &Splats) -> Primitives {
         let Geometry { primitives, splats, .. } = geometry;
         let (splats, d) = (splats.unsampled(&view.plane), d.sampled_vjp(&view.plane));
         self.projector.project_vjp(primitives, &view.pose, &view.plane.whole(), &splats, &d)

@@ -13,8 +13,8 @@ mod turn;
 
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
-pub use links::{Links, Sources};
-pub use options::{Progress, Pursuit};
+pub use links::{ChannelInputs, VirtualSources};
+pub use options::{PursuitOptions, SearchProgress};
 pub use pursuit::{pursue, snr_of};
 pub use solve::solve_gains;
 
@@ -22,8 +22,9 @@ use crate::{Activation, Calibration};
 use harmonics::{HIGHEST, terms};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
-    Activated, Asked, Cache, Deltas, Error, Frame, GaussianCloud, ImagePlane, Initializer, JsonSchema, Layout, Method,
-    MethodTraits, MethodVjp, Observed, Parameters, Real, Receiver, Result, Scene, Seen, Task, gains_of, rows_of,
+    Activated, Cache, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
+    JsonSchema, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, ObservationRequest, Parameters, Real,
+    Receiver, Result, Scene, Task, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -70,9 +71,9 @@ pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
 }
 
 /// Returns the position of the moving node in each link.
-fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
-    let txs = asked.conditions.positions();
-    asked.links.iter().filter_map(|link| txs.get(link.transmitter)).copied().collect()
+fn positions(request: &ObservationRequest<'_>) -> Vec<[Real; 3]> {
+    let txs = request.conditions.positions();
+    request.links.iter().filter_map(|link| txs.get(link.transmitter)).copied().collect()
 }
 
 #[typetag::serde]
@@ -84,7 +85,7 @@ impl Method for VirtualTransmitters {
     }
 
     /// The cloud is independent of the transmitter.
-    fn gaussians(&self, _: &Frame, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
+    fn gaussians(&self, _: &MeasurementSetup, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
         let (none, calibration) = (Deltas::default(), Calibration::AsReleased); // without a lower limit of the scales
         let activation = Activation { calibration, replaces_signals: false, channels: 2 };
         let signals = &p.cloud.signals;
@@ -96,45 +97,53 @@ impl Method for VirtualTransmitters {
     }
 
     fn check(&self) -> Result<(), String> {
-        Pursuit { order: self.order, ..Pursuit::default() }.check()
+        PursuitOptions { order: self.order, ..PursuitOptions::default() }.check()
     }
 
-    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
-        let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
-        let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
-        let numbers = rows_of(&field(p.cloud, p.gate, &links), frame.frequencies_hz.len());
-        Observed { numbers, cache: None as Cache }
+    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+        let (positions, antennas) = (positions(request), array(&setup.receivers[0]));
+        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &setup.frequencies_hz };
+        let numbers = rows_of(&field(p.cloud, p.gate, &links), setup.frequencies_hz.len());
+        ForwardOutput { numbers, cache: None as Cache }
     }
 
-    fn vjp(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>, _: Observed, d: &[Real], sums: &mut MethodVjp) {
-        let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
-        let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
-        let found = field_vjp(p.cloud, p.gate, &links, &gains_of(d, frame.frequencies_hz.len()));
+    fn vjp(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        _: ForwardOutput,
+        d: &[Real],
+        sums: &mut MethodVjp,
+    ) {
+        let (positions, antennas) = (positions(request), array(&setup.receivers[0]));
+        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &setup.frequencies_hz };
+        let found = field_vjp(p.cloud, p.gate, &links, &gains_of(d, setup.frequencies_hz.len()));
         for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
             sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
         }
         sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
-        sums.seen.visible.iter_mut().for_each(|seen| *seen += 1.0);
+        sums.stats.visible.iter_mut().for_each(|input| *input += 1.0);
         // Contribution of each Gaussian to the channel, averaged over directions, for pruners by blending weight.
         let more = p.cloud.extra(HARMONICS);
         for (i, [x, y]) in p.cloud.signals.iter().enumerate() {
             let more = more.map_or(&[][..], |c| &c.values[i * c.width..(i + 1) * c.width]);
             let square = more.iter().fold(x * x + y * y, |sum, c| sum + c * c);
-            sums.seen.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * square.sqrt();
+            sums.stats.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * square.sqrt();
         }
     }
 
-    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
-        if !frame.task.is_complex {
+    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
+        if !setup.task.is_complex {
             return Err(format!(
                 "method: VirtualTransmitters predicts channels, but the data are {}",
-                frame.task.plural
+                setup.task.plural
             ));
         }
-        if frame.receivers.len() != 1 {
+        if setup.receivers.len() != 1 {
             return Err(format!(
                 "method: VirtualTransmitters supports one receiver, but the data have {}; train one model per receiver",
-                frame.receivers.len()
+                setup.receivers.len()
             ));
         }
         Ok(Layout::default())
@@ -184,15 +193,28 @@ pub struct MatchingPursuit {
 
 impl Default for MatchingPursuit {
     fn default() -> Self {
-        let Pursuit { most, reach, step, patience, hold_out, rounds, ridge, images, .. } = Pursuit::default();
+        let PursuitOptions { most, reach, step, patience, hold_out, rounds, ridge, images, .. } =
+            PursuitOptions::default();
         Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: 1 }
     }
 }
 
 impl MatchingPursuit {
-    fn options(&self, order: usize, seed: u64) -> Pursuit {
+    fn options(&self, order: usize, seed: u64) -> PursuitOptions {
         let Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: _ } = *self;
-        Pursuit { reach, step, most, patience, hold_out, ridge, rounds, images, order, seed, ..Pursuit::default() }
+        PursuitOptions {
+            reach,
+            step,
+            most,
+            patience,
+            hold_out,
+            ridge,
+            rounds,
+            images,
+            order,
+            seed,
+            ..PursuitOptions::default()
+        }
     }
 }
 
@@ -209,38 +231,39 @@ impl Initializer for MatchingPursuit {
         Ok(cloud)
     }
 
-    fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
-        let Some(channels) = seen.data.observations.channels() else {
-            let what = seen.data.task().plural;
+    fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+        let Some(channels) = input.data.observations.channels() else {
+            let what = input.data.task().plural;
             return Err(Error::Config(format!("initializer: MatchingPursuit needs channels, but the data are {what}")));
         };
-        let method: &dyn std::any::Any = seen.method;
+        let method: &dyn std::any::Any = input.method;
         if !method.is::<VirtualTransmitters>() {
             return Err(Error::Config(
                 "initializer: MatchingPursuit finds virtual transmitters; add `method: VirtualTransmitters()`".into(),
             ));
         }
-        let scene = &seen.data.scene;
-        if scene.receivers.len() != 1 || !seen.data.placed {
+        let scene = &input.data.scene;
+        if scene.receivers.len() != 1 || !input.data.placed {
             return Err(Error::Config(
                 "initializer: MatchingPursuit needs one receiver and the positions of the transmitters".into(),
             ));
         }
         let positions: Vec<[Real; 3]> =
-            seen.train.iter().map(|&i| scene.origin.local(seen.data.sample(i).tx)).collect();
+            input.train.iter().map(|&i| scene.origin.local(input.data.sample(i).tx)).collect();
         let antennas = array(&scene.receivers[0]);
-        let links = Links { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
-        let channel: Vec<[Real; 2]> = seen.train.iter().flat_map(|&i| channels.of(i)).copied().collect();
+        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
+        let channel: Vec<[Real; 2]> = input.train.iter().flat_map(|&i| channels.of(i)).copied().collect();
         let node = Some(scene.receivers[0].pose.position);
-        let order = order_of(&seen.method.traits().columns);
-        let mut all = Sources::new(order);
+        let order = order_of(&input.method.traits().columns);
+        let mut all = VirtualSources::new(order);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
-            let options = Pursuit { node, ..self.options(order, seed) };
+            let options = PursuitOptions { node, ..self.options(order, seed) };
             let total = self.searches * self.most;
-            let tell = &mut |told: &Progress| (seen.progress)(search * self.most + told.sources, total);
-            let found = pursue(&links, &channel, &options, seen.stop, tell);
-            if seen.stop.load(Ordering::Relaxed) {
+            let report_progress =
+                &mut |found_so_far: &SearchProgress| (input.progress)(search * self.most + found_so_far.sources, total);
+            let found = pursue(&links, &channel, &options, input.stop, report_progress);
+            if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
             all.extend(found.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);

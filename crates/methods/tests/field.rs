@@ -2,7 +2,7 @@
 
 use pwrfgs_core::testing::check_vjp;
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, rng};
-use pwrfgs_methods::virtual_transmitters::{HARMONICS, Links, field, field_vjp};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, HARMONICS, field, field_vjp};
 
 /// Creates a few Gaussians at distances of some metres, with quaternions of any length and gains of `terms` harmonics.
 fn cloud(n: usize, terms: usize, seed: u64) -> GaussianCloud {
@@ -24,11 +24,12 @@ const POSITIONS: [[Real; 3]; 5] =
     [[0.3, 0.2, 1.0], [1.3, -0.7, 1.5], [-0.4, 1.9, 0.2], [0.0, 0.0, 0.0], [2.0, 1.0, 1.0]];
 const ANTENNAS: [[Real; 3]; 3] = [[0.0; 3], [0.0, 0.16, 0.0], [0.05, 0.0, 0.16]];
 const FREQUENCIES: [f64; 2] = [0.9e9, 0.92e9];
-const LINKS: Links<'_> = Links { positions: &POSITIONS, antennas: &ANTENNAS, frequencies: &FREQUENCIES };
+const LINKS: ChannelInputs<'_> =
+    ChannelInputs { positions: &POSITIONS, antennas: &ANTENNAS, frequencies: &FREQUENCIES };
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn it_differentiates() {
+fn field_derivative_agrees_with_differences() {
     for (n, terms) in [(3, 1), (19, 1), (3, 4), (2, 9), (18, 16)] {
         let x = cloud(n, terms, n as u64);
         let gate: Vec<Real> = (0..n).map(|i| 0.1 + 0.05 * i as Real).collect();
@@ -77,7 +78,7 @@ fn one_image_behind_a_wall_is_the_two_ray_model() {
     pair.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
     pair.means = vec![node, [-node[0], node[1], node[2]]];
     pair.signals = vec![[gain, 0.0], [reflection * gain, 0.0]];
-    let links = Links { antennas: &[[0.0; 3]], ..LINKS };
+    let links = ChannelInputs { antennas: &[[0.0; 3]], ..LINKS };
     let found = field(&pair, None, &links);
     for (m, p) in POSITIONS.iter().enumerate() {
         for (f, frequency) in FREQUENCIES.iter().enumerate() {

@@ -2,7 +2,9 @@
 //! depend on the number of threads.
 
 use pwrfgs_core::{Real, rng};
-use pwrfgs_methods::virtual_transmitters::{Links, Progress, Pursuit, Sources, field, pursue, snr_of, solve_gains};
+use pwrfgs_methods::virtual_transmitters::{
+    ChannelInputs, PursuitOptions, SearchProgress, VirtualSources, field, pursue, snr_of, solve_gains,
+};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
@@ -16,16 +18,16 @@ fn places(n: usize) -> Vec<[Real; 3]> {
 }
 
 /// Creates a node, its images behind a wall and under the floor, and that of the corner.
-fn truth(quats: [[f64; 4]; 4]) -> Sources {
-    let mut out = Sources::default();
+fn truth(quats: [[f64; 4]; 4]) -> VirtualSources {
+    let mut out = VirtualSources::default();
     for (k, (x, z)) in [(1.1, 1.4), (-1.3, 1.4), (1.1, -1.4), (-1.3, -1.4)].into_iter().enumerate() {
         out.push([x, 0.3, z], quats[k], [[1.0, 0.0], [-0.6, 0.3], [-0.5, 0.0], [0.3, -0.2]][k]);
     }
     out
 }
 
-fn options() -> Pursuit {
-    Pursuit {
+fn options() -> PursuitOptions {
+    PursuitOptions {
         reach: 0.8,
         step: 0.35,
         rows: [256, 1024],
@@ -33,11 +35,11 @@ fn options() -> Pursuit {
         patience: 2,
         peaks: 32,
         rounds: 0,
-        ..Pursuit::default()
+        ..PursuitOptions::default()
     }
 }
 
-fn nearest(found: &Sources, v: [f64; 3]) -> f64 {
+fn nearest(found: &VirtualSources, v: [f64; 3]) -> f64 {
     let by = |p: &[f64; 3]| (0..3).map(|k| (p[k] - v[k]).powi(2)).sum::<f64>().sqrt();
     found.positions.iter().map(by).fold(f64::MAX, f64::min)
 }
@@ -46,22 +48,22 @@ fn nearest(found: &Sources, v: [f64; 3]) -> f64 {
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn images_of_a_room_are_found() {
     let (positions, truth) = (places(120), truth([IDENTITY; 4]));
-    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
-    let (mut told, stop) = (0, AtomicBool::new(false));
-    let mut tell = |p: &Progress| {
-        told += 1;
+    let (mut reports, stop) = (0, AtomicBool::new(false));
+    let mut report_progress = |p: &SearchProgress| {
+        reports += 1;
         stop.store(p.sources >= 6, Relaxed);
     };
-    let found = pursue(&links, &h, &options(), &stop, &mut tell).unwrap();
-    assert!(told >= 4);
+    let found = pursue(&links, &h, &options(), &stop, &mut report_progress).unwrap();
+    assert!(reports >= 4);
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.02, "{v:?}: {found:?}");
     }
     assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 30.0);
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| pursue(&links, &h, &Pursuit { most: 2, ..options() }, &NEVER, &mut |_| ()).unwrap())
+        pool.install(|| pursue(&links, &h, &PursuitOptions { most: 2, ..options() }, &NEVER, &mut |_| ()).unwrap())
     };
     assert_eq!(once(1), once(3), "the same bits on any number of threads");
 }
@@ -76,7 +78,7 @@ fn a_mirrored_array_is_found_with_its_rotation() {
     // diag(-1, ·, 1) on x and z: half a turn about z; diag(1, ·, -1): about x; both: about y.
     let truth = truth([IDENTITY, b, [0.0, 1.0, 0.0, 0.0], a]);
     let positions = places(40);
-    let links = Links { positions: &positions, antennas: &antennas, frequencies: &[0.4e9, 0.43e9] };
+    let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &[0.4e9, 0.43e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let stop = AtomicBool::new(false);
     let found = pursue(&links, &h, &options(), &stop, &mut |p| stop.store(p.sources >= 5, Relaxed)).unwrap();
@@ -91,7 +93,7 @@ fn a_mirrored_array_is_found_with_its_rotation() {
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn gains_over_direction_are_found() {
     let positions = places(200);
-    let mut truth = Sources::new(2);
+    let mut truth = VirtualSources::new(2);
     for (place, gain) in [([1.1, 0.3, 1.4], [1.0, 0.0]), ([-1.3, 0.3, 1.4], [-0.6, 0.3])] {
         truth.push(place, IDENTITY, gain);
     }
@@ -102,10 +104,10 @@ fn gains_over_direction_are_found() {
         truth.gains[9 * g + 8] = [0.5 * x, 0.5 * y];
     }
     truth.gains[9 + 1] = [0.3, 0.1];
-    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let score = |order: usize| {
-        let options = Pursuit { order, most: 2, ..options() };
+        let options = PursuitOptions { order, most: 2, ..options() };
         let found = pursue(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
         (snr_of(&field(&found.to_cloud(), None, &links), &h), found)
     };
@@ -118,9 +120,9 @@ fn gains_over_direction_are_found() {
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn gains_of_given_places_are_exact() {
     let (positions, truth) = (places(30), truth([IDENTITY; 4]));
-    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
-    let mut found = Sources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
+    let mut found = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
     assert!(solve_gains(&links, &h, &mut found, &[0.0; 4]));
     for (a, b) in found.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
         assert!((a - b).abs() < 1e-4, "{found:?}");
@@ -136,20 +138,20 @@ fn gains_of_given_places_are_exact() {
 
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn what_cannot_be_searched_is_told() {
+fn reports_unsupported_search_input() {
     let positions = places(3);
-    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
-    let none = &mut |_: &Progress| ();
+    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let none = &mut |_: &SearchProgress| ();
     let h = [[1.0, 0.0]; 3];
     for (links, h, options, word) in [
         (links, &h[..2], options(), "2 complex numbers for 3 links"),
         (links, &[[0.0; 2]; 3][..], options(), "zero everywhere"),
         (links, &[[Real::NAN, 0.0]; 3][..], options(), "finite"),
-        (Links { frequencies: &[5.0], ..links }, &h[..], options(), "5 Hz"),
-        (Links { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
-        (links, &h[..], Pursuit { step: 0.0, ..options() }, "`step`"),
-        (links, &h[..], Pursuit { reach: -1.0, ..options() }, "`reach`"),
-        (links, &h[..], Pursuit { order: 4, ..options() }, "`order`"),
+        (ChannelInputs { frequencies: &[5.0], ..links }, &h[..], options(), "5 Hz"),
+        (ChannelInputs { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
+        (links, &h[..], PursuitOptions { step: 0.0, ..options() }, "`step`"),
+        (links, &h[..], PursuitOptions { reach: -1.0, ..options() }, "`reach`"),
+        (links, &h[..], PursuitOptions { order: 4, ..options() }, "`order`"),
     ] {
         let why = pursue(&links, h, &options, &NEVER, none).unwrap_err();
         assert!(why.contains(word), "{why}");

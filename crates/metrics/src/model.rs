@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn it_needs_points_and_gaussians() {
+    fn chamfer_requires_points_and_gaussians() {
         let points = [[0.0; 3]];
         for (model, points) in [(None, &points[..]), (Some(model(&points)), &[]), (Some(model(&[])), &points)] {
             let found = of_model(&Chamfer {}, model, &scene(points));

@@ -128,7 +128,7 @@ mod tests {
     use pwrfgs_core::Link;
 
     #[test]
-    fn it_is_the_distance_in_decibels() {
+    fn power_error_is_difference_in_decibels() {
         let power = |dbm| Image { width: 1, height: 1, pixels: vec![dbm] };
         let found = of_kind(&PowerError {}, Task::Power, &power(-70.5), &power(-60.0));
         assert_eq!((value(&found[0]), found[0].unit.as_str()), (10.5, "dB"));

@@ -32,7 +32,7 @@ impl Ensemble {
     /// The message names the mismatch.
     pub fn named(members: Vec<(String, Model)>) -> Result<Self, String> {
         let Some((_, first)) = members.first() else { return Err("an ensemble needs at least one model".into()) };
-        let other = members.iter().position(|(_, model)| model.stages.frame != first.stages.frame);
+        let other = members.iter().position(|(_, model)| model.stages.setup != first.stages.setup);
         if let Some(other) = other {
             return Err(format!(
                 "model {} of the ensemble has another image plane or receiver than the first; use runs on the same \

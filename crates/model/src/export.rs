@@ -81,27 +81,27 @@ impl Npz {
     /// Adds the links: observations and receivers. Names are stored as letters, since arrays cannot hold text of
     /// variable length.
     fn links(&mut self, model: &Model) -> io::Result<()> {
-        let frame = &model.stages.frame;
+        let setup = &model.stages.setup;
         let text = |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], text.as_bytes());
-        text(self, "kind", frame.task.name)?;
-        let names = frame.receivers.iter().map(|receiver| receiver.name.as_str()).collect::<Vec<_>>().join("\n");
+        text(self, "kind", setup.task.name)?;
+        let names = setup.receivers.iter().map(|receiver| receiver.name.as_str()).collect::<Vec<_>>().join("\n");
         text(self, "receivers.names", &names)?;
-        let poses: Vec<Pose> = frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect();
+        let poses: Vec<Pose> = setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose)).collect();
         let [positions, orientations]: [Vec<f64>; 2] = [
             poses.iter().flat_map(|pose| pose.position).collect(),
             poses.iter().flat_map(|pose| pose.orientation).collect(),
         ];
         self.put("receivers.positions", &[poses.len(), 3], &positions)?;
         self.put("receivers.orientations", &[poses.len(), 4], &orientations)?;
-        let antennas: Vec<u64> = frame.receivers.iter().map(|receiver| receiver.antennas.len() as u64).collect();
+        let antennas: Vec<u64> = setup.receivers.iter().map(|receiver| receiver.antennas.len() as u64).collect();
         let places: Vec<[f64; 3]> =
-            frame.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
+            setup.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
         self.put("receivers.antenna_counts", &[antennas.len()], &antennas)?;
         self.put("receivers.antennas", &[places.len(), 3], places.as_flattened())?;
-        if frame.frequencies_hz.is_empty() {
+        if setup.frequencies_hz.is_empty() {
             return Ok(());
         }
-        self.put("frequencies_hz", &[frame.frequencies_hz.len()], &frame.frequencies_hz)
+        self.put("frequencies_hz", &[setup.frequencies_hz.len()], &setup.frequencies_hz)
     }
 
     /// Adds the Gaussians for a transmitter.

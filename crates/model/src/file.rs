@@ -5,8 +5,8 @@ use crate::{Ensemble, Model, Stages};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Origin, Pose, Real, Receiver, Result,
-    Task,
+    COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
+    Receiver, Result, Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -235,7 +235,7 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     if let Some(fault) = note.origin.fault() {
         return Err(fault);
     }
-    let stages = Stages { method: parse(&note.method)?, frame: frame(note) };
+    let stages = Stages { method: parse(&note.method)?, setup: setup(note) };
     stages.check()?;
     let columns: Vec<_> =
         stages.method.traits().columns.into_iter().map(|(name, width)| (name.to_owned(), width)).collect();
@@ -245,7 +245,7 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     Ok(Model { stages, cloud, weights })
 }
 
-fn frame(note: &Note) -> Frame {
+fn setup(note: &Note) -> MeasurementSetup {
     let (origin, plane) = (note.origin, note.plane.clone());
     let LinksNote { kind, receivers, frequencies_hz } = &note.links;
     let receiver = |r: &ReceiverNote| Receiver {
@@ -254,7 +254,7 @@ fn frame(note: &Note) -> Frame {
         antennas: r.antennas.clone(),
     };
     let receivers = receivers.iter().map(receiver).collect();
-    Frame { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() }
+    MeasurementSetup { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() }
 }
 
 /// Rejects a file whose constants differ from those that its deformation computes here, because predictions would

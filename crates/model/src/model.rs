@@ -2,8 +2,8 @@
 
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Activated, Axis, Dataset, Deformation, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Origin, Parameters,
-    Projector, Real, Receiver, Result, WeightSpec,
+    Activated, AngleAxis, Dataset, Deformation, Error, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method,
+    Origin, Parameters, Projector, Real, Receiver, Result, WeightSpec,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -22,10 +22,10 @@ pub struct Model {
 impl Model {
     /// Returns the Gaussians as drawn for a transmitter at `tx` (metres, world frame), or of the base parameters.
     pub fn gaussians(&self, tx: Option<[f64; 3]>) -> Activated {
-        let Stages { method, frame } = &self.stages;
-        let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights: &self.weights };
-        let local = tx.map(|tx| frame.origin.local(tx));
-        method.gaussians(frame, &parameters, local)
+        let Stages { method, setup } = &self.stages;
+        let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights: &self.weights };
+        let local = tx.map(|tx| setup.origin.local(tx));
+        method.gaussians(setup, &parameters, local)
     }
 
     /// Returns the centres `[N,3]`, metres from `origin`.
@@ -52,20 +52,20 @@ pub struct Stages {
     /// Method.
     pub method: Plugin<dyn Method>,
     /// Receivers and type of the observations.
-    pub frame: Frame,
+    pub setup: MeasurementSetup,
 }
 
 impl Deref for Stages {
-    type Target = Frame;
+    type Target = MeasurementSetup;
 
-    fn deref(&self) -> &Frame {
-        &self.frame
+    fn deref(&self) -> &MeasurementSetup {
+        &self.setup
     }
 }
 
 impl DerefMut for Stages {
-    fn deref_mut(&mut self) -> &mut Frame {
-        &mut self.frame
+    fn deref_mut(&mut self) -> &mut MeasurementSetup {
+        &mut self.setup
     }
 }
 
@@ -78,8 +78,8 @@ const RECEIVERS: &str = "receiver.";
 
 impl Stages {
     /// Creates stages from the settings of a method and its frame.
-    pub fn new(method: impl Method, frame: Frame) -> Self {
-        Self { method: Plugin::from(Box::new(method) as Box<dyn Method>), frame }
+    pub fn new(method: impl Method, setup: MeasurementSetup) -> Self {
+        Self { method: Plugin::from(Box::new(method) as Box<dyn Method>), setup }
     }
 
     /// Creates stages from a method for `data`, with the whole image as its plane.
@@ -92,7 +92,7 @@ impl Stages {
             let drawn = projector.plane_of(data.width, data.height, data.elevation);
             plane = drawn.map_err(|why| Error::Config(format!("the projector {why}")))?;
         }
-        Ok(Self { frame: Frame::of(data, plane), method })
+        Ok(Self { setup: MeasurementSetup::of(data, plane), method })
     }
 
     /// Returns the deformation, if the method has one.
@@ -114,7 +114,7 @@ impl Stages {
     pub fn with<M: Method + Clone>(&self, change: impl FnOnce(&mut M)) -> Self {
         let mut method = self.settings::<M>().expect("this method").clone();
         change(&mut method);
-        Self::new(method, self.frame.clone())
+        Self::new(method, self.setup.clone())
     }
 
     /// Checks the consistency of stages, for files from other programs.
@@ -128,7 +128,7 @@ impl Stages {
             return Err(format!("plane: {width} x {height} pixels, expected 1 to {MAX_PIXELS}"));
         }
         if let (true, Some(projector)) = (self.task.has_pixels, self.method.traits().projector) {
-            check_plane(&self.frame.plane, &**projector)?;
+            check_plane(&self.setup.plane, &**projector)?;
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
             return Err(format!("{} receivers, expected 1 to {MAX_RECEIVERS}", self.receivers.len()));
@@ -144,7 +144,7 @@ impl Stages {
         if !self.task.has_pixels && (width, height) != expected {
             return Err(format!("plane: {width} x {height} numbers do not match a {}", self.task.singular));
         }
-        self.method.layout(&self.frame).map(drop)
+        self.method.layout(&self.setup).map(drop)
     }
 
     /// Returns names, shapes and initial values of the weights.
@@ -152,7 +152,7 @@ impl Stages {
     /// # Panics
     /// If the method does not support the frame, which [`Self::check`] rejects.
     pub fn layout(&self) -> Layout {
-        self.method.layout(&self.frame).unwrap_or_else(|why| panic!("{why}"))
+        self.method.layout(&self.setup).unwrap_or_else(|why| panic!("{why}"))
     }
 
     /// Returns the number of network weights; the weights of receivers follow them.
@@ -162,14 +162,14 @@ impl Stages {
 
     /// Returns the rows of `cloud` that can affect an observation.
     pub fn drawable(&self, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        self.method.drawable(&self.frame, cloud, gate)
+        self.method.drawable(&self.setup, cloud, gate)
     }
 }
 
 /// Checks that the projector supports the image plane.
 fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), String> {
     let ImagePlane { width, height, .. } = *plane;
-    let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
+    let near = |a: AngleAxis, b: AngleAxis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
     let is_own = |drawn: &ImagePlane| {
         let alike = match (plane.angles, drawn.angles) {
             (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),

@@ -2,8 +2,8 @@
 
 use crate::Model;
 use pwrfgs_core::{
-    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Parameters, Pixels, Predict, Query, Real, Receiver,
-    StageTimes, Task,
+    Cache, Conditions, GaussianCloud, Image, ImagePlane, ObservationRequest, Parameters, PixelSubset, Predict, Query,
+    Real, Receiver, StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -65,12 +65,12 @@ impl<'a> Prepared<'a> {
 
     /// Returns the receivers, in the order of [`Query::receiver`].
     pub fn receivers(&self) -> &'a [Receiver] {
-        &self.members[0].model.stages.frame.receivers
+        &self.members[0].model.stages.setup.receivers
     }
 
     /// Returns the subcarrier frequencies, Hz; empty if the observations are not channels.
     pub fn frequencies(&self) -> &'a [f64] {
-        &self.members[0].model.stages.frame.frequencies_hz
+        &self.members[0].model.stages.setup.frequencies_hz
     }
 
     /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the
@@ -177,8 +177,8 @@ impl<'a> Member<'a> {
         let rows = stages.drawable(&model.cloud, None);
         let all = rows.len() == model.cloud.len();
         let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
-        let parameters = Parameters { cloud: &cloud, gate: None, presence: None, weights: &model.weights };
-        let ready = stages.method.prepare(&stages.frame, &parameters);
+        let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &model.weights };
+        let ready = stages.method.prepare(&stages.setup, &parameters);
         Self { model, cloud, ready, seconds: start.elapsed().as_secs_f64() }
     }
 
@@ -212,10 +212,14 @@ impl<'a> Member<'a> {
     fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
-        let (conditions, links) = stages.frame.conditions(inputs, queries.iter().copied());
-        let asked = Asked { conditions: Conditions::new(inputs, &conditions), links: &links, pixels: Pixels::All };
-        let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights };
-        stages.method.predict(&stages.frame, &parameters, &asked, &self.ready)
+        let (conditions, links) = stages.setup.conditions(inputs, queries.iter().copied());
+        let request = ObservationRequest {
+            conditions: Conditions::new(inputs, &conditions),
+            links: &links,
+            pixels: PixelSubset::All,
+        };
+        let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights };
+        stages.method.predict(&stages.setup, &parameters, &request, &self.ready)
     }
 }
 

@@ -23,7 +23,7 @@ pub struct Snapshot {
     /// Learned rotations, see [`Self::scales`].
     pub quats: Vec<[Real; 4]>,
     /// Persistent ID per Gaussian `[N]`, constant over snapshots; empty if unknown.
-    pub births: Vec<u32>,
+    pub gaussian_ids: Vec<u32>,
     /// Gates of pruners `[N]`, from 0 (closed) to 1; empty without gates.
     pub gates: Vec<Real>,
 }
@@ -48,13 +48,13 @@ impl Snapshot {
         let opacities = cloud.opacity_logits.iter().copied().map(sigmoid).collect();
         let scales = cloud.log_scales.iter().map(|s| s.map(Real::exp)).collect();
         let (means, quats) = (cloud.means.clone(), cloud.quats.clone());
-        Self { step, origin, means, opacities, scales, quats, births: Vec::new(), gates: Vec::new() }
+        Self { step, origin, means, opacities, scales, quats, gaussian_ids: Vec::new(), gates: Vec::new() }
     }
 
     /// Adds the IDs and gates of the Gaussians.
     #[must_use]
-    pub fn known(self, births: &[u32], gates: Option<Vec<Real>>) -> Self {
-        Self { births: births.to_vec(), gates: gates.unwrap_or_default(), ..self }
+    pub fn known(self, gaussian_ids: &[u32], gates: Option<Vec<Real>>) -> Self {
+        Self { gaussian_ids: gaussian_ids.to_vec(), gates: gates.unwrap_or_default(), ..self }
     }
 
     /// Creates a snapshot of all members of an ensemble together.
@@ -80,12 +80,15 @@ impl Snapshot {
         let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
         file.put("means", vec![n, 3], self.means.as_flattened().to_vec());
         file.put("opacities", vec![n], self.opacities.clone());
-        let births: Vec<Real> = self.births.iter().map(|birth| *birth as Real).collect();
+        let gaussian_ids: Vec<Real> = self.gaussian_ids.iter().map(|id| *id as Real).collect();
         let scales = self.scales.as_flattened().to_vec();
         let quats = self.quats.as_flattened().to_vec();
-        for (name, width, values) in
-            [("scales", 3, scales), ("quats", 4, quats), ("births", 1, births), ("gates", 1, self.gates.clone())]
-        {
+        for (name, width, values) in [
+            ("scales", 3, scales),
+            ("quats", 4, quats),
+            ("gaussian_ids", 1, gaussian_ids),
+            ("gates", 1, self.gates.clone()),
+        ] {
             if !values.is_empty() {
                 file.put(name, vec![n, width], values);
             }
@@ -122,7 +125,7 @@ impl Snapshot {
             None => Ok(Vec::new()),
         };
         let (scales, quats) = (column("scales", 3)?, column("quats", 4)?);
-        let (births, gates) = (column("births", 1)?, column("gates", 1)?);
+        let (gaussian_ids, gates) = (column("gaussian_ids", 1)?, column("gates", 1)?);
         Ok(Self {
             step: note.step,
             origin: note.origin,
@@ -130,7 +133,7 @@ impl Snapshot {
             opacities,
             scales: rows(&scales),
             quats: rows(&quats),
-            births: births.into_iter().map(|birth| birth as u32).collect(),
+            gaussian_ids: gaussian_ids.into_iter().map(|id| id as u32).collect(),
             gates,
         })
     }
@@ -145,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_survives_its_file_and_no_file_is_no_snapshot() {
+    fn snapshot_round_trips_and_missing_file_is_none() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("start.safetensors");
         assert_eq!(Snapshot::read(&path).unwrap(), None);

@@ -1,7 +1,9 @@
 //! `Trained`: a model as the initial state of another training.
 
 use crate::file;
-use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Seen, rng::Rng};
+use pwrfgs_core::{
+    Error, GaussianCloud, ImagePlane, Initializer, InitializerInput, JsonSchema, Real, Result, Scene, rng::Rng,
+};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -35,7 +37,7 @@ impl Default for Trained {
 impl Initializer for Trained {
     fn initialize(&self, scene: &Scene, _: &ImagePlane, _: &mut Rng) -> Result<GaussianCloud> {
         let model = file::read(&self.model)?;
-        if model.stages.frame.origin != scene.origin {
+        if model.stages.setup.origin != scene.origin {
             return Err(Error::input(
                 &self.model,
                 "the model has another origin than the data; give a model trained on these data",
@@ -44,11 +46,11 @@ impl Initializer for Trained {
         Ok(model.cloud)
     }
 
-    fn weights(&self, seen: &Seen<'_>) -> Result<Option<Vec<Real>>> {
+    fn weights(&self, input: &InitializerInput<'_>) -> Result<Option<Vec<Real>>> {
         let model = file::read(&self.model)?;
-        let (own, wanted) = (model.stages.method.get(), seen.method);
+        let (own, expected) = (model.stages.method.get(), input.method);
         let text = |method: &dyn pwrfgs_core::Method| serde_json::to_string(method).unwrap_or_default();
-        if text(own) != text(wanted) || model.stages.frame.receivers != seen.data.scene.receivers {
+        if text(own) != text(expected) || model.stages.setup.receivers != input.data.scene.receivers {
             let what = "its method or its receivers are others than those of the pipeline; copy projector, rasterizer, \
                         deformation, calibration and readout from the run that made it";
             return Err(Error::input(&self.model, what));

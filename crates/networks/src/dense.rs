@@ -84,7 +84,7 @@ impl<'a> MatrixMut<'a> {
 
 /// Treatment of previous values in the destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Store {
+pub enum StoreMode {
     /// Values are overwritten.
     Set,
     /// The product is added.
@@ -96,7 +96,7 @@ pub enum Store {
 /// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
 /// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into
 /// 48 and 32. On other processors this has no disadvantage.
-pub fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
+pub fn product(mut c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
     let left_over = n > 64 && (1..=16).contains(&(n % 64));
@@ -109,9 +109,9 @@ pub fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>)
 
 /// Calls `gemm` once.
 #[allow(clippy::needless_pass_by_value)] // a mutable borrow ends here; by reference every call would need `&mut`
-fn multiply(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
+fn multiply(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let ((m, n), k) = (c.shape, a.shape.1);
-    let add = store == Store::Add;
+    let add = store == StoreMode::Add;
     if m == 0 || n == 0 || (k == 0 && add) {
         return;
     }
@@ -242,13 +242,13 @@ mod tests {
         let b: Vec<Real> = (0..k * n).map(|_| rng::normal(&mut random)).collect();
         let expected = |i: usize, j: usize| -> Real { (0..k).map(|l| a[i * k + l] * b[l * n + j]).sum() };
         let mut c = vec![1.0; m * n];
-        product(MatrixMut::new(&mut c, m, n), Store::Add, Matrix::new(&a, m, k), Matrix::new(&b, k, n));
+        product(MatrixMut::new(&mut c, m, n), StoreMode::Add, Matrix::new(&a, m, k), Matrix::new(&b, k, n));
         let mut turned = vec![0.0; m * n];
         let (bt, at) = (Matrix::new(&b, k, n).t(), Matrix::new(&a, m, k).t());
-        product(MatrixMut::new(&mut turned, n, m), Store::Set, bt, at);
+        product(MatrixMut::new(&mut turned, n, m), StoreMode::Set, bt, at);
         let mut part = vec![0.0; m];
         let last = Matrix::new(&b, k, n).columns(2..3);
-        product(MatrixMut::new(&mut part, m, 1), Store::Set, Matrix::new(&a, m, k), last);
+        product(MatrixMut::new(&mut part, m, 1), StoreMode::Set, Matrix::new(&a, m, k), last);
         for i in 0..m {
             for j in 0..n {
                 assert!((c[i * n + j] - 1.0 - expected(i, j)).abs() < 1e-5);
@@ -266,16 +266,16 @@ mod tests {
             let a: Vec<Real> = (0..m * k).map(|_| rng::normal(&mut random)).collect();
             let b: Vec<Real> = (0..k * n).map(|_| rng::normal(&mut random)).collect();
             let mut c = vec![1.0; m * n];
-            product(MatrixMut::new(&mut c, m, n), Store::Add, Matrix::new(&a, m, k), Matrix::new(&b, k, n));
+            product(MatrixMut::new(&mut c, m, n), StoreMode::Add, Matrix::new(&a, m, k), Matrix::new(&b, k, n));
             // Computed column by column from the transposed matrices, without a split.
             let turned: Vec<Real> = (0..n * k).map(|i| b[i % k * n + i / k]).collect();
             for j in 0..n {
                 let mut column = vec![1.0; m];
                 let of_b = Matrix::new(&turned[j * k..(j + 1) * k], 1, k).t();
-                product(MatrixMut::new(&mut column, m, 1), Store::Add, Matrix::new(&a, m, k), of_b);
+                product(MatrixMut::new(&mut column, m, 1), StoreMode::Add, Matrix::new(&a, m, k), of_b);
                 (0..m).for_each(|i| assert!((column[i] - c[i * n + j]).abs() < 1e-5, "{n}: {i}, {j}"));
             }
-            product(MatrixMut::new(&mut c, m, n), Store::Set, Matrix::new(&[], m, 0), Matrix::new(&[], 0, n));
+            product(MatrixMut::new(&mut c, m, n), StoreMode::Set, Matrix::new(&[], m, 0), Matrix::new(&[], 0, n));
             assert!(c.iter().all(|&c| c == 0.0), "an empty sum");
         }
     }

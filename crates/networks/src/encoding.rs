@@ -9,7 +9,7 @@
 //! precision would exceed 3e-5 after nine doublings. In double precision, for coordinates up to 40 m, the largest error
 //! found is 1.2e-12 at L = 10 and 2e-10 at L = 16, below the rounding of the result to `f32`.
 
-use crate::dense::{self, Store};
+use crate::dense::{self, StoreMode};
 use crate::linear::{Linear, WIDEST};
 use pwrfgs_core::{Conditions, JsonSchema, Real, WeightSpec, rng};
 use serde::{Deserialize, Serialize};
@@ -317,7 +317,7 @@ impl Pseudo {
     pub(super) fn positions(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<[Real; 3]> {
         let rows = txs.len();
         let mut y = vec![0.0; 3 * rows];
-        self.layer.whole().apply(weights, &self.inputs(txs), &mut y, Store::Set);
+        self.layer.whole().apply(weights, &self.inputs(txs), &mut y, StoreMode::Set);
         dense::add_bias(&mut y, self.layer.bias(weights));
         (0..rows).map(|r| std::array::from_fn(|k| 2.0 * y[k * rows + r].tanh())).collect()
     }

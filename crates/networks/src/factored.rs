@@ -1,8 +1,8 @@
 //! `Factored`: signals as products of transmitter features and Gaussian factors.
 
 use crate::encoding::{Encoder, Encoding, Pseudo};
-use crate::factored_network::{Basis, Network, WAVE_MEAN};
-use crate::linear::{Plan, laid_out, planned};
+use crate::factored_network::{Basis, FactoredLayers, WAVE_MEAN};
+use crate::linear::{LayoutBuilder, laid_out, planned};
 use crate::trunk::check_stack;
 use pwrfgs_core::{
     Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout,
@@ -52,7 +52,7 @@ impl Default for Factored {
 
 impl Factored {
     /// Plans the layers in the order of the weight vector.
-    fn network(&self, plan: &mut Plan) -> Network {
+    fn network(&self, plan: &mut LayoutBuilder) -> FactoredLayers {
         let width = self.width;
         let tx_encoding = self.tx_encoding.encoder();
         let own = self.tx_encoding.width();
@@ -73,7 +73,7 @@ impl Factored {
         let features = width + direct;
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = self.position_encoding.encoder();
-        Network { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
+        FactoredLayers { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
     }
 }
 
@@ -96,7 +96,7 @@ impl Deformation for Factored {
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
         let fresh = || self.prepare(inputs.weights, inputs.means, inputs.pose);
         let prepared = prepared.clone().or_else(fresh);
-        let (network, basis): &(Network, Basis) = cached(&prepared);
+        let (network, basis): &(FactoredLayers, Basis) = cached(&prepared);
         network.forward(inputs.weights, basis, inputs.txs)
     }
 

@@ -8,7 +8,7 @@
 //! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T). The product branchᵀ·T is computed once per
 //! transmitter. A Gaussian then costs two products with one number per wave, however wide the stack is.
 
-use crate::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{Encoder, Pseudo};
 use crate::linear::Linear;
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Lanes, LinearPart, Real, widest};
@@ -23,7 +23,7 @@ pub(super) const WAVE_MEAN: f64 = std::f64::consts::FRAC_2_PI;
 const GROUP: usize = 32;
 
 /// Layers in the flat weight vector.
-pub(super) struct Network {
+pub(super) struct FactoredLayers {
     pub(super) tx_encoding: Encoder,
     pub(super) position_encoding: Encoder,
     /// Layer that maps features of the data to a pseudo-position, if requested.
@@ -45,7 +45,7 @@ const LANES: usize = 64;
 /// threads.
 const TILES: usize = 8;
 
-/// Encoded centres φ(μ), scaled (see [`Network::wave_scale`]), in tiles of [`LANES`] Gaussians, `[tiles, waves]` rows
+/// Encoded centres φ(μ), scaled (see [`FactoredLayers::wave_scale`]), in tiles of [`LANES`] Gaussians, `[tiles, waves]` rows
 /// of lanes. Unused lanes of the last tile are 0.
 pub(super) struct Basis {
     lanes: Vec<[Real; LANES]>,
@@ -56,12 +56,12 @@ pub(super) struct Basis {
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
 
 /// Coefficients of the waves per transmitter: per channel `[waves, B]`, and the constant terms `[B]`.
-struct Mixed {
+struct WaveMixture {
     waves: [Vec<Real>; 2],
     base: [Vec<Real>; 2],
 }
 
-impl Mixed {
+impl WaveMixture {
     fn zeros(waves: usize, batch: usize) -> Self {
         Self { waves: [(); 2].map(|()| vec![0.0; waves * batch]), base: [(); 2].map(|()| vec![0.0; batch]) }
     }
@@ -74,7 +74,7 @@ impl Mixed {
     }
 }
 
-impl Network {
+impl FactoredLayers {
     pub(super) fn basis(&self, means: &[[Real; 3]]) -> Basis {
         let (n, waves, scale) = (means.len(), self.branch.inputs, self.wave_scale());
         let mut lanes = vec![[0.0; LANES]; n.div_ceil(LANES) * waves];
@@ -121,13 +121,13 @@ impl Network {
         }
         if let Some(white) = &self.white {
             let mut x = vec![0.0; layers[0].len()];
-            white.whole().apply(weights, &layers[0], &mut x, Store::Set);
+            white.whole().apply(weights, &layers[0], &mut x, StoreMode::Set);
             dense::add_bias(&mut x, white.bias(weights));
             layers[0] = x;
         }
         for (l, layer) in self.stack.iter().enumerate() {
             let mut h = vec![0.0; txs.len() * layer.outputs];
-            layer.whole().apply(weights, &layers[l], &mut h, Store::Set);
+            layer.whole().apply(weights, &layers[l], &mut h, StoreMode::Set);
             dense::bias_relu(&mut h, layer.bias(weights));
             layers.push(h);
         }
@@ -144,9 +144,9 @@ impl Network {
     }
 
     /// Returns the coefficients of the waves from T `[F, B]`, the last of the layers.
-    fn mixed(&self, weights: &[Real], t: &[Real]) -> Mixed {
+    fn mixed(&self, weights: &[Real], t: &[Real]) -> WaveMixture {
         let (waves, batch) = (self.branch.inputs, t.len() / self.features);
-        let mut mixed = Mixed::zeros(waves, batch);
+        let mut mixed = WaveMixture::zeros(waves, batch);
         let features = Matrix::new(t, self.features, batch);
         for c in 0..2 {
             // Sums start with the row of constants.
@@ -157,9 +157,9 @@ impl Network {
             }
             mixed.base[c].fill(last[0]);
             let factors = Matrix::new(factors, self.features, waves).t();
-            product(MatrixMut::new(&mut mixed.waves[c], waves, batch), Store::Add, factors, features);
+            product(MatrixMut::new(&mut mixed.waves[c], waves, batch), StoreMode::Add, factors, features);
             let biases = Matrix::new(biases, 1, self.features);
-            product(MatrixMut::new(&mut mixed.base[c], 1, batch), Store::Add, biases, features);
+            product(MatrixMut::new(&mut mixed.base[c], 1, batch), StoreMode::Add, biases, features);
         }
         mixed
     }
@@ -175,7 +175,7 @@ impl Network {
             let layers = self.stack(weights, txs.rows(b..b + 1));
             self.mixed(weights, &layers[self.stack.len()])
         };
-        let mixed: Vec<Mixed> = (0..txs.len()).into_par_iter().map(one).collect();
+        let mixed: Vec<WaveMixture> = (0..txs.len()).into_par_iter().map(one).collect();
         // Signals of every transmitter for the Gaussians of each task.
         let tasks = basis.lanes.par_chunks(TILES * self.branch.inputs);
         let mut parts: Vec<Vec<&mut [[Real; 2]]>> = tasks.clone().map(|_| Vec::new()).collect();
@@ -184,7 +184,9 @@ impl Network {
         }
         tasks.zip(parts).for_each(|(tiles, part)| {
             let waves = self.branch.inputs;
-            part.into_iter().zip(&mixed).for_each(|(signals, mixed)| widest(Speak { tiles, waves, mixed, signals }));
+            part.into_iter()
+                .zip(&mixed)
+                .for_each(|(signals, mixed)| widest(SignalKernel { tiles, waves, mixed, signals }));
         });
         Deltas { signals, ..Deltas::default() }
     }
@@ -204,9 +206,10 @@ impl Network {
             (0..txs.len()).step_by(GROUP).map(|first| first..(first + GROUP).min(txs.len())).collect();
         let layers: Vec<Vec<Vec<Real>>> =
             groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
-        let mixed: Vec<Mixed> = layers.par_iter().map(|own| self.mixed(weights, &own[self.stack.len()])).collect();
+        let mixed: Vec<WaveMixture> =
+            layers.par_iter().map(|own| self.mixed(weights, &own[self.stack.len()])).collect();
         let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
-        let group = |((some, layers), d_mixed): ((&Range<usize>, &Vec<Vec<Real>>), &Mixed)| {
+        let group = |((some, layers), d_mixed): ((&Range<usize>, &Vec<Vec<Real>>), &WaveMixture)| {
             self.group_vjp(weights, txs.rows(some.clone()), layers, d_mixed)
         };
         let sums: Vec<Vec<Real>> = groups.par_iter().zip(&layers).zip(&d_mixed).map(group).collect();
@@ -219,16 +222,16 @@ impl Network {
         &self,
         basis: &Basis,
         groups: &[Range<usize>],
-        mixed: &[Mixed],
+        mixed: &[WaveMixture],
         d: &Deltas,
         d_means: Option<&mut [[Real; 3]]>,
-    ) -> Vec<Mixed> {
+    ) -> Vec<WaveMixture> {
         let (n, waves) = (basis.n, self.branch.inputs);
         let mut centres = d_means.map(|d_means| d_means.chunks_mut(TILES * LANES));
         let parts: Vec<Option<&mut [[Real; 3]]>> =
             (0..n).step_by(TILES * LANES).map(|_| centres.as_mut().and_then(Iterator::next)).collect();
         let task = |(k, (tiles, mut d_means)): Task<'_>| {
-            let mut sums: Vec<Mixed> = groups.iter().map(|some| Mixed::zeros(waves, some.len())).collect();
+            let mut sums: Vec<WaveMixture> = groups.iter().map(|some| WaveMixture::zeros(waves, some.len())).collect();
             for (j, tile) in tiles.chunks_exact(waves).enumerate() {
                 let first = (k * TILES + j) * LANES;
                 let own = first..(first + LANES).min(n);
@@ -237,7 +240,7 @@ impl Network {
             }
             sums
         };
-        let of_tasks: Vec<Vec<Mixed>> =
+        let of_tasks: Vec<Vec<WaveMixture>> =
             basis.lanes.par_chunks(TILES * waves).zip(parts).enumerate().map(task).collect();
         // Sums in the order of the tasks, independent of the threads.
         let mut of_tasks = of_tasks.into_iter();
@@ -255,10 +258,10 @@ impl Network {
         tile: &[[Real; LANES]],
         own: Range<usize>,
         groups: &[Range<usize>],
-        mixed: &[Mixed],
+        mixed: &[WaveMixture],
         d: &Deltas,
         d_means: Option<&mut [[Real; 3]]>,
-        sums: &mut [Mixed],
+        sums: &mut [WaveMixture],
     ) {
         let (all, waves, r) = (d.signals.len() / groups.last().map_or(1, |g| g.end), tile.len(), own.len());
         let phi = Matrix::strided(tile.as_flattened(), (waves, r), (LANES, 1));
@@ -269,13 +272,13 @@ impl Network {
                 // Signals of one channel: element (i, b) has index 2(bN + i) + c.
                 let first = 2 * (some.start * all + own.start) + c;
                 let d_s = Matrix::strided(&d.signals.as_flattened()[first..], (r, batch), (2, 2 * all));
-                product(MatrixMut::new(&mut sum.waves[c], waves, batch), Store::Add, phi, d_s);
+                product(MatrixMut::new(&mut sum.waves[c], waves, batch), StoreMode::Add, phi, d_s);
                 for (b, sum) in some.clone().zip(&mut sum.base[c]) {
                     *sum += d.signals[b * all..][own.clone()].iter().map(|d| d[c]).sum::<Real>();
                 }
                 if d_means.is_some() {
-                    let said = Matrix::new(&mixed.waves[c], waves, batch);
-                    product(MatrixMut::new(&mut d_phi, waves, r), Store::Add, said, d_s.t());
+                    let message = Matrix::new(&mixed.waves[c], waves, batch);
+                    product(MatrixMut::new(&mut d_phi, waves, r), StoreMode::Add, message, d_s.t());
                 }
             }
         }
@@ -289,7 +292,7 @@ impl Network {
     }
 
     /// Returns the derivatives of the weights from some transmitters.
-    fn group_vjp(&self, weights: &[Real], txs: Conditions<'_>, layers: &[Vec<Real>], d: &Mixed) -> Vec<Real> {
+    fn group_vjp(&self, weights: &[Real], txs: Conditions<'_>, layers: &[Vec<Real>], d: &WaveMixture) -> Vec<Real> {
         let (batch, width, waves) = (txs.len(), self.features, self.branch.inputs);
         let mut d_weights = vec![0.0; weights.len()];
         let mut d_h = vec![0.0; width * batch];
@@ -298,15 +301,15 @@ impl Network {
             let d_v = Matrix::new(&d.waves[c], waves, batch);
             let d_base = Matrix::new(&d.base[c], 1, batch);
             let factors = Matrix::new(&self.branch.rows(weights, self.rows(c))[..width * waves], width, waves);
-            product(MatrixMut::new(&mut d_h, width, batch), Store::Add, factors, d_v);
+            product(MatrixMut::new(&mut d_h, width, batch), StoreMode::Add, factors, d_v);
             let biases = Matrix::new(&self.branch.bias(weights)[self.rows(c)][..width], 1, width);
-            product(MatrixMut::new(&mut d_h, width, batch), Store::Add, biases.t(), d_base);
+            product(MatrixMut::new(&mut d_h, width, batch), StoreMode::Add, biases.t(), d_base);
             let (d_factors, d_constant) =
                 self.branch.rows_mut(&mut d_weights, self.rows(c)).split_at_mut(width * waves);
-            product(MatrixMut::new(d_factors, width, waves), Store::Set, t, d_v.t());
+            product(MatrixMut::new(d_factors, width, waves), StoreMode::Set, t, d_v.t());
             dense::add_bias_vjp(&d.waves[c], d_constant);
             let (d_biases, d_last) = self.branch.bias_mut(&mut d_weights)[self.rows(c)].split_at_mut(width);
-            product(MatrixMut::new(d_biases, width, 1), Store::Set, t, d_base.t());
+            product(MatrixMut::new(d_biases, width, 1), StoreMode::Set, t, d_base.t());
             dense::add_bias_vjp(&d.base[c], d_last);
         }
         let mut d_own = d_h.split_off((width - self.direct) * batch);
@@ -314,16 +317,16 @@ impl Network {
             dense::bias_relu_vjp(&mut d_h, &layers[l + 1][..layer.outputs * batch], layer.bias_mut(&mut d_weights));
             layer.whole().weight_vjp(&mut d_weights, &layers[l], &d_h);
             if l == 0 && self.direct > 0 {
-                layer.whole().input_vjp(weights, &d_h, &mut d_own, Store::Add);
+                layer.whole().input_vjp(weights, &d_h, &mut d_own, StoreMode::Add);
             }
             if let (0, Some(pseudo)) = (l, &self.pseudo) {
                 let mut d_gamma = vec![0.0; layer.inputs * batch];
-                layer.whole().input_vjp(weights, &d_h, &mut d_gamma, Store::Set);
+                layer.whole().input_vjp(weights, &d_h, &mut d_gamma, StoreMode::Set);
                 pseudo.vjp(weights, txs, (&layers[0], &d_gamma), &mut d_weights);
             }
             if l > 0 {
                 let mut d_x = vec![0.0; layer.inputs * batch];
-                layer.whole().input_vjp(weights, &d_h, &mut d_x, Store::Set);
+                layer.whole().input_vjp(weights, &d_h, &mut d_x, StoreMode::Set);
                 d_h = d_x;
             }
         }
@@ -338,18 +341,18 @@ impl Network {
 }
 
 /// Signals of one transmitter for the Gaussians of some tiles: s = v·φ + v₀, each summed in the order of the waves.
-struct Speak<'a> {
+struct SignalKernel<'a> {
     tiles: &'a [[Real; LANES]],
     waves: usize,
-    mixed: &'a Mixed,
+    mixed: &'a WaveMixture,
     signals: &'a mut [[Real; 2]],
 }
 
-impl pulp::WithSimd for Speak<'_> {
+impl pulp::WithSimd for SignalKernel<'_> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self { tiles, waves, mixed: Mixed { waves: [re, im], base }, signals } = self;
+        let Self { tiles, waves, mixed: WaveMixture { waves: [re, im], base }, signals } = self;
         for (tile, signals) in tiles.chunks_exact(waves).zip(signals.chunks_mut(LANES)) {
             let mut sums = [[0.0; LANES]; 2];
             Real::two_sums(simd, &mut sums, [re, im], tile);

@@ -1,7 +1,7 @@
 //! Deformation networks `D_Θ` of eq. (5), which model the effect of the transmitter position.
 //!
 //! [`Mlp`] is the network of P-WRFGS and [`Wrfgs`] that of WRF-GS. [`Factored`] runs once per transmitter instead of
-//! once per Gaussian, and [`Fixed`] has no network. A network is a [`linear::Plan`] of tensors in one flat weight
+//! once per Gaussian, and [`Fixed`] has no network. A network is a [`linear::LayoutBuilder`] of tensors in one flat weight
 //! vector, [`linear::Linear`] layers with their offsets, and passes over chunks of contiguous points ([`dense`]);
 //! [`trunk`] is the ReLU stack. NeRF2 uses the same layers. Derivatives are written by hand. Nothing is stored between
 //! calls: the backward pass recomputes the activations of each chunk while they fit the cache.

@@ -1,7 +1,7 @@
-//! `Linear`: one layer inside the flat weight vector, and its products with chunks. `Plan`: the layout of the layers in
+//! `Linear`: one layer inside the flat weight vector, and its products with chunks. `LayoutBuilder`: the layout of the layers in
 //! that vector. Chunks distribute the work over threads.
 
-use crate::dense::{Matrix, MatrixMut, Store, product};
+use crate::dense::{Matrix, MatrixMut, StoreMode, product};
 use pwrfgs_core::{Layout, Real, WeightSpec};
 use std::ops::Range;
 
@@ -53,26 +53,26 @@ impl Linear {
     }
 
     /// Returns the columns of W that multiply one of several inputs.
-    pub fn part(&self, columns: Range<usize>) -> Part {
-        Part { layer: *self, columns }
+    pub fn part(&self, columns: Range<usize>) -> LayerPart {
+        LayerPart { layer: *self, columns }
     }
 
     /// Returns all columns of W.
-    pub fn whole(&self) -> Part {
+    pub fn whole(&self) -> LayerPart {
         self.part(0..self.inputs)
     }
 }
 
 /// Some columns of W of a layer, acting on chunks: x `[columns, R]`, y `[outputs, R]`.
 #[derive(Clone, Debug)]
-pub struct Part {
+pub struct LayerPart {
     layer: Linear,
     columns: Range<usize>,
 }
 
-impl Part {
+impl LayerPart {
     /// Computes `y = W·x` or `y += W·x`.
-    pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: Store) {
+    pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: StoreMode) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = y.len() / outputs;
         let w = self.layer.weight(weights).columns(self.columns.clone());
@@ -84,11 +84,11 @@ impl Part {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
         let d_w = self.layer.weight_mut(d_weights).columns(self.columns.clone());
-        product(d_w, Store::Add, Matrix::new(d_y, outputs, rows), Matrix::new(x, features, rows).t());
+        product(d_w, StoreMode::Add, Matrix::new(d_y, outputs, rows), Matrix::new(x, features, rows).t());
     }
 
     /// Computes `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`.
-    pub fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: Store) {
+    pub fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: StoreMode) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
         let w = self.layer.weight(weights).columns(self.columns.clone());
@@ -98,12 +98,12 @@ impl Part {
 
 /// Tensors of a network, in order, during the layout of its layers.
 #[derive(Debug, Default)]
-pub struct Plan {
+pub struct LayoutBuilder {
     tensors: Vec<WeightSpec>,
     len: usize,
 }
 
-impl Plan {
+impl LayoutBuilder {
     fn push(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
         let start = self.len;
         let spec = WeightSpec::uniform(name, shape, bound);
@@ -159,13 +159,13 @@ impl Plan {
 }
 
 /// Returns the network that `build` lays out, and its plan.
-pub fn planned<N>(build: impl FnOnce(&mut Plan) -> N) -> (N, Plan) {
-    let mut plan = Plan::default();
+pub fn planned<N>(build: impl FnOnce(&mut LayoutBuilder) -> N) -> (N, LayoutBuilder) {
+    let mut plan = LayoutBuilder::default();
     (build(&mut plan), plan)
 }
 
 /// Returns the network that `build` lays out, for a weight vector of matching length.
-pub fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut Plan) -> N) -> N {
+pub fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut LayoutBuilder) -> N) -> N {
     let (network, plan) = planned(build);
     assert_eq!(weights.len(), plan.numbers(), "as many weights as the layout says");
     network

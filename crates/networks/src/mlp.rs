@@ -5,9 +5,9 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
-use crate::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{self, check_frequencies, encode};
-use crate::linear::{Item, Linear, Plan, WIDEST, items, items_per_sum, laid_out, planned};
+use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real};
 use rayon::prelude::*;
@@ -75,7 +75,7 @@ impl Default for Mlp {
 
 impl Mlp {
     /// Plans the layers in the order of the weight vector.
-    fn network(&self, plan: &mut Plan) -> Network {
+    fn network(&self, plan: &mut LayoutBuilder) -> MlpLayers {
         let tx_inputs = encoding::width(self.tx_frequencies);
         let tx =
             [plan.linear("tx.0", tx_inputs, self.tx_hidden), plan.linear("tx.1", self.tx_hidden, self.tx_features)];
@@ -87,7 +87,7 @@ impl Mlp {
             Outputs::Signals => &[("signal", 2)],
         };
         let heads = plan.heads(heads, width, self.head_init);
-        Network { position_frequencies, tx_frequencies, outputs, tx, trunk, heads }
+        MlpLayers { position_frequencies, tx_frequencies, outputs, tx, trunk, heads }
     }
 }
 
@@ -139,7 +139,7 @@ pub enum Outputs {
 
 /// Layers and the offsets of their weights.
 #[derive(Debug)]
-pub(super) struct Network {
+pub(super) struct MlpLayers {
     pub(super) position_frequencies: usize,
     pub(super) tx_frequencies: usize,
     pub(super) outputs: Outputs,
@@ -172,20 +172,20 @@ struct Scratch {
 }
 
 /// Accumulator of the backward pass.
-struct Sum {
+struct GradientSum {
     weights: Vec<Real>,
     /// Cotangents of the folded biases, `[B, width]` each.
     folded: Joints,
 }
 
-impl Network {
+impl MlpLayers {
     /// Runs the transmitter branch for one transmitter, so that batches are bit-identical to single calls.
     fn tx_side(&self, weights: &[Real], tx: [Real; 3]) -> TxSide {
         let mut gamma = vec![0.0; self.tx[0].inputs];
         encode([tx].into_iter(), self.tx_frequencies, &mut gamma);
         let apply = |layer: &Linear, x: &[Real]| {
             let mut y = vec![0.0; layer.outputs];
-            layer.whole().apply(weights, x, &mut y, Store::Set);
+            layer.whole().apply(weights, x, &mut y, StoreMode::Set);
             y
         };
         let mut hidden = apply(&self.tx[0], &gamma);
@@ -242,7 +242,7 @@ impl Network {
         let h = &slots[self.trunk.last(2)];
         let rows = h.len() / self.trunk.width;
         out.resize(self.heads.outputs * rows, 0.0);
-        self.heads.whole().apply(weights, h, out, Store::Set);
+        self.heads.whole().apply(weights, h, out, StoreMode::Set);
         dense::add_bias(out, self.heads.bias(weights));
         match self.outputs {
             Outputs::All => {
@@ -257,11 +257,11 @@ impl Network {
         let txs = inputs.txs.positions();
         let sides = self.tx_sides(weights, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
-        let sums: Vec<Sum> = items
+        let sums: Vec<GradientSum> = items
             .par_chunks(items_per_sum(items.len()))
             .map(|items| {
                 let folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
-                let mut sum = Sum { weights: vec![0.0; weights.len()], folded };
+                let mut sum = GradientSum { weights: vec![0.0; weights.len()], folded };
                 let mut scratch = Scratch::default();
                 for item in items {
                     self.item_vjp(inputs, &sides, d, item, &mut scratch, &mut sum);
@@ -284,7 +284,7 @@ impl Network {
         d: &Deltas,
         item: &Item,
         scratch: &mut Scratch,
-        sum: &mut Sum,
+        sum: &mut GradientSum,
     ) {
         let (weights, n, width) = (inputs.weights, inputs.means.len(), self.trunk.width);
         self.begin(weights, &inputs.means[item.rows.clone()], scratch);
@@ -307,7 +307,7 @@ impl Network {
             self.heads.whole().weight_vjp(&mut sum.weights, &slots[self.trunk.depth() - 1], out);
             dense::add_bias_vjp(out, self.heads.bias_mut(&mut sum.weights));
             d_h.resize(width * rows, 0.0);
-            self.heads.whole().input_vjp(weights, out, d_h, Store::Set);
+            self.heads.whole().input_vjp(weights, out, d_h, StoreMode::Set);
             let into =
                 TrunkGradient { weights: &mut sum.weights, shared: &mut d_shared, folded: sum.folded.of_tx(b, width) };
             self.trunk.backward(weights, slots, d_h, spare, into);
@@ -324,14 +324,14 @@ impl Network {
         let [first, second] = &self.tx;
         let d_e = Matrix::new(&d_features, batch, second.outputs);
         let hidden = stack(|s| &s.hidden);
-        product(second.weight_mut(d_weights), Store::Add, d_e.t(), Matrix::new(&hidden, batch, second.inputs));
+        product(second.weight_mut(d_weights), StoreMode::Add, d_e.t(), Matrix::new(&hidden, batch, second.inputs));
         d_features.chunks_exact(second.outputs).for_each(|d| dense::add(second.bias_mut(d_weights), d));
         let mut d_hidden = vec![0.0; hidden.len()];
-        product(MatrixMut::new(&mut d_hidden, batch, second.inputs), Store::Set, d_e, second.weight(weights));
+        product(MatrixMut::new(&mut d_hidden, batch, second.inputs), StoreMode::Set, d_e, second.weight(weights));
         d_hidden.iter_mut().zip(&hidden).for_each(|(d, &h)| *d = if h > 0.0 { *d } else { 0.0 });
         let gamma = stack(|s| &s.gamma);
         let d_z = Matrix::new(&d_hidden, batch, first.outputs);
-        product(first.weight_mut(d_weights), Store::Add, d_z.t(), Matrix::new(&gamma, batch, first.inputs));
+        product(first.weight_mut(d_weights), StoreMode::Add, d_z.t(), Matrix::new(&gamma, batch, first.inputs));
         d_hidden.chunks_exact(first.outputs).for_each(|d| dense::add(first.bias_mut(d_weights), d));
     }
 }

@@ -1,7 +1,7 @@
 //! Reference data of WRF-GS: network inputs, weights, outputs and derivatives in double precision.
 
 use super::Wrfgs;
-use crate::linear::Plan;
+use crate::linear::LayoutBuilder;
 use pwrfgs_core::testing::{npy, shared};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
 use std::path::Path;
@@ -35,7 +35,7 @@ fn wrfgs_reproduces_the_reference_signals_and_derivatives() {
         let position: [f64; 3] = std::array::from_fn(|k| f64::from(array(&folder, "in_r_o")[k]));
         let pose = Pose { position, ..Pose::IDENTITY };
 
-        let raw = wrfgs.network(&mut Plan::default()).raw(&weights, &means, txs[0]);
+        let raw = wrfgs.network(&mut LayoutBuilder::default()).raw(&weights, &means, txs[0]);
         let found = error(raw.as_flattened(), &array(&folder, "out_raw"));
         assert!(found < signal_tolerance, "{name}: raw outputs: {found}");
 

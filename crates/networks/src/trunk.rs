@@ -5,8 +5,8 @@
 //! transmitters of the batch. W·e is computed once per transmitter and added to the bias. Only h → h remains for each
 //! pair.
 
-use crate::dense::{self, Matrix, MatrixMut, Store, product};
-use crate::linear::{Linear, Part, Plan, WIDEST};
+use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
+use crate::linear::{LayerPart, LayoutBuilder, Linear, WIDEST};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
@@ -60,7 +60,7 @@ pub struct TrunkGradient<'a> {
 
 impl Trunk {
     /// Plans layers `trunk.0`, `trunk.1`, … with PyTorch's initial values.
-    pub fn new(plan: &mut Plan, shape: TrunkShape) -> Self {
+    pub fn new(plan: &mut LayoutBuilder, shape: TrunkShape) -> Self {
         let joined = shape.skip.map(|s| s + 1);
         let (gamma, side, width) = (shape.gamma, shape.side, shape.width);
         let layers = (0..shape.depth)
@@ -82,7 +82,7 @@ impl Trunk {
     }
 
     /// Returns the columns of layer `l` that multiply h.
-    fn h_part(&self, l: usize) -> Part {
+    fn h_part(&self, l: usize) -> LayerPart {
         let before = if Some(l) == self.joined { self.gamma + self.side } else { 0 };
         self.layers[l].part(before..before + self.width)
     }
@@ -106,7 +106,7 @@ impl Trunk {
         let mut folded = self.joints().map(|layer| {
             let mut bias = layer.bias(weights).to_vec();
             let w = layer.weight(weights).columns(self.e_columns());
-            product(MatrixMut::new(&mut bias, self.width, 1), Store::Add, w, Matrix::new(e, self.side, 1));
+            product(MatrixMut::new(&mut bias, self.width, 1), StoreMode::Add, w, Matrix::new(e, self.side, 1));
             bias
         });
         Joints { first: folded.next().unwrap_or_default(), joined: folded.next().unwrap_or_default() }
@@ -120,10 +120,10 @@ impl Trunk {
         for (layer, d) in self.joints().zip([&d_folded.first, &d_folded.joined]) {
             let d_rows = Matrix::new(d, batch, self.width);
             let d_w = layer.weight_mut(d_weights).columns(self.e_columns());
-            product(d_w, Store::Add, d_rows.t(), Matrix::new(e, batch, self.side));
+            product(d_w, StoreMode::Add, d_rows.t(), Matrix::new(e, batch, self.side));
             d.chunks_exact(self.width).for_each(|d| dense::add(layer.bias_mut(d_weights), d));
             let w = layer.weight(weights).columns(self.e_columns());
-            product(MatrixMut::new(&mut d_e, batch, self.side), Store::Add, d_rows, w);
+            product(MatrixMut::new(&mut d_e, batch, self.side), StoreMode::Add, d_rows, w);
         }
         d_e
     }
@@ -140,7 +140,7 @@ impl Trunk {
         let rows = gamma.len() / self.gamma;
         for (layer, out) in self.joints().zip([&mut shared.first, &mut shared.joined]) {
             out.resize(self.width * rows, 0.0);
-            layer.part(0..self.gamma).apply(weights, gamma, out, Store::Set);
+            layer.part(0..self.gamma).apply(weights, gamma, out, StoreMode::Set);
         }
     }
 
@@ -157,7 +157,7 @@ impl Trunk {
             let part = layer.part(0..self.gamma);
             part.weight_vjp(d_weights, gamma, d);
             if let Some(d_gamma) = &mut d_gamma {
-                part.input_vjp(weights, d, d_gamma, Store::Add);
+                part.input_vjp(weights, d, d_gamma, StoreMode::Add);
             }
         }
     }
@@ -176,11 +176,11 @@ impl Trunk {
             let input = &slots[(l - 1) % slots.len()];
             if Some(l) == self.joined {
                 h.clone_from(&shared.joined);
-                self.h_part(l).apply(weights, input, &mut h, Store::Add);
+                self.h_part(l).apply(weights, input, &mut h, StoreMode::Add);
                 dense::bias_relu(&mut h, &folded.joined);
             } else {
                 h.resize(shared.first.len(), 0.0);
-                self.h_part(l).apply(weights, input, &mut h, Store::Set);
+                self.h_part(l).apply(weights, input, &mut h, StoreMode::Set);
                 dense::bias_relu(&mut h, layer.bias(weights));
             }
             slots[out] = h;
@@ -217,7 +217,7 @@ impl Trunk {
             }
             self.h_part(l).weight_vjp(d_weights, &slots[l - 1], d);
             spare.resize(d.len(), 0.0);
-            self.h_part(l).input_vjp(weights, d, spare, Store::Set);
+            self.h_part(l).input_vjp(weights, d, spare, StoreMode::Set);
             std::mem::swap(d, spare);
         }
     }

@@ -1,10 +1,10 @@
 //! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as in the released code.
 
 use crate::encoding::{self, check_frequencies};
-use crate::linear::{Plan, laid_out, planned};
+use crate::linear::{LayoutBuilder, laid_out, planned};
 use crate::trunk::{Trunk, TrunkShape, check_stack};
 use crate::wrfgs_branch::Branch;
-use crate::wrfgs_network::{Ahead, Network};
+use crate::wrfgs_network::{TrunkOutput, WrfgsLayers};
 use pwrfgs_core::{
     Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Pose, Real, cached,
 };
@@ -65,7 +65,7 @@ impl Wrfgs {
     }
 
     /// Plans the layers in the order of the weight vector.
-    pub(super) fn network(&self, plan: &mut Plan) -> Network {
+    pub(super) fn network(&self, plan: &mut LayoutBuilder) -> WrfgsLayers {
         let &Self { depth, width, frequencies, skip, .. } = self;
         let gamma = encoding::width(frequencies);
         let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: 0 });
@@ -73,11 +73,11 @@ impl Wrfgs {
         let feature = plan.linear("feat", width, width);
         let signal = [plan.linear("sig.0", width + 2 * gamma, width), plan.linear("sig.1", width, width / 2)];
         let branch = Branch { frequencies, signal, out: plan.linear("out", width / 2, 2) };
-        Network { trunk, attenuation, feature, branch }
+        WrfgsLayers { trunk, attenuation, feature, branch }
     }
 
     /// Plans the layers for a weight vector of that length.
-    fn network_of(&self, weights: &[Real]) -> Network {
+    fn network_of(&self, weights: &[Real]) -> WrfgsLayers {
         laid_out(weights, |plan| self.network(plan))
     }
 }
@@ -98,8 +98,8 @@ impl Deformation for Wrfgs {
         let gain = self.gain(means, pose) as Real;
         let txs = txs.positions();
         let products = if prepared.is_some() {
-            let (network, ahead): &(Network, Vec<Ahead>) = cached(prepared);
-            network.forward(weights, means, txs, Some(ahead.as_slice()))
+            let (network, trunk_output): &(WrfgsLayers, Vec<TrunkOutput>) = cached(prepared);
+            network.forward(weights, means, txs, Some(trunk_output.as_slice()))
         } else {
             self.network_of(weights).forward(weights, means, txs, None)
         };
@@ -108,8 +108,8 @@ impl Deformation for Wrfgs {
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         let network = self.network_of(weights);
-        let ahead = network.ahead(weights, means);
-        Some(Arc::new((network, ahead)))
+        let trunk_output = network.trunk_output(weights, means);
+        Some(Arc::new((network, trunk_output)))
     }
 
     fn vjp(

@@ -6,9 +6,9 @@
 //! γ(X - p) ────────────────────────┘
 //! ```
 
-use crate::dense::{self, Store};
+use crate::dense::{self, StoreMode};
 use crate::encoding::{self, encode, encode_vjp};
-use crate::linear::{Linear, Part};
+use crate::linear::{LayerPart, Linear};
 use pwrfgs_core::Real;
 use rayon::prelude::*;
 
@@ -28,7 +28,7 @@ pub(super) struct TxSide {
 
 /// Buffers for one chunk and transmitter, reused.
 #[derive(Default)]
-pub(super) struct Room {
+pub(super) struct BranchScratch {
     offset: Vec<Real>, // γ(X - p)
     hidden: [Vec<Real>; 2],
     /// Output `[2, R]` before |lrelu| of [`Branch::forward`], and the cotangent for [`Branch::vjp`].
@@ -57,7 +57,7 @@ pub(super) fn amplitude_slope(z: Real) -> Real {
 
 impl Branch {
     /// Returns the columns of `sig.0` for the feature, γ(p) and γ(X - p).
-    pub(super) fn parts(&self) -> [Part; 3] {
+    pub(super) fn parts(&self) -> [LayerPart; 3] {
         let (first, gamma) = (&self.signal[0], encoding::width(self.frequencies));
         let width = first.outputs;
         [first.part(0..width), first.part(width..width + gamma), first.part(width + gamma..width + 2 * gamma)]
@@ -69,7 +69,7 @@ impl Branch {
             let mut gamma = vec![0.0; encoding::width(self.frequencies)];
             encode([tx].into_iter(), self.frequencies, &mut gamma);
             let mut folded = self.signal[0].bias(weights).to_vec();
-            of_tx.apply(weights, &gamma, &mut folded, Store::Add);
+            of_tx.apply(weights, &gamma, &mut folded, StoreMode::Add);
             TxSide { gamma, folded }
         };
         txs.par_iter().map(side).collect()
@@ -92,21 +92,21 @@ impl Branch {
         from_feature: &[Real],
         tx: [Real; 3],
         side: &TxSide,
-        room: &mut Room,
+        room: &mut BranchScratch,
     ) {
-        let Room { offset, hidden: [first, second], out, .. } = room;
+        let BranchScratch { offset, hidden: [first, second], out, .. } = room;
         let rows = means.len();
         offset.resize(rows * encoding::width(self.frequencies), 0.0);
         encode(means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])), self.frequencies, offset);
         first.clear();
         first.extend_from_slice(from_feature);
-        self.parts()[2].apply(weights, offset, first, Store::Add);
+        self.parts()[2].apply(weights, offset, first, StoreMode::Add);
         dense::bias_relu(first, &side.folded);
         second.resize(self.signal[1].outputs * rows, 0.0);
-        self.signal[1].whole().apply(weights, first, second, Store::Set);
+        self.signal[1].whole().apply(weights, first, second, StoreMode::Set);
         dense::bias_relu(second, self.signal[1].bias(weights));
         out.resize(2 * rows, 0.0);
-        self.out.whole().apply(weights, second, out, Store::Set);
+        self.out.whole().apply(weights, second, out, StoreMode::Set);
         dense::add_bias(out, self.out.bias(weights));
     }
 
@@ -115,28 +115,28 @@ impl Branch {
     pub(super) fn vjp(
         &self,
         weights: &[Real],
-        room: &mut Room,
+        room: &mut BranchScratch,
         d_weights: &mut [Real],
         d_folded: &mut [Real],
         d_from_feature: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
     ) {
-        let Room { offset, hidden: [first, second], out, d, spare } = room;
+        let BranchScratch { offset, hidden: [first, second], out, d, spare } = room;
         self.out.whole().weight_vjp(d_weights, second, out);
         dense::add_bias_vjp(out, self.out.bias_mut(d_weights));
         spare.resize(second.len(), 0.0);
-        self.out.whole().input_vjp(weights, out, spare, Store::Set);
+        self.out.whole().input_vjp(weights, out, spare, StoreMode::Set);
         dense::bias_relu_vjp(spare, second, self.signal[1].bias_mut(d_weights));
         self.signal[1].whole().weight_vjp(d_weights, first, spare);
         d.resize(first.len(), 0.0);
-        self.signal[1].whole().input_vjp(weights, spare, d, Store::Set);
+        self.signal[1].whole().input_vjp(weights, spare, d, StoreMode::Set);
         dense::bias_relu_vjp(d, first, d_folded);
         dense::add(d_from_feature, d);
         let [_, _, of_offset] = self.parts();
         of_offset.weight_vjp(d_weights, offset, d);
         if let Some(d_means) = d_means {
             spare.resize(offset.len(), 0.0);
-            of_offset.input_vjp(weights, d, spare, Store::Set);
+            of_offset.input_vjp(weights, d, spare, StoreMode::Set);
             encode_vjp(offset, spare, self.frequencies, d_means);
         }
     }

@@ -5,17 +5,17 @@
 //!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
-use crate::dense::{self, Store};
+use crate::dense::{self, StoreMode};
 use crate::encoding::{self, encode, encode_vjp};
 use crate::linear::{Item, Linear, items, items_per_sum};
 use crate::trunk::{Joints, Trunk, TrunkGradient};
-use crate::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
+use crate::wrfgs_branch::{Branch, BranchScratch, TxSide, amplitude, amplitude_slope};
 use pwrfgs_core::{DeformationInputs, Real};
 use rayon::prelude::*;
 
 /// Layers and the offsets of their weights.
 #[derive(Debug)]
-pub(super) struct Network {
+pub(super) struct WrfgsLayers {
     pub(super) trunk: Trunk,
     pub(super) attenuation: Linear,
     pub(super) feature: Linear,
@@ -24,7 +24,7 @@ pub(super) struct Network {
 
 /// Values of a chunk of Gaussians that all transmitters share.
 #[derive(Debug, Default)]
-pub(super) struct Ahead {
+pub(super) struct TrunkOutput {
     attenuation: Vec<Real>,  // [2, R], before |lrelu|
     from_feature: Vec<Real>, // W·feature of `sig.0`
 }
@@ -36,7 +36,7 @@ struct Scratch {
     shared: Joints,
     slots: Vec<Vec<Real>>,
     feature: Vec<Real>,
-    branch: Room,
+    branch: BranchScratch,
     // Cotangents.
     d_attenuation: Vec<Real>,
     d_from_feature: Vec<Real>,
@@ -45,7 +45,7 @@ struct Scratch {
 }
 
 /// Accumulator of the backward pass.
-struct Sum {
+struct GradientSum {
     weights: Vec<Real>,
     /// Cotangents of the folded bias of `sig.0`, `[B, width]`.
     folded: Vec<Real>,
@@ -59,9 +59,9 @@ struct Sum {
     row: usize,
 }
 
-impl Network {
+impl WrfgsLayers {
     /// Computes the values of a chunk that do not depend on the transmitter.
-    fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> Ahead {
+    fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> TrunkOutput {
         let Scratch { gamma, shared, feature, .. } = scratch;
         let (rows, width, frequencies) = (means.len(), self.trunk.width, self.branch.frequencies);
         gamma.resize(rows * encoding::width(frequencies), 0.0);
@@ -71,31 +71,31 @@ impl Network {
         self.trunk.forward(weights, shared, &self.trunk.fold(weights, &[]), &mut scratch.slots);
         let h = &scratch.slots[self.trunk.last(slots)];
         let mut attenuation = vec![0.0; 2 * rows];
-        self.attenuation.whole().apply(weights, h, &mut attenuation, Store::Set);
+        self.attenuation.whole().apply(weights, h, &mut attenuation, StoreMode::Set);
         dense::add_bias(&mut attenuation, self.attenuation.bias(weights));
         feature.resize(width * rows, 0.0);
-        self.feature.whole().apply(weights, h, feature, Store::Set);
+        self.feature.whole().apply(weights, h, feature, StoreMode::Set);
         dense::add_bias(feature, self.feature.bias(weights));
         let mut from_feature = vec![0.0; width * rows];
-        self.branch.parts()[0].apply(weights, feature, &mut from_feature, Store::Set);
-        Ahead { attenuation, from_feature }
+        self.branch.parts()[0].apply(weights, feature, &mut from_feature, StoreMode::Set);
+        TrunkOutput { attenuation, from_feature }
     }
 
     /// Backward pass of [`Self::begin`].
-    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, sum: &mut Sum) {
+    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, sum: &mut GradientSum) {
         let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
         let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
         let [of_feature, ..] = self.branch.parts();
         of_feature.weight_vjp(&mut sum.weights, feature, d_from_feature);
         spare.resize(feature.len(), 0.0);
-        of_feature.input_vjp(weights, d_from_feature, spare, Store::Set);
+        of_feature.input_vjp(weights, d_from_feature, spare, StoreMode::Set);
         self.feature.whole().weight_vjp(&mut sum.weights, h, spare);
         dense::add_bias_vjp(spare, self.feature.bias_mut(&mut sum.weights));
         d.resize(h.len(), 0.0);
-        self.feature.whole().input_vjp(weights, spare, d, Store::Set);
+        self.feature.whole().input_vjp(weights, spare, d, StoreMode::Set);
         self.attenuation.whole().weight_vjp(&mut sum.weights, h, d_attenuation);
         dense::add_bias_vjp(d_attenuation, self.attenuation.bias_mut(&mut sum.weights));
-        self.attenuation.whole().input_vjp(weights, d_attenuation, d, Store::Add);
+        self.attenuation.whole().input_vjp(weights, d_attenuation, d, StoreMode::Add);
         let mut d_shared = self.trunk.zero_joints(h.len());
         let into = TrunkGradient {
             weights: &mut sum.weights,
@@ -110,8 +110,8 @@ impl Network {
         }
     }
 
-    /// Returns [`Ahead`] of every chunk.
-    pub(super) fn ahead(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<Ahead> {
+    /// Returns [`TrunkOutput`] of every chunk.
+    pub(super) fn trunk_output(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<TrunkOutput> {
         let items = items(means.len(), 1, self.trunk.width);
         let begin = |scratch: &mut Scratch, item: &Item| self.begin(weights, &means[item.rows.clone()], 2, scratch);
         items.par_iter().map_init(Scratch::default, begin).collect()
@@ -121,10 +121,10 @@ impl Network {
     #[cfg(test)]
     pub(super) fn raw(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3]) -> Vec<[Real; 4]> {
         let (mut scratch, n) = (Scratch::default(), means.len());
-        let ahead = self.begin(weights, means, 2, &mut scratch);
+        let trunk_output = self.begin(weights, means, 2, &mut scratch);
         let side = &self.branch.tx_sides(weights, &[tx])[0];
-        self.branch.forward(weights, means, &ahead.from_feature, tx, side, &mut scratch.branch);
-        let (a, s) = (ahead.attenuation, scratch.branch.out);
+        self.branch.forward(weights, means, &trunk_output.from_feature, tx, side, &mut scratch.branch);
+        let (a, s) = (trunk_output.attenuation, scratch.branch.out);
         (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
     }
 
@@ -134,7 +134,7 @@ impl Network {
         weights: &[Real],
         means: &[[Real; 3]],
         txs: &[[Real; 3]],
-        ahead: Option<&[Ahead]>,
+        trunk_output: Option<&[TrunkOutput]>,
     ) -> Vec<Real> {
         let sides = self.branch.tx_sides(weights, txs);
         let pieces: Vec<Vec<Real>> = items(means.len(), 1, self.trunk.width)
@@ -142,12 +142,12 @@ impl Network {
             .enumerate()
             .map_init(Scratch::default, |scratch, (chunk, item)| {
                 let means = &means[item.rows.clone()];
-                let fresh = ahead.is_none().then(|| self.begin(weights, means, 2, scratch));
-                let ahead = ahead.map(|all| &all[chunk]).or(fresh.as_ref()).expect("one or the other");
+                let fresh = trunk_output.is_none().then(|| self.begin(weights, means, 2, scratch));
+                let trunk_output = trunk_output.map(|all| &all[chunk]).or(fresh.as_ref()).expect("one or the other");
                 let mut products = Vec::with_capacity(means.len() * txs.len());
                 for (tx, side) in txs.iter().zip(&sides) {
-                    self.branch.forward(weights, means, &ahead.from_feature, *tx, side, &mut scratch.branch);
-                    let both = scratch.branch.out.iter().zip(&ahead.attenuation).take(means.len());
+                    self.branch.forward(weights, means, &trunk_output.from_feature, *tx, side, &mut scratch.branch);
+                    let both = scratch.branch.out.iter().zip(&trunk_output.attenuation).take(means.len());
                     products.extend(both.map(|(&s, &a)| amplitude(s) * amplitude(a)));
                 }
                 products
@@ -176,10 +176,10 @@ impl Network {
         let txs = inputs.txs.positions();
         let sides = self.branch.tx_sides(weights, txs);
         let items = items(means.len(), 1, self.trunk.width);
-        let sums: Vec<Sum> = items
+        let sums: Vec<GradientSum> = items
             .par_chunks(items_per_sum(items.len()))
             .map(|items| {
-                let mut sum = Sum {
+                let mut sum = GradientSum {
                     weights: vec![0.0; weights.len()],
                     folded: vec![0.0; txs.len() * self.trunk.width],
                     trunk_biases: self.trunk.zero_joints(self.trunk.width),
@@ -214,25 +214,25 @@ impl Network {
         d: &[Real],
         item: &Item,
         scratch: &mut Scratch,
-        sum: &mut Sum,
+        sum: &mut GradientSum,
     ) {
         let (n, weights, width) = (inputs.means.len(), inputs.weights, self.trunk.width);
         let means = &inputs.means[item.rows.clone()];
-        let ahead = self.begin(weights, means, self.trunk.depth(), scratch);
+        let trunk_output = self.begin(weights, means, self.trunk.depth(), scratch);
         let Scratch { branch, d_attenuation, d_from_feature, .. } = &mut *scratch;
         d_attenuation.clear();
         d_attenuation.resize(2 * means.len(), 0.0);
         d_from_feature.clear();
-        d_from_feature.resize(ahead.from_feature.len(), 0.0);
+        d_from_feature.resize(trunk_output.from_feature.len(), 0.0);
         if let Some(d_means) = &mut sum.means {
             sum.row = d_means.len();
             d_means.resize(sum.row + means.len(), [0.0; 3]);
         }
         for (b, (tx, side)) in inputs.txs.positions().iter().zip(sides).enumerate() {
-            self.branch.forward(weights, means, &ahead.from_feature, *tx, side, branch);
+            self.branch.forward(weights, means, &trunk_output.from_feature, *tx, side, branch);
             let (s, phase) = branch.out.split_at_mut(means.len());
             for (r, &d) in d[b * n..][item.rows.clone()].iter().enumerate() {
-                let (signal, a) = (s[r], ahead.attenuation[r]);
+                let (signal, a) = (s[r], trunk_output.attenuation[r]);
                 sum.along_gain += f64::from(d * amplitude(signal) * amplitude(a));
                 d_attenuation[r] += d * amplitude(signal) * amplitude_slope(a);
                 s[r] = d * amplitude(a) * amplitude_slope(signal);

@@ -1,6 +1,6 @@
 //! `Change`: a pipeline path and its new value, from `--set`, a file or a program.
 
-use crate::ron_tree::Tree;
+use crate::ron_tree::RonTree;
 use pwrfgs_core::{Error, JsonSchema, Result};
 use ron::value::RawValue;
 use schemars::{Schema, SchemaGenerator, json_schema};
@@ -61,7 +61,7 @@ impl Changes {
 
     /// Returns the changes with their positions in the map `map` of `text`, and the common name `name` for messages.
     #[must_use]
-    pub fn located(&self, name: &str, map: Option<&Tree>, text: &str) -> Self {
+    pub fn located(&self, name: &str, map: Option<&RonTree>, text: &str) -> Self {
         let mut keys = map.map_or_else(Vec::new, |map| map.keys(text)).into_iter();
         let mut located = |change: &Change| {
             let at = keys.next().map(|key| line_and_column(text, key.start));

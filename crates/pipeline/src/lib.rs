@@ -7,12 +7,12 @@
 
 mod changes;
 pub mod defaults;
-mod draft;
 mod pipeline;
+mod pipeline_edit;
 mod place;
 mod read;
 pub mod ron_tree;
 
 pub use changes::{Change, Changes};
-pub use draft::{Draft, Fault};
 pub use pipeline::Pipeline;
+pub use pipeline_edit::{EditFault, PipelineEdit};

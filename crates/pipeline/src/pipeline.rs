@@ -117,7 +117,7 @@ impl Pipeline {
     /// # Errors
     /// The projector does not support the data.
     pub fn plane(&self, data: &Dataset) -> Result<ImagePlane> {
-        Stages::of(self.method(), data).map(|stages| stages.frame.plane)
+        Stages::of(self.method(), data).map(|stages| stages.setup.plane)
     }
 
     /// Training plan without scaling.

@@ -1,28 +1,28 @@
-//! `Place`: a value in the text of a pipeline, found by its path, with its type.
+//! `SettingPlace`: a value in the text of a pipeline, found by its path, with its type.
 
 use crate::changes::shortened;
 use crate::pipeline::Pipeline;
-use crate::ron_tree::{Body, Tree};
+use crate::ron_tree::{RonBody, RonTree};
 use pwrfgs_core::did_you_mean;
-use pwrfgs_core::docs::{Body as Parts, Docs, Field, Kind};
-use pwrfgs_core::plugin::Family;
+use pwrfgs_core::docs::{DocBody as Parts, DocField, DocKind, Docs};
+use pwrfgs_core::plugin::PluginFamily;
 use std::ops::Range;
 
 /// Value in a pipeline, with its type if known.
-pub(crate) struct Place<'a> {
+pub(crate) struct SettingPlace<'a> {
     /// Path, for messages.
     name: String,
-    pub(crate) tree: &'a Tree,
-    pub(crate) kind: Option<Kind>,
+    pub(crate) tree: &'a RonTree,
+    pub(crate) kind: Option<DocKind>,
 }
 
 /// Text range and its replacement.
-pub(crate) type Edit = (Range<usize>, String);
+pub(crate) type TextEdit = (Range<usize>, String);
 
-impl<'a> Place<'a> {
+impl<'a> SettingPlace<'a> {
     /// Finds the value at `path`.
-    pub(crate) fn at(path: &str, tree: &'a Tree) -> Result<Self, String> {
-        let mut place = Self { name: String::new(), tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
+    pub(crate) fn at(path: &str, tree: &'a RonTree) -> Result<Self, String> {
+        let mut place = Self { name: String::new(), tree, kind: Some(DocKind::Of(Docs::of::<Pipeline>())) };
         for step in path.trim().split('.') {
             place = place.step(step.trim())?;
         }
@@ -48,25 +48,25 @@ impl<'a> Place<'a> {
             return Ok(Self { name: path, tree, kind });
         }
         let plugin = match kind.as_ref().map(inside) {
-            Some(Kind::Plugin(kind)) => Some(*kind),
+            Some(DocKind::Plugin(kind)) => Some(*kind),
             _ => None,
         };
-        if let (false, Body::Items(items)) = (tree.name.is_some(), &tree.body) {
+        if let (false, RonBody::Items(items)) = (tree.name.is_some(), &tree.body) {
             let item = |tree| Self { name: path, tree, kind: kind.map(|k| part(&k, step)) };
             return listed(&here, &name, items, step).map(item);
         }
         let names = || tree.fields().iter().map(|(field, _)| field.as_str());
-        let who = match (plugin, &tree.name) {
+        let subject = match (plugin, &tree.name) {
             (Some(_), Some(plugin)) => format!("{here} is {plugin}, which"),
             _ => here,
         };
         if names().next().is_none() {
-            return Err(format!("{who} has no fields, so `{step}` is unknown{}", whole(plugin, &name, step)));
+            return Err(format!("{subject} has no fields, so `{step}` is unknown{}", whole(plugin, &name, step)));
         }
         let hint = did_you_mean(step, names());
         let whole = whole(plugin, &name, step);
         Err(format!(
-            "{who} has no field {}{hint} (there are `{}`){whole}",
+            "{subject} has no field {}{hint} (there are `{}`){whole}",
             quoted(step),
             names().collect::<Vec<_>>().join("`, `")
         ))
@@ -75,11 +75,11 @@ impl<'a> Place<'a> {
     /// Adds omitted quotes around text or a path, and parentheses after a plugin.
     pub(crate) fn complete(&self, value: &str) -> String {
         let (optional, kind) = match &self.kind {
-            Some(Kind::Optional(inner)) => (true, Some(&**inner)),
+            Some(DocKind::Optional(inner)) => (true, Some(&**inner)),
             other => (false, other.as_ref()),
         };
-        let text = matches!(kind, Some(Kind::Plain("text" | "path")))
-            || (kind.is_none_or(|k| matches!(k, Kind::Plain(_))) && self.old_text());
+        let text = matches!(kind, Some(DocKind::Plain("text" | "path")))
+            || (kind.is_none_or(|k| matches!(k, DocKind::Plain(_))) && self.old_text());
         if text {
             let given = value.starts_with('"') || value.starts_with("r\"") || value.starts_with("r#");
             let absent = optional && (value == "None" || value.starts_with("Some("));
@@ -87,25 +87,25 @@ impl<'a> Place<'a> {
         }
         let bare = value.starts_with(char::is_alphabetic) && value.chars().all(|c| c.is_alphanumeric() || c == '_');
         let absent = value == "None" && optional;
-        let plugin = matches!(kind, Some(Kind::Plugin(_)));
+        let plugin = matches!(kind, Some(DocKind::Plugin(_)));
         if bare && plugin && !absent { format!("{value}()") } else { value.to_owned() }
     }
 
     /// Whether the present value is text.
     fn old_text(&self) -> bool {
-        self.tree.name.is_none() && self.tree.body == Body::Plain && self.tree.quoted
+        self.tree.name.is_none() && self.tree.body == RonBody::Plain && self.tree.quoted
     }
 
     /// Replaces this value by `new`, a value of `text`.
-    pub(crate) fn put(self, new: &Tree, text: &str, edits: &mut Vec<Edit>) -> Result<(), String> {
-        let settings = matches!(self.kind, Some(Kind::Of(Docs { body: Parts::Fields(_), .. })));
+    pub(crate) fn put(self, new: &RonTree, text: &str, edits: &mut Vec<TextEdit>) -> Result<(), String> {
+        let settings = matches!(self.kind, Some(DocKind::Of(Docs { body: Parts::Fields(_), .. })));
         let merges = settings || new.name.is_none();
         if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
             edits.push((self.tree.span.clone(), new.of(text).to_owned()));
             return Ok(());
         }
         for (field, value) in new.fields() {
-            let here = Place { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
+            let here = SettingPlace { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
             here.step(field)?.put(value, text, edits)?;
         }
         Ok(())
@@ -113,14 +113,14 @@ impl<'a> Place<'a> {
 }
 
 /// Positions of all paths in the value `tree` of `text`, according to its type.
-pub(crate) fn paths<'a>(kind: &Kind, tree: &'a Tree, text: &str) -> Vec<&'a Tree> {
+pub(crate) fn paths<'a>(kind: &DocKind, tree: &'a RonTree, text: &str) -> Vec<&'a RonTree> {
     let kind = inside(kind);
     if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
         return paths(kind, inner, text);
     }
     let docs = match kind {
-        Kind::Plain("path") if tree.quoted => return vec![tree],
-        Kind::Plugin(kind) => Family::find(kind).and_then(|family| (family.docs)(tree.of(text))),
+        DocKind::Plain("path") if tree.quoted => return vec![tree],
+        DocKind::Plugin(kind) => PluginFamily::find(kind).and_then(|family| (family.docs)(tree.of(text))),
         kind => kind.docs(),
     };
     let variant = tree.name.as_deref();
@@ -131,12 +131,12 @@ pub(crate) fn paths<'a>(kind: &Kind, tree: &'a Tree, text: &str) -> Vec<&'a Tree
 }
 
 /// Documentation of a field of the value `tree`.
-fn field(kind: Option<&Kind>, tree: &Tree, name: &str) -> Option<&'static Field> {
+fn field(kind: Option<&DocKind>, tree: &RonTree, name: &str) -> Option<&'static DocField> {
     match kind? {
-        Kind::Of(docs) => docs.field(tree.name.as_deref(), name),
-        Kind::Optional(inner) => field(Some(inner), tree, name),
-        Kind::Plugin(kind) => {
-            let members = (Family::find(kind)?.members)();
+        DocKind::Of(docs) => docs.field(tree.name.as_deref(), name),
+        DocKind::Optional(inner) => field(Some(inner), tree, name),
+        DocKind::Plugin(kind) => {
+            let members = (PluginFamily::find(kind)?.members)();
             members.iter().find(|m| Some(m.name) == tree.name.as_deref())?.docs?.field(None, name)
         }
         _ => None,
@@ -144,21 +144,21 @@ fn field(kind: Option<&Kind>, tree: &Tree, name: &str) -> Option<&'static Field>
 }
 
 /// Inner type of an `Option`.
-fn inside(kind: &Kind) -> &Kind {
-    if let Kind::Optional(inner) = kind { inside(inner) } else { kind }
+fn inside(kind: &DocKind) -> &DocKind {
+    if let DocKind::Optional(inner) = kind { inside(inner) } else { kind }
 }
 
 /// Type of an element of a list.
-fn part(kind: &Kind, step: &str) -> Kind {
+fn part(kind: &DocKind, step: &str) -> DocKind {
     match inside(kind) {
-        Kind::List(inner) => (**inner).clone(),
-        Kind::Tuple(parts) => step.parse().ok().and_then(|i: usize| parts.get(i)).unwrap_or(kind).clone(),
+        DocKind::List(inner) => (**inner).clone(),
+        DocKind::Tuple(parts) => step.parse().ok().and_then(|i: usize| parts.get(i)).unwrap_or(kind).clone(),
         other => other.clone(),
     }
 }
 
 /// Element `step` of a list: a number, counted from 0, or a unique name.
-fn listed<'a>(here: &str, path: &str, items: &'a [Tree], step: &str) -> Result<&'a Tree, String> {
+fn listed<'a>(here: &str, path: &str, items: &'a [RonTree], step: &str) -> Result<&'a RonTree, String> {
     if let Ok(index) = step.parse::<usize>() {
         let count = items.len();
         let none = || format!("{here} has {count} entries, counted from 0, but no entry {step}");
@@ -183,7 +183,7 @@ fn listed<'a>(here: &str, path: &str, items: &'a [Tree], step: &str) -> Result<&
 
 /// Hint to give the complete plugin if another plugin of this kind has the field.
 fn whole(kind: Option<&'static str>, path: &str, step: &str) -> String {
-    let members = kind.and_then(Family::find).map(|family| (family.members)()).unwrap_or_default();
+    let members = kind.and_then(PluginFamily::find).map(|family| (family.members)()).unwrap_or_default();
     let other = members.iter().find(|m| m.docs.is_some_and(|docs| docs.field(None, step).is_some()));
     other.map_or_else(String::new, |m| {
         format!("; to switch to another plugin, pass the complete plugin, such as '{path}={}({step}: ..)'", m.name)

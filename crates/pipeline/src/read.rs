@@ -3,7 +3,7 @@
 use crate::changes::{line_and_column, shortened};
 use crate::defaults;
 use crate::pipeline::Pipeline;
-use crate::ron_tree::Tree;
+use crate::ron_tree::RonTree;
 use pwrfgs_core::plugin::{explain, name_of, ron_options, to_ron};
 use pwrfgs_core::{Dataset, Error, Result, Task};
 use pwrfgs_methods::{Calibration, check_together};
@@ -48,7 +48,7 @@ impl Misfit {
     }
 
     /// Creates the misfit for a `field` that does not fit the others; at the data if the field was omitted.
-    pub(crate) fn of(field: &str, message: String, tree: &Tree) -> Self {
+    pub(crate) fn of(field: &str, message: String, tree: &RonTree) -> Self {
         let place = tree.field(field).or_else(|| tree.field("data"));
         Self { message, at: place.map(|place| place.span.start), hint: TypeHint::Never }
     }
@@ -70,7 +70,7 @@ impl Pipeline {
     /// Same as [`Self::parse`], with byte positions.
     pub(crate) fn read(text: &str) -> Result<Self, Misfit> {
         let mut pipeline: Self = ron_options().from_str(text).map_err(|e| Misfit::reading(&e, text))?;
-        let tree = Tree::parse(text).map_err(|message| Misfit { message, at: None, hint: TypeHint::Never })?;
+        let tree = RonTree::parse(text).map_err(|message| Misfit { message, at: None, hint: TypeHint::Never })?;
         pipeline.complete(&|field| tree.field(field).is_none()).map_err(|message| Misfit {
             message,
             at: Some(tree.span.end),
@@ -161,12 +161,12 @@ fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let method = pipeline.method();
     let traits = method.traits();
-    let chooses = traits.chooses_pixels && pipeline.data.task().is_none_or(|task| task.has_pixels);
+    let chooses = traits.supports_pixel_subset && pipeline.data.task().is_none_or(|task| task.has_pixels);
     if pipeline.training.rays != Rays::All && !chooses {
         let what = "`rays` needs a method that renders single pixels, such as Nerf2; remove it".to_owned();
         return Some(("training", what));
     }
-    let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target == 0;
+    let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target_count == 0;
     if !traits.has_gaussians() && !nobody_prunes {
         let what = format!("{} has no Gaussians to prune; remove the pruners", name_of(&method));
         return Some(("pruners", what));
@@ -232,7 +232,7 @@ mod tests {
                 "Nerf2Rssi(root: \"x\")",
                 "[MeanSpectrum(), LogDistance(), NearestNeighbours(k: 5), Kriging()]",
                 "[PowerError(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
-                "Received(",
+                "ReceivedPower(",
             ),
             (
                 "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())",
@@ -263,8 +263,8 @@ mod tests {
         let refused = |fields: &str| parse(fields).unwrap_err();
         assert_eq!(refused("name: \"a\", initializer: Random()"), "a.ron:2:33: the field `data` is missing");
         assert!(refused("name: \"a\", data: Teacher()").ends_with("the field `initializer` is missing"));
-        let said = refused("name: \"a\",\n data: Teacher(),\n initializer: Random(),\n metrics: [PowerError()]");
-        assert!(said.starts_with("a.ron:5:11: metrics: "), "{said}");
+        let shown = refused("name: \"a\",\n data: Teacher(),\n initializer: Random(),\n metrics: [PowerError()]");
+        assert!(shown.starts_with("a.ron:5:11: metrics: "), "{shown}");
         assert!(refused("name: \"a/b\", data: Teacher(), initializer: Random()").starts_with("a.ron:2:7: name: "));
     }
 

@@ -8,29 +8,29 @@ const DEEPEST: usize = 100;
 
 /// Value in a text.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tree {
+pub struct RonTree {
     /// Text range, bytes.
     pub span: Range<usize>,
     /// Name: `Mercator` of `Mercator(blur: 0.3)`, `true` of `true`.
     pub name: Option<String>,
     /// Content of the value.
-    pub body: Body,
+    pub body: RonBody,
     /// Whether it is a quoted text.
     pub quoted: bool,
 }
 
 /// Content of a value.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Body {
+pub enum RonBody {
     /// Value without parts: a number, a text, a name alone, a map.
     Plain,
     /// Named fields in parentheses.
-    Fields(Vec<(String, Tree)>),
+    Fields(Vec<(String, RonTree)>),
     /// Unnamed values in brackets or parentheses.
-    Items(Vec<Tree>),
+    Items(Vec<RonTree>),
 }
 
-impl Tree {
+impl RonTree {
     /// Parses `text` as a single value.
     ///
     /// # Errors
@@ -50,12 +50,12 @@ impl Tree {
 
     /// All named fields, or none.
     pub fn fields(&self) -> &[(String, Self)] {
-        if let Body::Fields(fields) = &self.body { fields } else { &[] }
+        if let RonBody::Fields(fields) = &self.body { fields } else { &[] }
     }
 
     /// All unnamed values, or none.
     pub fn items(&self) -> &[Self] {
-        if let Body::Items(items) = &self.body { items } else { &[] }
+        if let RonBody::Items(items) = &self.body { items } else { &[] }
     }
 
     /// Text ranges of the keys of a map, bytes; none for other values.
@@ -95,10 +95,10 @@ impl Reader<'_> {
         self.rest().chars().next()
     }
 
-    fn unexpected(&self, wanted: &str) -> String {
+    fn unexpected(&self, expected: &str) -> String {
         match self.peek() {
-            Some(found) => format!("expected {wanted}, found `{}`", found.escape_debug()),
-            None => format!("expected {wanted}, but the text ends"),
+            Some(found) => format!("expected {expected}, found `{}`", found.escape_debug()),
+            None => format!("expected {expected}, but the text ends"),
         }
     }
 
@@ -142,13 +142,13 @@ impl Reader<'_> {
         &self.text[from..from + length]
     }
 
-    fn value(&mut self, depth: usize) -> Result<Tree, String> {
+    fn value(&mut self, depth: usize) -> Result<RonTree, String> {
         if depth > DEEPEST {
             return Err("values are nested too deep".into());
         }
         self.space()?;
         let from = self.at;
-        let (mut name, mut body) = (None, Body::Plain);
+        let (mut name, mut body) = (None, RonBody::Plain);
         match self.peek() {
             Some('"') => self.quoted()?,
             Some('\'') => self.character()?,
@@ -157,7 +157,7 @@ impl Reader<'_> {
                 self.quoted()?;
             }
             Some('r') if self.rest()[1..].trim_start_matches('#').starts_with('"') => self.raw()?,
-            Some('[') => body = Body::Items(self.items('[', ']', depth)?),
+            Some('[') => body = RonBody::Items(self.items('[', ']', depth)?),
             Some('{') => _ = self.map(depth)?,
             Some('(') => body = self.structure(depth)?,
             Some(c) if c.is_alphabetic() || c == '_' => {
@@ -171,7 +171,7 @@ impl Reader<'_> {
         }
         let text = &self.text[from..self.at];
         let quoted = text.ends_with('"') || (text.starts_with('r') && text.ends_with('#'));
-        Ok(Tree { span: from..self.at, name, body, quoted })
+        Ok(RonTree { span: from..self.at, name, body, quoted })
     }
 
     /// Skips a string, `"text"`.
@@ -208,7 +208,7 @@ impl Reader<'_> {
     }
 
     /// Parses `(field: value, ..)` or `(value, ..)`.
-    fn structure(&mut self, depth: usize) -> Result<Body, String> {
+    fn structure(&mut self, depth: usize) -> Result<RonBody, String> {
         let from = self.at;
         self.take('(');
         self.space()?;
@@ -218,14 +218,14 @@ impl Reader<'_> {
         };
         self.at = from;
         if !named {
-            return Ok(Body::Items(self.items('(', ')', depth)?));
+            return Ok(RonBody::Items(self.items('(', ')', depth)?));
         }
         let mut fields = Vec::new();
         self.take('(');
         loop {
             self.space()?;
             if self.take(')') {
-                return Ok(Body::Fields(fields));
+                return Ok(RonBody::Fields(fields));
             }
             let name = self.word("").to_owned();
             self.space()?;
@@ -237,7 +237,7 @@ impl Reader<'_> {
         }
     }
 
-    fn items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<Tree>, String> {
+    fn items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<RonTree>, String> {
         let mut items = Vec::new();
         self.take(open);
         loop {
@@ -283,8 +283,8 @@ impl Reader<'_> {
 mod tests {
     use super::*;
 
-    fn of(text: &str) -> Tree {
-        Tree::parse(text).unwrap_or_else(|e| panic!("{text}: {e}"))
+    fn of(text: &str) -> RonTree {
+        RonTree::parse(text).unwrap_or_else(|e| panic!("{text}: {e}"))
     }
 
     #[test]
@@ -297,17 +297,17 @@ mod tests {
         assert_eq!((read("a"), read("b")), ("-1.5e-3", r#"[X(), Y(1, "),\"("), true]"#));
         let c: Vec<&str> = tree.field("c").unwrap().fields().iter().map(|(_, t)| t.of(text)).collect();
         assert_eq!(c, [r##"r#"a"#"##, r#"{"x": (1, 2)}"#, "'x'", r"'\''", "None"]);
-        let Body::Items(items) = &tree.field("b").unwrap().body else { panic!() };
+        let RonBody::Items(items) = &tree.field("b").unwrap().body else { panic!() };
         assert_eq!(items[0].name.as_deref(), Some("X"));
         assert_eq!(of(" 5 ").span, 1..2);
     }
 
     #[test]
-    fn what_is_no_value_is_refused() {
+    fn rejects_invalid_ron_values() {
         for text in ["", "(", "(a: )", "(a: 1", "[1 2]", "\"a", "r#\"a\"", "'", "own/a", "{1}", "1 2", "é(", "/*", ")"]
         {
-            assert!(Tree::parse(text).is_err(), "{text}");
+            assert!(RonTree::parse(text).is_err(), "{text}");
         }
-        assert!(Tree::parse(&"[".repeat(100_000)).is_err());
+        assert!(RonTree::parse(&"[".repeat(100_000)).is_err());
     }
 }

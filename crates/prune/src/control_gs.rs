@@ -3,8 +3,8 @@
 use crate::rounds::{check_below_one, check_share, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, sigmoid,
-    tape::{TraceScalar, Traced},
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, sigmoid,
+    tape::{TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
 
@@ -50,20 +50,20 @@ impl Pruner for ControlGs {
     fn traits(&self) -> PrunerTraits {
         // All Gaussians have equal values in these columns: they store the state of the pruner.
         let columns = vec![ColumnSpec::state(PULL, 1.0), ColumnSpec::state(COUNT, 0.0), ColumnSpec::state(TREND, 0.0)];
-        PrunerTraits { columns, budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { columns, budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         let settled = number(cloud, TREND) > 0.0;
         cloud.opacity_logits.iter().map(|logit| settled || sigmoid(*logit) >= self.epsilon).collect()
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase == Phase::Prune && !cloud.is_empty())
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase == Phase::Prune && !cloud.is_empty())
             .then(|| (cloud.opacities() * cloud.leaf(PULL).clone()).sum::<Rank0, _>() * self.lambda)
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, context: &StepContext) {
         let (n, before, mut trend) = (cloud.len(), number(cloud, COUNT), number(cloud, TREND));
         if before > 0.0 {
             // Before many Gaussians have faded, a small number of removals does not mean that pruning has settled.
@@ -75,7 +75,7 @@ impl Pruner for ControlGs {
             };
         }
         let pull = if trend > 0.0 { 0.0 } else { 1.0 };
-        let count = if moment.round > 0 { n as Real } else { 0.0 };
+        let count = if context.round > 0 { n as Real } else { 0.0 };
         for column in &mut cloud.extra {
             match column.name.as_str() {
                 PULL => column.values.fill(pull),

@@ -3,9 +3,9 @@
 use crate::rounds::share_of;
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, best,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, best,
     sigmoid,
-    tape::{TraceScalar, Traced, values},
+    tape::{TraceScalar, TracedCloud, values},
 };
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +36,7 @@ pub struct GaussianSpa {
     pub rho: Real,
     /// Steps between two projections to the sparse vector, 1 or more.
     pub every: u64,
-    /// Share of Gaussians removed without `training.target`, from 0 to below 1.
+    /// Share of Gaussians removed without `training.target_count`, from 0 to below 1.
     pub share: Real,
 }
 
@@ -52,35 +52,35 @@ impl Pruner for GaussianSpa {
         PrunerTraits {
             // Opacities are never negative: −1 means that no projection has been computed yet.
             columns: vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)],
-            budget: Some(Budget::AtLast),
+            budget: Some(Budget::FinalStep),
             ..PrunerTraits::default()
         }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        let last = moment.round > 0 && moment.round == moment.rounds;
-        let count = if last { self.count(cloud.len(), moment) } else { cloud.len() };
-        best(count, &self.score(cloud, stats, moment), |_| true)
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        let last = context.round > 0 && context.round == context.rounds;
+        let count = if last { self.count(cloud.len(), context) } else { cloud.len() };
+        best(count, &self.score(cloud, stats, context), |_| true)
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         let (z, u) = (values(cloud.leaf(SPARSE)), values(cloud.leaf(DUAL)));
-        if moment.phase != Phase::Prune || z.is_empty() || z.iter().any(|z| *z < 0.0) {
+        if context.phase != Phase::Prune || z.is_empty() || z.iter().any(|z| *z < 0.0) {
             return None;
         }
         let away: Vec<Real> = z.iter().zip(u).map(|(z, u)| u - z).collect();
         Some((cloud.opacities() + cloud.constant(away)).square().sum::<Rank0, _>() * (0.5 * self.rho))
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
-        if moment.phase != Phase::Prune || !moment.step.is_multiple_of(self.every) || cloud.is_empty() {
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, context: &StepContext) {
+        if context.phase != Phase::Prune || !context.step.is_multiple_of(self.every) || cloud.is_empty() {
             return;
         }
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
-        let wanted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
-        let open = best(self.count(cloud.len(), moment), &wanted, |_| true);
-        let sparse: Vec<Real> = wanted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
+        let shifted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
+        let open = best(self.count(cloud.len(), context), &shifted, |_| true);
+        let sparse: Vec<Real> = shifted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
         for column in &mut cloud.extra {
             match column.name.as_str() {
                 DUAL => {
@@ -93,7 +93,7 @@ impl Pruner for GaussianSpa {
         }
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         let opacities = cloud.opacity_logits.iter().map(|o| sigmoid(*o));
         match cloud.extra(DUAL) {
             Some(dual) => opacities.zip(&dual.values).map(|(o, u)| o + u).collect(),
@@ -108,9 +108,9 @@ impl Pruner for GaussianSpa {
 
 impl GaussianSpa {
     /// Returns k, the number of Gaussians to keep of `n`.
-    fn count(&self, n: usize, moment: &Moment) -> usize {
+    fn count(&self, n: usize, context: &StepContext) -> usize {
         let by_share = || n - share_of(n, self.share).floor() as usize;
-        moment.target.unwrap_or_else(by_share).clamp(1, n.max(1))
+        context.target.unwrap_or_else(by_share).clamp(1, n.max(1))
     }
 }
 

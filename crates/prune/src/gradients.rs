@@ -2,7 +2,7 @@
 
 use crate::rounds::{check_share, check_shares, needs, quantile, share_at, without_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, sigmoid,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// A Gaussian is removed if its opacity is below a quantile of all opacities and its mean positional gradient since the
 /// last densification is below a quantile of all gradients. Gaussians that are still moving are kept. Under
-/// `training.target` the score is the larger of the two ranks. The score needs no pass over the training set. Source:
+/// `training.target_count` the score is the larger of the two ranks. The score needs no pass over the training set. Source:
 /// Trimming the Fat, Salman et al., BMVC 2024.
 ///
 /// ```
@@ -37,11 +37,11 @@ impl Default for TrimmingTheFat {
 #[typetag::serde]
 impl Pruner for TrimmingTheFat {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        if moment.round == 0 {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        if context.round == 0 {
             return vec![true; cloud.len()];
         }
         let gradients = gradients(stats, cloud.len());
@@ -50,7 +50,7 @@ impl Pruner for TrimmingTheFat {
         cloud.opacity_logits.iter().zip(&gradients).map(|(o, g)| *o >= faint || *g >= small).collect()
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         let ranks = [ranks(&cloud.opacity_logits), ranks(&gradients(stats, cloud.len()))];
         ranks[0].iter().zip(&ranks[1]).map(|(a, b)| a.max(*b)).collect()
     }
@@ -104,18 +104,18 @@ impl Default for Taming3dgs {
 #[typetag::serde]
 impl Pruner for Taming3dgs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        needs(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters, &self.shares, moment)
+    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
+        needs(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters, &self.shares, context)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         let n = cloud.len();
         let scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
         let terms: [(Real, Vec<Real>); 7] = [
@@ -123,9 +123,9 @@ impl Pruner for Taming3dgs {
             (100.0, cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect()),
             (10.0, stats.radius.clone()),
             (25.0, cloud.log_scales.iter().map(scale).collect()),
-            (10.0, stats.asked.error.clone()),
+            (10.0, stats.requested.error.clone()),
             (0.1, stats.visible.clone()),
-            (50.0, stats.asked.weight.clone()),
+            (50.0, stats.requested.weight.clone()),
         ];
         let mut sums = vec![0.0; n];
         for (weight, values) in terms.iter().filter(|(_, values)| values.len() == n) {

@@ -7,9 +7,9 @@
 use crate::rounds::{check_rate, check_weight, learned};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskFall, MaskRate, Moment, Phase, Pruner,
-    PrunerTraits, Real, sigmoid,
-    tape::{TraceScalar, Traced},
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskFall, MaskRate, Phase, Pruner, PrunerTraits,
+    Real, StepContext, sigmoid,
+    tape::{TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
 
@@ -26,7 +26,7 @@ const COLUMN: &str = "mask_logits";
 /// therefore close about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
 ///
 /// Use this pruner if training shall find the number of Gaussians for a quality. A larger lambda keeps fewer Gaussians
-/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). To fix the number beforehand, set `training.target`;
+/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). To fix the number beforehand, set `training.target_count`;
 /// [`crate::LightGaussian`] and other pruners reach a fixed number with less loss of quality. The paper does not give
 /// threshold and initial logit; their values are those of Compact-3DGS.
 ///
@@ -82,31 +82,31 @@ impl Pruner for LearnableMask {
         let pressure = if adam { None } else { Some(lambda) };
         PrunerTraits {
             columns: vec![ColumnSpec { adam, ..ColumnSpec::learned(COLUMN, from, rate) }],
-            budget: Some(Budget::AtLast),
+            budget: Some(Budget::FinalStep),
             mask_rate: Some(mask_rate),
             mask_fall: (lambda > 0.0).then_some(MaskFall { from, to, rate, pressure }),
             ..PrunerTraits::default()
         }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         // Uses the same formula as the sigmoid of the tape, so that the kept Gaussians are exactly those that were
         // drawn.
         let open = |m: &Real| 1.0 / (1.0 + (-m).exp()) >= self.threshold;
         cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(open).collect())
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        (moment.phase != Phase::Finetune)
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
+        (context.phase != Phase::Finetune)
             .then(|| cloud.straight_through(cloud.column(COLUMN).sigmoid(), self.threshold).into())
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase != Phase::Finetune && !cloud.is_empty())
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase != Phase::Finetune && !cloud.is_empty())
             .then(|| cloud.column(COLUMN).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         learned(cloud, COLUMN)
     }
 
@@ -128,7 +128,7 @@ impl Pruner for LearnableMask {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture::{cloud, moment, with_column};
+    use crate::fixture::{cloud, context, with_column};
     use dfdx::prelude::{AsArray, Backward, SumTo};
 
     /// Logits around the threshold at −4.595, far from it on both sides, and at it.
@@ -140,14 +140,14 @@ mod tests {
     }
 
     /// Returns ∂/∂m of the sum of a gate, or of a penalty.
-    fn derivative(traced: &Traced, scalar: TraceScalar) -> Vec<Real> {
+    fn derivative(traced: &TracedCloud, scalar: TraceScalar) -> Vec<Real> {
         scalar.backward().get(traced.leaf(COLUMN)).as_vec()
     }
 
     #[test]
     fn the_straight_through_gate_has_its_closed_form() {
-        let (mask, traced) = (LearnableMask::default(), Traced::new(&masked(&LOGITS)));
-        let gate = mask.gate(&traced, &moment(Phase::Densify)).unwrap().factor();
+        let (mask, traced) = (LearnableMask::default(), TracedCloud::new(&masked(&LOGITS)));
+        let gate = mask.gate(&traced, &context(Phase::Densify)).unwrap().factor();
         assert_eq!(gate.as_vec(), [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
         // Unequal cotangents reveal a wrong order.
         let weights: Vec<Real> = (0..LOGITS.len()).map(|i| i as Real - 2.5).collect();
@@ -161,8 +161,8 @@ mod tests {
     #[test]
     fn the_penalty_presses_on_every_mask() {
         let mask = LearnableMask { lambda: 0.03, ..LearnableMask::default() };
-        let traced = Traced::new(&masked(&LOGITS));
-        let penalty = mask.penalty(&traced, &moment(Phase::Prune)).unwrap();
+        let traced = TracedCloud::new(&masked(&LOGITS));
+        let penalty = mask.penalty(&traced, &context(Phase::Prune)).unwrap();
         let n = LOGITS.len() as Real;
         let expected = 0.03 * LOGITS.iter().map(|m| sigmoid(*m)).sum::<Real>() / n;
         assert!((penalty.array() - expected).abs() < 1e-7);
@@ -173,16 +173,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_drawn_is_kept() {
+    fn kept_gaussians_equal_drawn_gaussians() {
         let mask = LearnableMask::default();
         let edge = (0.01 as Real / 0.99).ln();
         let logits: Vec<Real> = (-500..500).map(|i| edge + i as Real * edge.abs() * Real::EPSILON).collect();
         let cloud = masked(&logits);
-        let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &moment(Phase::Prune));
-        let gate = mask.gate(&Traced::new(&cloud), &moment(Phase::Prune)).unwrap().factor().as_vec();
+        let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &context(Phase::Prune));
+        let gate = mask.gate(&TracedCloud::new(&cloud), &context(Phase::Prune)).unwrap().factor().as_vec();
         assert_eq!(gate, kept.iter().map(|k| Real::from(u8::from(*k))).collect::<Vec<_>>());
         assert!(kept.contains(&true) && kept.contains(&false));
-        assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &moment(Phase::Prune)), logits);
+        assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &context(Phase::Prune)), logits);
     }
 
     #[test]
@@ -219,9 +219,9 @@ mod tests {
     }
 
     #[test]
-    fn masks_are_gone_in_fine_tuning() {
-        let (mask, traced) = (LearnableMask::default(), Traced::new(&cloud(&[0.0; 3])));
-        assert!(mask.gate(&traced, &moment(Phase::Finetune)).is_none());
-        assert!(mask.penalty(&traced, &moment(Phase::Finetune)).is_none());
+    fn fine_tuning_has_no_masks() {
+        let (mask, traced) = (LearnableMask::default(), TracedCloud::new(&cloud(&[0.0; 3])));
+        assert!(mask.gate(&traced, &context(Phase::Finetune)).is_none());
+        assert!(mask.penalty(&traced, &context(Phase::Finetune)).is_none());
     }
 }

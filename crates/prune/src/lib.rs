@@ -33,22 +33,22 @@ pub use lp_3dgs::Lp3dgs;
 pub use mask_gaussian::MaskGaussian;
 pub use mcmc::Mcmc;
 pub use merge_by_moments::MergeByMoments;
-pub use mini_splatting::{MiniSplatting, Rule};
+pub use mini_splatting::{MiniSplatting, SelectionRule};
 pub use natural_selection::NaturalSelection;
 pub use pixels::{FastGs, SafeguardGs};
 pub use pup_3dgs::Pup3dgs;
 pub use reduced_3dgs::Reduced3dgs;
 pub use references::{GreedyElimination, RandomReference};
-pub use shares::{LightGaussian, Over, SignalContribution, SpeedySplat};
-pub use thresholds::{OpacityThreshold, RadSplat, Score, TopK};
+pub use shares::{LightGaussian, LinkReduction, SignalContribution, SpeedySplat};
+pub use thresholds::{ImportanceScore, OpacityThreshold, RadSplat, TopK};
 
 /// Gaussian clouds and pruning contexts for tests.
 #[cfg(test)]
 mod fixture {
-    use pwrfgs_core::{ColumnSpec, ExtraColumn, GaussianCloud, Moment, Phase, Real, Vec3};
+    use pwrfgs_core::{ColumnSpec, ExtraColumn, GaussianCloud, Phase, Real, StepContext, Vec3};
 
-    pub(crate) fn moment(phase: Phase) -> Moment {
-        Moment::new(21_000, phase, 0)
+    pub(crate) fn context(phase: Phase) -> StepContext {
+        StepContext::new(21_000, phase, 0)
     }
 
     /// Creates a cloud of N Gaussians with unit scale and these opacity logits.
@@ -74,7 +74,7 @@ mod fixture {
 
 #[cfg(test)]
 mod tests {
-    use crate::fixture::{cloud, moment, with_column};
+    use crate::fixture::{cloud, context, with_column};
     use pwrfgs_core::{CloudStats, Phase, Plugin, Pruner, Real};
 
     #[test]
@@ -87,23 +87,23 @@ mod tests {
                     cloud = with_column(cloud, &column, &vec![column.init; n * column.width]);
                 }
                 let stats = CloudStats::zeros(n);
-                assert_eq!(plugin.keep(&cloud, &stats, &moment(Phase::Prune)), vec![true; n], "{name}: a fresh cloud");
-                assert_eq!(plugin.score(&cloud, &stats, &moment(Phase::Prune)).len(), n);
+                assert_eq!(plugin.keep(&cloud, &stats, &context(Phase::Prune)), vec![true; n], "{name}: a fresh cloud");
+                assert_eq!(plugin.score(&cloud, &stats, &context(Phase::Prune)).len(), n);
             }
         }
     }
 
     #[test]
-    fn what_is_not_a_number_does_not_panic() {
+    fn nan_statistics_do_not_panic() {
         let cloud = cloud(&[Real::NAN, 0.0, Real::INFINITY, Real::NEG_INFINITY]);
         for text in ["LearnableMask()", "OpacityThreshold()", "TopK()", "TopK(score: OpacityVolume)"] {
             let plugin = Plugin::<dyn Pruner>::parse(text).unwrap();
-            assert_eq!(plugin.keep(&cloud, &CloudStats::zeros(4), &moment(Phase::Prune)).len(), 4);
+            assert_eq!(plugin.keep(&cloud, &CloudStats::zeros(4), &context(Phase::Prune)).len(), 4);
         }
     }
 
     #[test]
-    fn values_out_of_range_are_refused() {
+    fn rejects_values_out_of_range() {
         for (text, field) in [
             ("LearnableMask(lambda: -0.01)", "lambda"),
             ("LearnableMask(lambda: NaN)", "lambda"),

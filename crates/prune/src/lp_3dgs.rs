@@ -3,9 +3,9 @@
 use crate::rounds::{check_rate, check_weight, logistic_noise, quantile};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Edit, Gate, GaussianCloud, JsonSchema, MaskRate, Moment, Needs, Phase, Pruner,
-    PrunerTraits, Real, Row, Statistic, rng,
-    tape::{Trace, TraceScalar, Traced},
+    Budget, CloudEdit, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Needs, Phase, Pruner,
+    PrunerTraits, Real, RowOrigin, Statistic, StepContext, rng,
+    tape::{Trace, TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
 
@@ -59,37 +59,37 @@ impl Pruner for Lp3dgs {
                 ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate),
                 ColumnSpec::state(IMPORTANCE, 0.0),
             ],
-            budget: Some(Budget::AtLast),
+            budget: Some(Budget::FinalStep),
             mask_rate: Some(MaskRate::adam(self.learning_rate)),
             ..PrunerTraits::default()
         }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        self.score(cloud, stats, moment).iter().map(|odds| *odds >= 0.0).collect()
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        self.score(cloud, stats, context).iter().map(|odds| *odds >= 0.0).collect()
     }
 
-    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
         Needs::of(&[Statistic::LargestWeight], self.transmitters)
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        if moment.phase == Phase::Finetune {
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
+        if context.phase == Phase::Finetune {
             return None;
         }
-        let mut random = rng::stream(moment.seed, "pruner Lp3dgs", moment.step);
+        let mut random = rng::stream(context.seed, "pruner Lp3dgs", context.step);
         let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
-        Some(Gate::Presence(((odds(cloud) + noise) / self.temperature).sigmoid()))
+        Some(Gate::Existence(((odds(cloud) + noise) / self.temperature).sigmoid()))
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase != Phase::Finetune && !cloud.is_empty())
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase != Phase::Finetune && !cloud.is_empty())
             .then(|| odds(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
     /// Updates the importance of the Gaussians without changing the Gaussians.
-    fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Option<Edit> {
-        let importance = &stats.asked.largest_weight;
+    fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Option<CloudEdit> {
+        let importance = &stats.requested.largest_weight;
         if importance.len() != cloud.len() || cloud.is_empty() {
             return None;
         }
@@ -97,11 +97,11 @@ impl Pruner for Lp3dgs {
         let mut cloud = cloud.clone();
         let column = cloud.extra.iter_mut().find(|column| column.name == IMPORTANCE)?;
         column.values = importance.iter().map(|s| (s.max(1e-6) / median).ln()).collect();
-        let rows = (0..cloud.len()).map(Row::Kept).collect();
-        Some(Edit { cloud, rows })
+        let rows = (0..cloud.len()).map(RowOrigin::Kept).collect();
+        Some(CloudEdit { cloud, rows })
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         match (cloud.extra(COLUMN), cloud.extra(IMPORTANCE)) {
             (Some(m), Some(s)) => m.values.iter().zip(&s.values).map(|(m, s)| m + s).collect(),
             _ => cloud.opacity_logits.clone(),
@@ -116,7 +116,7 @@ impl Pruner for Lp3dgs {
 }
 
 /// Returns m + ln(S/S̃), of which m is learned.
-fn odds(cloud: &Traced) -> Trace {
+fn odds(cloud: &TracedCloud) -> Trace {
     cloud.column(COLUMN) + cloud.leaf(IMPORTANCE).clone()
 }
 

@@ -3,9 +3,9 @@
 use crate::rounds::{check_rate, check_weight, learned, logistic_noise};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Moment, Phase, Pruner, PrunerTraits,
-    Real, rng,
-    tape::{Trace, TraceScalar, Traced},
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Phase, Pruner, PrunerTraits, Real,
+    StepContext, rng,
+    tape::{Trace, TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
 
@@ -15,14 +15,14 @@ const COLUMN: &str = "presence_logits";
 /// Learns an existence probability per Gaussian; masked Gaussians still receive gradients (MaskGaussian).
 ///
 /// In each step M = 1[m + g > 0] with logistic noise g, so that M = 1 with probability σ(m). Its derivative is that of
-/// the relaxed sample σ(m + g). M multiplies only the light that a Gaussian absorbs, [`Gate::Presence`]. A Gaussian
+/// the relaxed sample σ(m + g). M multiplies only the light that a Gaussian absorbs, [`Gate::Existence`]. A Gaussian
 /// with M = 0 is not drawn, but still receives the gradient of its absence, so that it can come back. The loss gains
 /// lambda · (mean M)²; this penalty weakens as the number of Gaussians decreases. Prune steps remove the Gaussians
 /// whose masks are closed in all of `draws` samples. Compared with [`crate::LearnableMask`], whose closed masks cannot
 /// reopen, a step costs more, because no Gaussian is skipped. Source: MaskGaussian, Liu et al., CVPR 2025, section 3.2,
 /// with one logit per Gaussian in place of two.
 ///
-/// Fine-tuning uses all remaining Gaussians without masks. Under `training.target` the last prune step keeps the
+/// Fine-tuning uses all remaining Gaussians without masks. Under `training.target_count` the last prune step keeps the
 /// Gaussians with the largest m.
 ///
 /// ```
@@ -55,15 +55,15 @@ impl Pruner for MaskGaussian {
     fn traits(&self) -> PrunerTraits {
         PrunerTraits {
             columns: vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)],
-            budget: Some(Budget::AtLast),
+            budget: Some(Budget::FinalStep),
             mask_rate: Some(MaskRate::adam(self.learning_rate)),
             ..PrunerTraits::default()
         }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Vec<bool> {
         let Some(column) = cloud.extra(COLUMN) else { return vec![true; cloud.len()] };
-        let mut random = rng::stream(moment.seed, "pruner MaskGaussian prune", moment.step);
+        let mut random = rng::stream(context.seed, "pruner MaskGaussian prune", context.step);
         let mut keep = vec![false; cloud.len()];
         for _ in 0..self.draws {
             let noise = logistic_noise(cloud.len(), &mut random);
@@ -72,16 +72,16 @@ impl Pruner for MaskGaussian {
         keep
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        (moment.phase != Phase::Finetune).then(|| Gate::Presence(throw(cloud, moment)))
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
+        (context.phase != Phase::Finetune).then(|| Gate::Existence(throw(cloud, context)))
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase != Phase::Finetune && !cloud.is_empty())
-            .then(|| throw(cloud, moment).mean::<Rank0, _>().square() * self.lambda)
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase != Phase::Finetune && !cloud.is_empty())
+            .then(|| throw(cloud, context).mean::<Rank0, _>().square() * self.lambda)
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         learned(cloud, COLUMN)
     }
 
@@ -93,8 +93,8 @@ impl Pruner for MaskGaussian {
 }
 
 /// Returns M of this step: the same sample for the gate and for the penalty.
-fn throw(cloud: &Traced, moment: &Moment) -> Trace {
-    let mut random = rng::stream(moment.seed, "pruner MaskGaussian", moment.step);
+fn throw(cloud: &TracedCloud, context: &StepContext) -> Trace {
+    let mut random = rng::stream(context.seed, "pruner MaskGaussian", context.step);
     let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
     cloud.straight_through((cloud.column(COLUMN) + noise).sigmoid(), 0.5)
 }

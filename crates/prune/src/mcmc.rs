@@ -4,9 +4,9 @@ use crate::covariance::Covariance;
 use crate::rounds::{check_below_one, check_share, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, Row, logit, rng,
-    sigmoid,
-    tape::{TraceScalar, Traced},
+    Budget, CloudEdit, CloudStats, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, RowOrigin,
+    StepContext, logit, rng, sigmoid,
+    tape::{TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
 
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 /// · σ(100 (0.005 − o)) · Σ · N(0, 1). Source: 3D Gaussian splatting as Markov chain Monte Carlo, Kheradmand et al.,
 /// NeurIPS 2024, eq. (9).
 ///
-/// `training.target` is the maximum N. Above it, prune steps remove the Gaussians of lowest opacity in rounds. Below
+/// `training.target_count` is the maximum N. Above it, prune steps remove the Gaussians of lowest opacity in rounds. Below
 /// it, each prune step adds at most the share `grow` of N, in the same way as faint Gaussians move. Without a target, N
 /// is constant.
 ///
@@ -55,25 +55,25 @@ impl Default for Mcmc {
 #[typetag::serde]
 impl Pruner for Mcmc {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), grows: true, ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), grows: true, ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         vec![true; cloud.len()]
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
             let opacity = cloud.opacities().mean::<Rank0, _>() * self.opacity_weight;
             opacity + cloud.column("log_scales").exp().mean::<Rank0, _>() * self.scale_weight
         })
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, context: &StepContext) {
         if self.noise == 0.0 {
             return;
         }
-        let mut random = rng::stream(moment.seed, "pruner Mcmc noise", moment.step);
+        let mut random = rng::stream(context.seed, "pruner Mcmc noise", context.step);
         for i in 0..cloud.len() {
             let size = self.noise * sigmoid(100.0 * (0.005 - sigmoid(cloud.opacity_logits[i])));
             let draw = [(); 3].map(|()| rng::normal(&mut random));
@@ -84,8 +84,8 @@ impl Pruner for Mcmc {
         }
     }
 
-    fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Option<Edit> {
-        if moment.round == 0 {
+    fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
+        if context.round == 0 {
             return None;
         }
         let n = cloud.len();
@@ -94,34 +94,34 @@ impl Pruner for Mcmc {
         if alive.is_empty() {
             alive = (0..n).collect(); // if all are faint, none counts as faint
         }
-        let room = moment.target.map_or(0, |target| target.saturating_sub(n));
-        let last = moment.round == moment.rounds;
+        let room = context.target.map_or(0, |target| target.saturating_sub(n));
+        let last = context.round == context.rounds;
         let added = if last { room } else { room.min((f64::from(self.grow) * n as f64) as usize) };
         if alive.is_empty() || (alive.len() == n && added == 0) {
             return None;
         }
-        let mut random = rng::stream(moment.seed, "pruner Mcmc", moment.step);
+        let mut random = rng::stream(context.seed, "pruner Mcmc", context.step);
         let drawn = draws(&alive, &opacities, n - alive.len() + added, &mut random);
         let mut shared = vec![1usize; n];
         drawn.iter().for_each(|&i| shared[i] += 1);
         // Faint Gaussians take the positions of the first draws, new rows those of the others.
         let mut sources = drawn.into_iter();
-        let mut rows: Vec<Row> = (0..n).map(Row::Kept).collect();
+        let mut rows: Vec<RowOrigin> = (0..n).map(RowOrigin::Kept).collect();
         for (i, row) in rows.iter_mut().enumerate() {
             if alive.len() < n && opacities[i] <= f64::from(self.dead) {
-                *row = Row::Copied(sources.next().expect("a draw for each that is dead"));
+                *row = RowOrigin::Copied(sources.next().expect("a draw for each that is dead"));
             }
         }
-        rows.extend(sources.map(Row::Copied));
+        rows.extend(sources.map(RowOrigin::Copied));
         let order: Vec<usize> = rows.iter().map(|row| row.source()).collect();
         let mut moved = cloud.select(&order);
         for (k, &source) in order.iter().enumerate().filter(|(_, source)| shared[**source] > 1) {
             let (opacity, shrink) = share_out(opacities[source], shared[source]);
             moved.opacity_logits[k] = logit(opacity as Real);
             moved.log_scales[k].iter_mut().for_each(|s| *s += shrink.ln() as Real);
-            rows[k] = Row::Copied(source); // Gaussians at a shared position restart their moments
+            rows[k] = RowOrigin::Copied(source); // Gaussians at a shared position restart their moments
         }
-        Some(Edit { cloud: moved, rows })
+        Some(CloudEdit { cloud: moved, rows })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_in_one_place_look_like_one() {
+    fn share_out_keeps_opacity_of_copies() {
         // Amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
         for opacity in [0.05, 0.3, 0.8] {
             let (own, shrink) = share_out(opacity, 2);

@@ -3,8 +3,8 @@
 use crate::covariance::Covariance;
 use crate::rounds::{check_shares, share_at, share_of};
 use pwrfgs_core::{
-    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, Row, logit, neighbours,
-    sigmoid,
+    Budget, CloudEdit, CloudStats, GaussianCloud, JsonSchema, Pruner, PrunerTraits, Real, RowOrigin, StepContext,
+    logit, neighbours, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -38,21 +38,21 @@ impl Default for MergeByMoments {
 #[typetag::serde]
 impl Pruner for MergeByMoments {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Own), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::PrunerManaged), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         vec![true; cloud.len()]
     }
 
-    fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Option<Edit> {
+    fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
         let n = cloud.len();
-        let by_share = || n - share_of(n, share_at(&self.shares, moment)).floor() as usize;
-        let count = moment.target.map_or_else(by_share, |target| moment.quota(n, target)).max(1);
+        let by_share = || n - share_of(n, share_at(&self.shares, context)).floor() as usize;
+        let count = context.target.map_or_else(by_share, |target| context.quota(n, target)).max(1);
         if count >= n || cloud.means.as_flattened().iter().any(|v| !v.is_finite()) {
             return None;
         }
-        let mut edit = Edit { cloud: cloud.clone(), rows: (0..n).map(Row::Kept).collect() };
+        let mut edit = CloudEdit { cloud: cloud.clone(), rows: (0..n).map(RowOrigin::Kept).collect() };
         while edit.rows.len() > count {
             merge_pass(&mut edit, count);
         }
@@ -72,8 +72,8 @@ fn mass(cloud: &GaussianCloud, i: usize) -> f64 {
 
 /// Merges pairs of nearest neighbours, lowest cost first and each Gaussian once, until `count` are left or no pair
 /// remains.
-fn merge_pass(edit: &mut Edit, count: usize) {
-    let Edit { cloud, rows } = edit;
+fn merge_pass(edit: &mut CloudEdit, count: usize) {
+    let CloudEdit { cloud, rows } = edit;
     let n = cloud.len();
     let nearest = neighbours::k_nearest(&cloud.means, &cloud.means, 2.min(n));
     let masses: Vec<f64> = (0..n).map(|i| mass(cloud, i)).collect();
@@ -89,7 +89,7 @@ fn merge_pass(edit: &mut Edit, count: usize) {
     for (_, i, j) in pairs {
         if left > count && !taken[i] && !taken[j] {
             join(cloud, [i, j], [masses[i], masses[j]]);
-            rows[i] = Row::Copied(rows[i].source());
+            rows[i] = RowOrigin::Copied(rows[i].source());
             (taken[i], taken[j], gone[j]) = (true, true, true);
             left -= 1;
         }

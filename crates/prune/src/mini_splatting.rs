@@ -1,14 +1,14 @@
 //! Pruners by blending weight: weighted random sample, cumulated weight or quantile.
 
-use crate::rounds::{asked, check_share, quantile, without_share};
+use crate::rounds::{check_share, quantile, requested_statistic, without_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, rng,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, rng,
 };
 use serde::{Deserialize, Serialize};
 
 /// Selection rule by weight.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub enum Rule {
+pub enum SelectionRule {
     /// Random sample of this share of all Gaussians, with probability proportional to weight.
     Sampled(Real),
     /// Gaussians with the largest weights that together have this share of the total weight.
@@ -17,7 +17,7 @@ pub enum Rule {
     Above(Real),
 }
 
-impl Rule {
+impl SelectionRule {
     fn share(self) -> Real {
         let (Self::Sampled(share) | Self::Cumulated(share) | Self::Above(share)) = self;
         share
@@ -36,7 +36,7 @@ impl Rule {
 /// - `Above(0.05)` is the rule of EAGLES (Girish et al., ECCV 2024, section 3.3: 5 % every 3,000 steps). It removes all
 ///   invisible Gaussians at once.
 ///
-/// Samples follow from the seed of the pipeline. With `training.target`, `Cumulated` and `Above` are equal: the largest
+/// Samples follow from the seed of the pipeline. With `training.target_count`, `Cumulated` and `Above` are equal: the largest
 /// weights are kept.
 ///
 /// ```
@@ -49,7 +49,7 @@ impl Rule {
 #[serde(default, deny_unknown_fields)]
 pub struct MiniSplatting {
     /// Selection rule.
-    pub rule: Rule,
+    pub rule: SelectionRule,
     /// Whether to use the mean weight over the covered pixels instead of the sum.
     pub per_area: bool,
     /// Number of training transmitters used for the score; 0 for all.
@@ -58,29 +58,29 @@ pub struct MiniSplatting {
 
 impl Default for MiniSplatting {
     fn default() -> Self {
-        Self { rule: Rule::Sampled(0.5), per_area: false, transmitters: 0 }
+        Self { rule: SelectionRule::Sampled(0.5), per_area: false, transmitters: 0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for MiniSplatting {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        if moment.round == 0 {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        if context.round == 0 {
             return vec![true; cloud.len()];
         }
-        let scores = self.score(cloud, stats, moment);
+        let scores = self.score(cloud, stats, context);
         match self.rule {
-            Rule::Above(0.0) => vec![true; scores.len()],
-            Rule::Above(share) => {
+            SelectionRule::Above(0.0) => vec![true; scores.len()],
+            SelectionRule::Above(share) => {
                 let limit = quantile(&scores, share);
                 scores.iter().map(|score| *score > limit).collect()
             }
-            Rule::Sampled(share) => without_share(&scores, 1.0 - share),
-            Rule::Cumulated(share) => {
+            SelectionRule::Sampled(share) => without_share(&scores, 1.0 - share),
+            SelectionRule::Cumulated(share) => {
                 let whole: f64 = scores.iter().map(|s| f64::from(*s)).sum();
                 let mut order: Vec<usize> = (0..scores.len()).collect();
                 order.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
@@ -94,18 +94,21 @@ impl Pruner for MiniSplatting {
         }
     }
 
-    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
         let statistic = if self.per_area { Statistic::WeightPerArea } else { Statistic::Weight };
         Needs::of(&[statistic], self.transmitters)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
-        let weights = asked(if self.per_area { &stats.asked.weight_per_area } else { &stats.asked.weight }, cloud);
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
+        let weights = requested_statistic(
+            if self.per_area { &stats.requested.weight_per_area } else { &stats.requested.weight },
+            cloud,
+        );
         match self.rule {
-            Rule::Cumulated(_) | Rule::Above(_) => weights,
+            SelectionRule::Cumulated(_) | SelectionRule::Above(_) => weights,
             // The largest of these keys are a sample without replacement (Efraimidis and Spirakis, 2006).
-            Rule::Sampled(_) => {
-                let mut random = rng::stream(moment.seed, "pruner MiniSplatting", moment.step);
+            SelectionRule::Sampled(_) => {
+                let mut random = rng::stream(context.seed, "pruner MiniSplatting", context.step);
                 weights.iter().map(|w| rng::uniform(&mut random).max(Real::MIN_POSITIVE).ln() / w.max(0.0)).collect()
             }
         }

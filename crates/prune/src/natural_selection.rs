@@ -3,8 +3,8 @@
 use crate::rounds::{check_below_one, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, sigmoid,
-    tape::{TraceScalar, Traced},
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, sigmoid,
+    tape::{TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +16,7 @@ const LIFE: &str = "life";
 /// The loss gains `pressure` times the mean opacity logit. Every logit thus decreases at the same rate, whatever the
 /// opacity of its Gaussian, unless the gradient of the loss opposes it. Life is a moving average of opacity, so that
 /// one noisy batch does not remove a Gaussian. Prune steps remove the Gaussians with a life below `epsilon`. Source:
-/// Gaussian Natural Selection, 2025, whose decay field is this penalty; a final cut to a budget (`training.target`)
+/// Gaussian Natural Selection, 2025, whose decay field is this penalty; a final cut to a budget (`training.target_count`)
 /// sets its number of Gaussians.
 ///
 /// ```
@@ -48,21 +48,21 @@ impl Pruner for NaturalSelection {
         PrunerTraits {
             // Lives start at 1; the moving average soon forgets this value.
             columns: vec![ColumnSpec::state(LIFE, 1.0)],
-            budget: Some(Budget::AtLast),
+            budget: Some(Budget::FinalStep),
             ..PrunerTraits::default()
         }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        self.score(cloud, stats, moment).iter().map(|life| *life >= self.epsilon).collect()
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        self.score(cloud, stats, context).iter().map(|life| *life >= self.epsilon).collect()
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase == Phase::Prune && !cloud.is_empty())
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase == Phase::Prune && !cloud.is_empty())
             .then(|| cloud.column("opacity_logits").mean::<Rank0, _>() * self.pressure)
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, _: &Moment) {
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, _: &StepContext) {
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         for column in cloud.extra.iter_mut().filter(|column| column.name == LIFE) {
             let lives = column.values.iter_mut().zip(&opacities);
@@ -70,7 +70,7 @@ impl Pruner for NaturalSelection {
         }
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         let opacities = || cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         cloud.extra(LIFE).map_or_else(opacities, |column| column.values.clone())
     }

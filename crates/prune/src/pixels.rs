@@ -1,8 +1,8 @@
 //! Pruners based on single pixels: the most important Gaussians per pixel (SafeguardGS), or large errors (FastGS).
 
-use crate::rounds::{asked, check_share};
+use crate::rounds::{check_share, requested_statistic};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext,
 };
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// In each pixel, splats are ranked by exp(−|‖s‖ − P|) · w, with the strength ‖s‖ of the splat, the measured value P of
 /// the pixel and the blending weight w = γ·T. The first `of_pixel` splats are kept: visible ones that agree with the
-/// measurement. No pixel loses all its Gaussians, which matters most for small N. With `training.target`, the kept
+/// measurement. No pixel loses all its Gaussians, which matters most for small N. With `training.target_count`, the kept
 /// Gaussians rank first, ordered by weight. Source: SafeguardGS, Lee et al., 2024, with amplitudes in place of colours.
 ///
 /// ```
@@ -37,23 +37,23 @@ impl Default for SafeguardGs {
 #[typetag::serde]
 impl Pruner for SafeguardGs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
-        if stats.asked.top.len() == cloud.len() { stats.asked.top.clone() } else { vec![true; cloud.len()] }
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<bool> {
+        if stats.requested.top.len() == cloud.len() { stats.requested.top.clone() } else { vec![true; cloud.len()] }
     }
 
-    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
         Needs::of(&[Statistic::Top { count: self.of_pixel }, Statistic::Weight], self.transmitters)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        let weight = asked(&stats.asked.weight, cloud);
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        let weight = requested_statistic(&stats.requested.weight, cloud);
         let (n, mut sorted) = (weight.len(), weight.clone());
         sorted.sort_by(Real::total_cmp);
         let rank = |w: &Real| sorted.partition_point(|other| other.total_cmp(w).is_lt());
-        let safe = |i: usize| stats.asked.top.get(i).is_some_and(|top| *top);
+        let safe = |i: usize| stats.requested.top.get(i).is_some_and(|top| *top);
         weight.iter().enumerate().map(|(i, w)| (rank(w) + if safe(i) { n } else { 0 }) as Real).collect()
     }
 
@@ -103,21 +103,21 @@ impl Default for FastGs {
 #[typetag::serde]
 impl Pruner for FastGs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        let known = stats.asked.high_error.len() == cloud.len();
-        self.score(cloud, stats, moment).iter().map(|score| !known || *score >= 1.0 - self.blame).collect()
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        let known = stats.requested.high_error.len() == cloud.len();
+        self.score(cloud, stats, context).iter().map(|score| !known || *score >= 1.0 - self.blame).collect()
     }
 
-    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
         Needs::of(&[Statistic::Error { high: self.high }], self.transmitters)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        let blame = asked(&stats.asked.high_error, cloud);
-        if stats.asked.high_error.len() != cloud.len() {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        let blame = requested_statistic(&stats.requested.high_error, cloud);
+        if stats.requested.high_error.len() != cloud.len() {
             return blame;
         }
         let (low, high) = blame.iter().fold((Real::INFINITY, 0.0 as Real), |(a, b), v| (a.min(*v), b.max(*v)));

@@ -2,7 +2,7 @@
 
 use crate::rounds::{check_shares, needs, share_at, without_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext,
 };
 use serde::{Deserialize, Serialize};
 
@@ -40,22 +40,22 @@ impl Default for Pup3dgs {
 #[typetag::serde]
 impl Pruner for Pup3dgs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        needs(&[Statistic::Fisher], self.transmitters, &self.shares, moment)
+    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
+        needs(&[Statistic::Fisher], self.transmitters, &self.shares, context)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        if stats.asked.fisher.len() != cloud.len() {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        if stats.requested.fisher.len() != cloud.len() {
             return cloud.opacity_logits.clone();
         }
-        stats.asked.fisher.iter().map(|fisher| log_det(fisher, f64::from(self.ridge)) as Real).collect()
+        stats.requested.fisher.iter().map(|fisher| log_det(fisher, f64::from(self.ridge)) as Real).collect()
     }
 
     fn check(&self) -> Result<(), String> {

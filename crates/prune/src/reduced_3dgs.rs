@@ -2,7 +2,7 @@
 
 use crate::rounds::{check_share, without_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, neighbours, sigmoid,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Pruner, PrunerTraits, Real, StepContext, neighbours, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Two Gaussians overlap if their centres are closer than the sum of their largest scales. For each Gaussian the
 /// `neighbours` nearest ones are tested. A Gaussian is crowded if its overlap count exceeds the mean by more than
 /// `deviations` standard deviations. Prune steps remove the `share` of the crowded Gaussians with the lowest opacity.
-/// The score uses only the cloud, so it works for any method. Under `training.target` the Gaussians with the highest
+/// The score uses only the cloud, so it works for any method. Under `training.target_count` the Gaussians with the highest
 /// counts are removed first, then those of lowest opacity. Source: Reducing the memory footprint of 3DGS, Papantonakis
 /// et al., I3D 2024, with spheres in place of its ray test.
 ///
@@ -41,12 +41,12 @@ impl Default for Reduced3dgs {
 #[typetag::serde]
 impl Pruner for Reduced3dgs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Vec<bool> {
         let mut keep = vec![true; cloud.len()];
-        if moment.round == 0 {
+        if context.round == 0 {
             return keep;
         }
         let counts = overlaps(cloud, self.neighbours);
@@ -60,7 +60,7 @@ impl Pruner for Reduced3dgs {
         keep
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         let counts = overlaps(cloud, self.neighbours);
         cloud.opacity_logits.iter().zip(counts).map(|(o, count)| sigmoid(*o) - count).collect()
     }

@@ -1,9 +1,9 @@
 //! Reference strategies: random removal as the lower reference, and greedy elimination as the upper reference.
 
-use crate::rounds::{asked, check_shares, share_at, without_share};
+use crate::rounds::{check_shares, requested_statistic, share_at, without_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, Statistics,
-    rng,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, PrunerTraits, Real, Statistic,
+    StepContext, rng,
 };
 use serde::{Deserialize, Serialize};
 
@@ -34,15 +34,15 @@ impl Default for RandomReference {
 #[typetag::serde]
 impl Pruner for RandomReference {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<Real> {
-        let mut random = rng::stream(moment.seed, "pruner RandomReference", moment.step);
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Vec<Real> {
+        let mut random = rng::stream(context.seed, "pruner RandomReference", context.step);
         (0..cloud.len()).map(|_| rng::uniform(&mut random)).collect()
     }
 
@@ -84,23 +84,23 @@ impl Default for GreedyElimination {
 #[typetag::serde]
 impl Pruner for GreedyElimination {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn needs(&self, cloud: &GaussianCloud, _: &Moment) -> Needs {
+    fn needs(&self, cloud: &GaussianCloud, _: &StepContext) -> Needs {
         if cloud.len() > self.most {
             return Needs::of(&[], self.transmitters).and_where_blended(&[Statistic::Sensitivity]);
         }
         Needs::of(&[Statistic::Elimination { most: self.most }], self.transmitters)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        let Statistics { elimination, sensitivity, .. } = &stats.asked;
-        asked(if elimination.len() == cloud.len() { elimination } else { sensitivity }, cloud)
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        let PassStatistics { elimination, sensitivity, .. } = &stats.requested;
+        requested_statistic(if elimination.len() == cloud.len() { elimination } else { sensitivity }, cloud)
     }
 
     fn check(&self) -> Result<(), String> {

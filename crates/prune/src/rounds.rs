@@ -1,10 +1,10 @@
 //! Shared parts of score-based strategies: share per prune step, ranking, checks of settings.
 
-use pwrfgs_core::{GaussianCloud, Moment, Needs, Real, Statistic, best};
+use pwrfgs_core::{GaussianCloud, Needs, Real, Statistic, StepContext, best};
 
 /// Returns the share to remove at this prune step: an entry of `shares`, or 0 after the last entry.
-pub(crate) fn share_at(shares: &[Real], moment: &Moment) -> Real {
-    let place = moment.round.checked_sub(1).map(|place| place as usize);
+pub(crate) fn share_at(shares: &[Real], context: &StepContext) -> Real {
+    let place = context.round.checked_sub(1).map(|place| place as usize);
     place.and_then(|place| shares.get(place)).copied().unwrap_or(0.0)
 }
 
@@ -21,15 +21,15 @@ pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
 }
 
 /// Requests `statistics` over this number of `transmitters`; requests nothing if this step has no share and no target.
-pub(crate) fn needs(statistics: &[Statistic], transmitters: usize, shares: &[Real], moment: &Moment) -> Needs {
-    if moment.target.is_none() && share_at(shares, moment) == 0.0 {
+pub(crate) fn needs(statistics: &[Statistic], transmitters: usize, shares: &[Real], context: &StepContext) -> Needs {
+    if context.target.is_none() && share_at(shares, context) == 0.0 {
         return Needs::nothing();
     }
     Needs::of(statistics, transmitters)
 }
 
 /// Returns a requested statistic; the opacity if the pass did not compute it, so that zeros never decide.
-pub(crate) fn asked(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
+pub(crate) fn requested_statistic(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
     if column.len() == cloud.len() { column.to_vec() } else { cloud.opacity_logits.clone() }
 }
 

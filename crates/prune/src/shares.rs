@@ -1,9 +1,9 @@
 //! Pruners that remove a share at each prune step, by the effect of a Gaussian on the spectra: blending weight
 //! (LightGaussian), contributed signal (`SignalContribution`), or sensitivity (`SpeedySplat`).
 
-use crate::rounds::{asked, check_shares, check_weight, needs, quantile, share_at, without_share};
+use crate::rounds::{check_shares, check_weight, needs, quantile, requested_statistic, share_at, without_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext,
 };
 use serde::{Deserialize, Serialize};
 
@@ -41,23 +41,23 @@ impl Default for LightGaussian {
 #[typetag::serde]
 impl Pruner for LightGaussian {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        needs(&[Statistic::Weight], self.transmitters, &self.shares, moment)
+    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
+        needs(&[Statistic::Weight], self.transmitters, &self.shares, context)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         let volumes: Vec<Real> = cloud.log_scales.iter().map(|s| s.iter().sum::<Real>().exp()).collect();
         let large = quantile(&volumes, 0.9);
         let factor = |v: Real| (v / large).min(1.0).powf(self.volume_power);
-        let weight = asked(&stats.asked.weight, cloud);
-        if stats.asked.weight.len() != cloud.len() {
+        let weight = requested_statistic(&stats.requested.weight, cloud);
+        if stats.requested.weight.len() != cloud.len() {
             return weight;
         }
         weight.iter().zip(volumes).map(|(w, v)| w * factor(v)).collect()
@@ -71,7 +71,7 @@ impl Pruner for LightGaussian {
 
 /// Reduction of the scores over transmitters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub enum Over {
+pub enum LinkReduction {
     /// Mean over transmitters.
     #[default]
     Mean,
@@ -97,7 +97,7 @@ pub enum Over {
 #[serde(default, deny_unknown_fields)]
 pub struct SignalContribution {
     /// Reduction over transmitters.
-    pub over: Over,
+    pub over: LinkReduction,
     /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
     pub shares: Vec<Real>,
     /// Number of training transmitters used for the score; 0 for all.
@@ -106,26 +106,29 @@ pub struct SignalContribution {
 
 impl Default for SignalContribution {
     fn default() -> Self {
-        Self { over: Over::Mean, shares: vec![0.5, 0.5, 0.5], transmitters: 0 }
+        Self { over: LinkReduction::Mean, shares: vec![0.5, 0.5, 0.5], transmitters: 0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for SignalContribution {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        needs(&[Statistic::SignalWeight], self.transmitters, &self.shares, moment)
+    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
+        needs(&[Statistic::SignalWeight], self.transmitters, &self.shares, context)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        asked(if self.over == Over::Max { &stats.asked.signal_max } else { &stats.asked.signal_mean }, cloud)
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        requested_statistic(
+            if self.over == LinkReduction::Max { &stats.requested.signal_max } else { &stats.requested.signal_mean },
+            cloud,
+        )
     }
 
     fn check(&self) -> Result<(), String> {
@@ -165,19 +168,19 @@ impl Default for SpeedySplat {
 #[typetag::serde]
 impl Pruner for SpeedySplat {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
     }
 
-    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        needs(&[Statistic::Sensitivity], self.transmitters, &self.shares, moment)
+    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
+        needs(&[Statistic::Sensitivity], self.transmitters, &self.shares, context)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        asked(&stats.asked.sensitivity, cloud)
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        requested_statistic(&stats.requested.sensitivity, cloud)
     }
 
     fn check(&self) -> Result<(), String> {

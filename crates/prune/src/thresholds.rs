@@ -1,8 +1,9 @@
 //! Pruners by threshold or budget: low opacity, low blending weight, or a fixed number of best-scored Gaussians.
 
-use crate::rounds::{asked, check_share};
+use crate::rounds::{check_share, requested_statistic};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, best, sigmoid,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best,
+    sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -36,10 +37,10 @@ impl Default for OpacityThreshold {
 #[typetag::serde]
 impl Pruner for OpacityThreshold {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
     }
 
@@ -82,20 +83,20 @@ impl Default for RadSplat {
 #[typetag::serde]
 impl Pruner for RadSplat {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
-        let known = stats.asked.largest_weight.len() == cloud.len();
-        (0..cloud.len()).map(|i| !known || stats.asked.largest_weight[i] >= self.threshold).collect()
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<bool> {
+        let known = stats.requested.largest_weight.len() == cloud.len();
+        (0..cloud.len()).map(|i| !known || stats.requested.largest_weight[i] >= self.threshold).collect()
     }
 
-    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
         Needs::of(&[Statistic::LargestWeight], self.transmitters)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        asked(&stats.asked.largest_weight, cloud)
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
+        requested_statistic(&stats.requested.largest_weight, cloud)
     }
 
     fn check(&self) -> Result<(), String> {
@@ -103,7 +104,7 @@ impl Pruner for RadSplat {
     }
 }
 
-/// Keeps the best-scored Gaussians at each prune step, at most `training.target`.
+/// Keeps the best-scored Gaussians at each prune step, at most `training.target_count`.
 ///
 /// Use it for a fixed memory or time budget. `densify.max_gaussians` complements it: it limits growth during
 /// densification. Ties follow the order of the Gaussians. `Weight`, the blending weight used by importance-based
@@ -119,12 +120,12 @@ impl Pruner for RadSplat {
 #[serde(default, deny_unknown_fields)]
 pub struct TopK {
     /// Score by which Gaussians are ranked.
-    pub score: Score,
+    pub score: ImportanceScore,
 }
 
 /// Importance score of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub enum Score {
+pub enum ImportanceScore {
     /// Sum of the blending weights γ·T over pixels and renders since the last densification; opacity if nothing was
     /// rendered since.
     #[default]
@@ -138,23 +139,25 @@ pub enum Score {
 #[typetag::serde]
 impl Pruner for TopK {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::AtMost), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::UpperBound), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        best(moment.target.unwrap_or(cloud.len()), &self.score(cloud, stats, moment), |_| true)
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        best(context.target.unwrap_or(cloud.len()), &self.score(cloud, stats, context), |_| true)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         // NaN ranks lowest.
         let number = |s: Real| if s.is_nan() { Real::NEG_INFINITY } else { s };
-        let seen = stats.weight.len() == cloud.len() && stats.weight.iter().any(|w| *w > 0.0);
+        let has_weights = stats.weight.len() == cloud.len() && stats.weight.iter().any(|w| *w > 0.0);
         let volume = |(logit, scales): (&Real, &[Real; 3])| sigmoid(*logit) * scales.iter().sum::<Real>().exp();
         match self.score {
-            Score::Weight if seen => stats.weight.iter().copied().map(number).collect(),
+            ImportanceScore::Weight if has_weights => stats.weight.iter().copied().map(number).collect(),
             // The logit has the order of the opacity, and distinguishes opacities that round to 1.
-            Score::Weight | Score::Opacity => cloud.opacity_logits.iter().copied().map(number).collect(),
-            Score::OpacityVolume => {
+            ImportanceScore::Weight | ImportanceScore::Opacity => {
+                cloud.opacity_logits.iter().copied().map(number).collect()
+            }
+            ImportanceScore::OpacityVolume => {
                 cloud.opacity_logits.iter().zip(&cloud.log_scales).map(volume).map(number).collect()
             }
         }
@@ -164,22 +167,22 @@ impl Pruner for TopK {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture::{cloud, moment};
+    use crate::fixture::{cloud, context};
     use pwrfgs_core::{Phase, logit};
 
     #[test]
-    fn opacities_from_epsilon_on_stay() {
+    fn keeps_opacities_of_at_least_epsilon() {
         let cloud = cloud(&[logit(0.0049), logit(0.0051), 0.0, 40.0, -40.0]);
-        let keep = |epsilon| OpacityThreshold { epsilon }.keep(&cloud, &CloudStats::zeros(5), &moment(Phase::Prune));
+        let keep = |epsilon| OpacityThreshold { epsilon }.keep(&cloud, &CloudStats::zeros(5), &context(Phase::Prune));
         assert_eq!(keep(0.005), [false, true, true, true, false]);
         assert_eq!(keep(0.5), [false, false, true, true, false]);
         assert_eq!(keep(0.0), [true; 5]);
     }
 
-    fn kept(keep: usize, score: Score, cloud: &GaussianCloud, weight: &[Real]) -> Vec<usize> {
+    fn kept(keep: usize, score: ImportanceScore, cloud: &GaussianCloud, weight: &[Real]) -> Vec<usize> {
         let stats = CloudStats { weight: weight.to_vec(), ..CloudStats::zeros(cloud.len()) };
-        let moment = Moment { target: Some(keep), ..moment(Phase::Prune) };
-        let kept = TopK { score }.keep(cloud, &stats, &moment);
+        let context = StepContext { target: Some(keep), ..context(Phase::Prune) };
+        let kept = TopK { score }.keep(cloud, &stats, &context);
         (0..cloud.len()).filter(|&i| kept[i]).collect()
     }
 
@@ -188,16 +191,16 @@ mod tests {
         let mut cloud = cloud(&[0.0, 2.0, 1.0, -3.0]);
         cloud.log_scales[3] = [2.0; 3];
         let weight = [5.0, 0.0, 7.0, 6.0];
-        assert_eq!(kept(2, Score::Weight, &cloud, &weight), [2, 3]);
-        assert_eq!(kept(2, Score::Opacity, &cloud, &weight), [1, 2]);
-        assert_eq!(kept(1, Score::OpacityVolume, &cloud, &weight), [3]);
-        assert_eq!(kept(2, Score::Weight, &cloud, &[0.0; 4]), [1, 2], "nothing drawn: opacity decides");
+        assert_eq!(kept(2, ImportanceScore::Weight, &cloud, &weight), [2, 3]);
+        assert_eq!(kept(2, ImportanceScore::Opacity, &cloud, &weight), [1, 2]);
+        assert_eq!(kept(1, ImportanceScore::OpacityVolume, &cloud, &weight), [3]);
+        assert_eq!(kept(2, ImportanceScore::Weight, &cloud, &[0.0; 4]), [1, 2], "nothing drawn: opacity decides");
     }
 
     #[test]
     fn the_budget_is_exact_even_among_equals() {
         let cloud = cloud(&[1.0; 9]);
-        for score in [Score::Weight, Score::Opacity, Score::OpacityVolume] {
+        for score in [ImportanceScore::Weight, ImportanceScore::Opacity, ImportanceScore::OpacityVolume] {
             assert_eq!(kept(4, score, &cloud, &[2.0; 9]), [0, 1, 2, 3]);
             assert_eq!(kept(9, score, &cloud, &[2.0; 9]).len(), 9);
             assert_eq!(kept(90, score, &cloud, &[2.0; 9]).len(), 9);
@@ -205,8 +208,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_goes_first() {
+    fn nan_scores_are_removed_first() {
         let cloud = cloud(&[Real::NAN, 0.0, -1.0]);
-        assert_eq!(kept(2, Score::Opacity, &cloud, &[0.0; 3]), [1, 2]);
+        assert_eq!(kept(2, ImportanceScore::Opacity, &cloud, &[0.0; 3]), [1, 2]);
     }
 }

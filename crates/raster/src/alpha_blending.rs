@@ -2,10 +2,11 @@
 
 use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
 use crate::canvas::{gather, patches};
-use crate::survey::Look;
+use crate::survey::SurveyTile;
 use crate::tiles::{Support, TileLists};
 use pwrfgs_core::{
-    Cache, ImagePlane, JsonSchema, Looked, Rasterizer, Real, Render, RenderVjp, Splats, Survey, cached, widest,
+    Cache, ImagePlane, JsonSchema, Rasterizer, Real, Render, RenderVjp, SplatStats, Splats, SurveyInputs, cached,
+    widest,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -104,7 +105,7 @@ impl Rasterizer for AlphaBlending {
             },
         );
         let mut found = sum_over_tiles(lists, splats.len(), channels, &parts);
-        found.splats.presence.truncate(splats.presence.len());
+        found.splats.existence.truncate(splats.existence.len());
         found
     }
 
@@ -112,23 +113,29 @@ impl Rasterizer for AlphaBlending {
         true
     }
 
-    fn survey(&self, splats: &Splats, plane: &ImagePlane, render: &Render, survey: &Survey<'_>) -> Vec<Looked> {
+    fn survey(
+        &self,
+        splats: &Splats,
+        plane: &ImagePlane,
+        render: &Render,
+        survey: &SurveyInputs<'_>,
+    ) -> Vec<SplatStats> {
         let lists: &TileLists = cached(&render.cache);
         let channels = render.pixels.len() / (plane.width * plane.height);
         let look = |t: usize| {
             let tile = tile(lists, t, splats, &[], channels, plane);
-            widest(Look { tile: &tile, picture: &render.pixels, survey })
+            widest(SurveyTile { tile: &tile, picture: &render.pixels, survey })
         };
-        let found: Vec<Vec<Looked>> = (0..lists.len()).into_par_iter().map(look).collect();
+        let found: Vec<Vec<SplatStats>> = (0..lists.len()).into_par_iter().map(look).collect();
         // Sums in tile order do not depend on the assignment of tiles to threads.
-        let mut sums = vec![Looked::default(); splats.len()];
+        let mut sums = vec![SplatStats::default(); splats.len()];
         for (t, found) in found.iter().enumerate() {
             lists.of(t).0.iter().zip(found).for_each(|(&i, own)| sums[i as usize].add(own));
         }
         sums
     }
 
-    fn faintest(&self) -> Real {
+    fn min_drawn_opacity(&self) -> Real {
         ALPHA_MIN
     }
 
@@ -174,22 +181,22 @@ fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) 
         next[i as usize] += 1;
     }
     let mut d = Splats::zeros(n);
-    d.presence = vec![0.0; n];
+    d.existence = vec![0.0; n];
     let mut signals = vec![0.0; n * channels];
     let mut weights = vec![0.0; n];
     let rows = (d.means2d.par_iter_mut())
         .zip(d.conics.par_iter_mut())
-        .zip(d.opacities.par_iter_mut().zip(d.presence.par_iter_mut()))
+        .zip(d.opacities.par_iter_mut().zip(d.existence.par_iter_mut()))
         .zip(signals.par_chunks_exact_mut(channels))
         .zip(weights.par_iter_mut());
-    rows.enumerate().with_min_len(256).for_each(|(i, ((((mean, conic), (opacity, presence)), signal), weight))| {
+    rows.enumerate().with_min_len(256).for_each(|(i, ((((mean, conic), (opacity, existence)), signal), weight))| {
         for &slot in &slots[first[i]..first[i + 1]] {
             let part = &parts[slot as usize * stride..][..stride];
             mean.iter_mut().zip(&part[..2]).for_each(|(sum, d)| *sum += d);
             conic.iter_mut().zip(&part[2..5]).for_each(|(sum, d)| *sum += d);
             *opacity += part[5];
             *weight += part[6];
-            *presence += part[7];
+            *existence += part[7];
             signal.iter_mut().zip(&part[GEOMETRY..]).for_each(|(sum, d)| *sum += d);
         }
     });

@@ -61,13 +61,13 @@ pub struct ArrayResponse {
 /// only, computing them takes longer than a spectrum, and models of one ensemble share them. Results do not depend on
 /// the cache. Training with a moving stride needs one table per offset; together these are as large as that of the
 /// whole image.
-static TABLES: RwLock<Vec<Known>> = RwLock::new(Vec::new());
+static TABLES: RwLock<Vec<CachedTable>> = RwLock::new(Vec::new());
 
 /// Number of cached tables of whole images, or as many pixels of smaller ones.
 const KEPT: usize = 4;
 
 /// Grid and its table.
-type Known = (Grid, Arc<Beams>);
+type CachedTable = (Grid, Arc<Beams>);
 
 /// Rows, columns and spacing of an array, and the image plane.
 type Grid = (usize, usize, Real, ImagePlane);

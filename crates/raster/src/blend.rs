@@ -20,7 +20,7 @@ pub(crate) const T_MIN: Real = 1e-4;
 /// Cotangents of the geometry of a splat in one tile: mean (2), conic (3), opacity, its summed weight, and existence.
 pub(crate) const GEOMETRY: usize = 8;
 
-pub(crate) type Row = [Real; TILE];
+pub(crate) type PixelRow = [Real; TILE];
 
 /// Inputs of the kernel for one tile.
 pub(crate) struct Tile<'a> {
@@ -42,7 +42,7 @@ pub(crate) struct Tile<'a> {
 
 /// Transmittance of the pixels of a tile, negative once it is final (the pixel is opaque or outside the image).
 pub(crate) struct Transmittance {
-    signed: [Row; TILE],
+    signed: [PixelRow; TILE],
     /// Rows with a pixel that is not final.
     alive: [bool; TILE],
 }
@@ -50,16 +50,16 @@ pub(crate) struct Transmittance {
 /// Values of one splat along the lanes of a row.
 pub(crate) struct Brush {
     /// Column offsets mean − pixel, nearest image.
-    dx: Row,
+    dx: PixelRow,
     /// −½ A dx².
-    across: Row,
+    across: PixelRow,
     a: Real,
     b: Real,
     c: Real,
     y: Real,
     pub(crate) opacity: Real,
     /// Factor on γ.
-    pub(crate) presence: Real,
+    pub(crate) existence: Real,
 }
 
 impl Tile<'_> {
@@ -84,8 +84,8 @@ impl Tile<'_> {
             if self.plane.wraps { nearest_image(d, width) } else { d }
         });
         let across = lanes(|lane| -0.5 * a * dx[lane] * dx[lane]);
-        let presence = self.splats.presence.get(i).copied().unwrap_or(1.0);
-        Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i], presence }
+        let existence = self.splats.existence.get(i).copied().unwrap_or(1.0);
+        Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i], existence }
     }
 
     /// Blends signals `[channels][PIXELS]` into `out` (zeroed here), and returns the remaining transmittance.
@@ -120,7 +120,7 @@ impl Tile<'_> {
         simd: S,
         pixels: &[Real],
         d_pixels: &[Real],
-        d_signal: &mut [Row],
+        d_signal: &mut [PixelRow],
         out: &mut [Real],
     ) {
         let (pixels, d_pixels) = (pixels.as_chunks::<TILE>().0, d_pixels.as_chunks::<TILE>().0);
@@ -144,7 +144,7 @@ impl Tile<'_> {
                 let alpha = brush.veiled(raw);
                 let before = t.signed[row];
                 let weight = t.pass(row, &alpha);
-                let counts = if brush.presence == 1.0 { weight } else { t.open(row, &raw) };
+                let counts = if brush.existence == 1.0 { weight } else { t.open(row, &raw) };
                 let mut q = [0.0; TILE];
                 for (c, s) in signal.iter().enumerate() {
                     let g = &d_pixels[c * TILE + row];
@@ -159,11 +159,11 @@ impl Tile<'_> {
                     d_alpha[lane] = if counts[lane] > 0.0 { through } else { 0.0 };
                     d_power[lane] = d_alpha[lane] * brush.opacity * gauss[lane];
                 }
-                if brush.presence != 1.0 {
+                if brush.existence != 1.0 {
                     Real::add_product(simd, &mut d[7], &d_alpha, &raw);
-                    d_alpha = lanes(|lane| d_alpha[lane] * brush.presence);
-                    d_power = lanes(|lane| d_power[lane] * brush.presence);
-                } else if self.splats.presence.len() > i {
+                    d_alpha = lanes(|lane| d_alpha[lane] * brush.existence);
+                    d_power = lanes(|lane| d_power[lane] * brush.existence);
+                } else if self.splats.existence.len() > i {
                     Real::add_product(simd, &mut d[7], &d_alpha, &raw);
                 }
                 let Brush { dx, a, b, c, .. } = &brush;
@@ -203,7 +203,7 @@ pub(crate) struct Backward<'a, 'b> {
     pub(crate) pixels: &'b [Real],
     pub(crate) d_pixels: &'b [Real],
     /// Work buffer for the signal cotangents of one splat, `[channels]` by lane.
-    pub(crate) d_signal: &'b mut [Row],
+    pub(crate) d_signal: &'b mut [PixelRow],
     pub(crate) out: &'b mut [Real],
 }
 
@@ -218,8 +218,8 @@ impl pulp::WithSimd for Backward<'_, '_> {
 impl Brush {
     /// Returns γ with the existence factor.
     #[inline(always)]
-    pub(crate) fn veiled(&self, alpha: Row) -> Row {
-        if self.presence == 1.0 { alpha } else { lanes(|lane| alpha[lane] * self.presence) }
+    pub(crate) fn veiled(&self, alpha: PixelRow) -> PixelRow {
+        if self.existence == 1.0 { alpha } else { lanes(|lane| alpha[lane] * self.existence) }
     }
 
     /// Returns the derivatives of the exponent by mean (2) and conic (3), in one pixel.
@@ -232,7 +232,7 @@ impl Brush {
 
     /// Returns G and γ in row `y`; γ is 0 if the splat is not drawn.
     #[inline(always)]
-    pub(crate) fn alpha(&self, y: Real) -> (Row, Row) {
+    pub(crate) fn alpha(&self, y: Real) -> (PixelRow, PixelRow) {
         let dy = self.y - y;
         let (along, cross) = (-0.5 * self.c * dy * dy, self.b * dy);
         let (mut gauss, mut alpha) = ([0.0; TILE], [0.0; TILE]);
@@ -252,7 +252,7 @@ impl Transmittance {
     ///
     /// Uses one loop per quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
-    pub(crate) fn pass(&mut self, row: usize, alpha: &Row) -> Row {
+    pub(crate) fn pass(&mut self, row: usize, alpha: &PixelRow) -> PixelRow {
         let light = self.signed[row];
         let taken = lanes(|lane| alpha[lane] * light[lane]);
         let next = lanes(|lane| light[lane] * (1.0 - alpha[lane]));
@@ -265,7 +265,7 @@ impl Transmittance {
     /// Returns the lanes in which the splat just passed is drawn for any existence factor: `alpha`, and 0 in opaque
     /// pixels.
     #[inline(always)]
-    fn open(&self, row: usize, alpha: &Row) -> Row {
+    fn open(&self, row: usize, alpha: &PixelRow) -> PixelRow {
         lanes(|lane| if self.signed[row][lane] > 0.0 { alpha[lane] } else { 0.0 })
     }
 
@@ -277,12 +277,12 @@ impl Transmittance {
 
     /// Returns the transmittance of a row, negative in final pixels.
     #[inline(always)]
-    pub(crate) fn row(&self, row: usize) -> Row {
+    pub(crate) fn row(&self, row: usize) -> PixelRow {
         self.signed[row]
     }
 
     /// Returns the final transmittance.
-    pub(crate) fn left(mut self) -> [Row; TILE] {
+    pub(crate) fn left(mut self) -> [PixelRow; TILE] {
         self.signed.as_flattened_mut().iter_mut().for_each(|t| *t = t.abs());
         self.signed
     }
@@ -290,7 +290,7 @@ impl Transmittance {
 
 /// Returns one number per lane.
 #[inline(always)]
-fn lanes(of: impl Fn(usize) -> Real) -> Row {
+fn lanes(of: impl Fn(usize) -> Real) -> PixelRow {
     let mut row = [0.0; TILE];
     for lane in 0..TILE {
         row[lane] = of(lane);

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 /// Transformation to receiver coordinates v = `rotation` · x + `offset`.
 #[derive(Clone, Copy, Debug)]
-pub struct View {
+pub struct ViewTransform {
     /// Rotation `receiver_from_world`.
     pub rotation: Mat3,
     /// Offset, metres.
@@ -38,9 +38,9 @@ pub trait CameraModel: Sync {
     }
 
     /// Returns the transformation from world coordinates to those of the model: the receiver frame, from its pose.
-    fn view(&self, pose: &Pose) -> View {
+    fn view(&self, pose: &Pose) -> ViewTransform {
         let rotation = pose.world_from_receiver().transpose();
-        View { rotation, offset: -(rotation * pose.origin()) }
+        ViewTransform { rotation, offset: -(rotation * pose.origin()) }
     }
 
     /// Returns the depth of a Gaussian with this mean, metres: the distance from the receiver. Computed in double
@@ -89,7 +89,7 @@ struct Projected {
     det: Real,
 }
 
-fn project_one(model: &impl CameraModel, view: &View, p: &Primitives, i: usize) -> Projected {
+fn project_one(model: &impl CameraModel, view: &ViewTransform, p: &Primitives, i: usize) -> Projected {
     let v = view.rotation * Vec3::from_array(p.means[i]) + view.offset;
     let rotation = rotation_of(p.quats[i]);
     let [sx, sy, sz] = p.scales[i];

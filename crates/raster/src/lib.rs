@@ -18,7 +18,7 @@ mod wrfgs_compat;
 
 pub use alpha_blending::AlphaBlending;
 pub use array_response::{ArrayResponse, Wavefront};
-pub use ewa::{CameraModel, View, project, project_vjp, sees};
+pub use ewa::{CameraModel, ViewTransform, project, project_vjp, sees};
 pub use mercator::Mercator;
 pub use tiles::Support;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};

@@ -2,7 +2,8 @@
 
 use crate::ewa::{self, CameraModel};
 use pwrfgs_core::{
-    Axis, Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::DEG,
+    AngleAxis, Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3,
+    consts::DEG,
 };
 use serde::{Deserialize, Serialize};
 
@@ -34,7 +35,7 @@ const ON_AXIS: Real = 1e-6;
 /// | 75° | 0.134 | 0.090 |
 /// | 88° | 0.292 | 0.384 |
 ///
-/// (The test `what_is_lost_near_the_zenith` prints and checks these values.)
+/// (The test `relative_error_near_zenith_matches_documented_table` prints and checks these values.)
 ///
 /// ```
 /// use pwrfgs_core::{Plugin, Projector};
@@ -45,7 +46,7 @@ const ON_AXIS: Real = 1e-6;
 #[serde(default, deny_unknown_fields)]
 pub struct Mercator {
     /// Variance added to both diagonal entries of the 2-D covariance, px² of the whole spectrum, independent of
-    /// `training.stride`. `readout: Received` has its own filter.
+    /// `training.stride`. `readout: ReceivedPower` has its own filter.
     pub blur: Real,
     /// Gaussians nearer to the receiver than this are not drawn, metres.
     pub near_m: Real,
@@ -94,7 +95,7 @@ impl Projector for Mercator {
 }
 
 fn plane(width: usize, height: usize, elevation: Elevation) -> ImagePlane {
-    let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
+    let azimuth = AngleAxis { first: 0.0, step: 360.0 / width as f64 };
     ImagePlane {
         width,
         height,
@@ -225,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_of_other_elevations_show_what_is_behind() {
+    fn planes_below_horizon_show_gaussians_behind() {
         for elevation in [(-90.0, 90.0), (90.0, -90.0), (-30.0, 60.0)] {
             let (plane, model) = of(elevation);
             for (px, py) in [(33.0, 15.0), (359.0, 70.0), (180.0, 89.0)] {

@@ -3,17 +3,17 @@
 
 use crate::blend::{PIXELS, TILE, Tile};
 use crate::canvas::gather;
-use pwrfgs_core::{Looked, Real, Survey};
+use pwrfgs_core::{Real, SplatStats, SurveyInputs};
 
 /// First splats of a pixel: value and index in the list of the tile, best first.
 type First = Vec<(Real, usize)>;
 
 /// Survey of one tile.
-pub(crate) struct Look<'a, 'b> {
+pub(crate) struct SurveyTile<'a, 'b> {
     pub(crate) tile: &'b Tile<'a>,
     /// Drawn image, `[channels, H, W]`.
     pub(crate) picture: &'b [Real],
-    pub(crate) survey: &'b Survey<'b>,
+    pub(crate) survey: &'b SurveyInputs<'b>,
 }
 
 /// Inputs of the derivative with respect to splat strength in a tile: `[channels][PIXELS]`, and the sum behind the
@@ -25,12 +25,12 @@ struct Slopes {
 }
 
 impl Slopes {
-    fn of(look: &Look<'_, '_>) -> Option<Self> {
-        let (_, slopes) = look.survey.slopes?;
-        let Tile { channels, plane, corner, .. } = *look.tile;
+    fn of(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
+        let (_, slopes) = survey_tile.survey.slopes?;
+        let Tile { channels, plane, corner, .. } = *survey_tile.tile;
         let (mut own, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
         gather(slopes, plane, corner, &mut own);
-        gather(look.picture, plane, corner, &mut drawn);
+        gather(survey_tile.picture, plane, corner, &mut drawn);
         let mut behind = vec![0.0; PIXELS];
         for (k, (slope, value)) in own.iter().zip(&drawn).enumerate() {
             behind[k % PIXELS] += slope * value;
@@ -47,13 +47,13 @@ impl Slopes {
     }
 }
 
-impl pulp::WithSimd for Look<'_, '_> {
-    type Output = Vec<Looked>;
+impl pulp::WithSimd for SurveyTile<'_, '_> {
+    type Output = Vec<SplatStats>;
     /// Computes the statistics of each splat in the list of the tile.
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Looked> {
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<SplatStats> {
         let Self { tile, survey, .. } = &self;
-        let mut found = vec![Looked::default(); tile.list.len()];
+        let mut found = vec![SplatStats::default(); tile.list.len()];
         let mut slopes = Slopes::of(&self);
         let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
         let mut light = tile.start();
@@ -90,7 +90,7 @@ impl pulp::WithSimd for Look<'_, '_> {
                         let d = slopes.along(p, signal, (before[lane], alpha[lane], w));
                         own.sensitivity += (d * alpha[lane]).powi(2);
                         if survey.fisher {
-                            let d_power = d * brush.presence * brush.opacity * gauss[lane];
+                            let d_power = d * brush.existence * brush.opacity * gauss[lane];
                             outer(&mut own.fisher, &brush.slopes(lane, y as Real).map(|slope| d_power * slope));
                         }
                     }

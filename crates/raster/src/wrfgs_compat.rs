@@ -1,6 +1,6 @@
 //! `WrfgsCompat`: the projection of the released WRF-GS code, including its errors.
 
-use crate::ewa::{self, CameraModel, View};
+use crate::ewa::{self, CameraModel, ViewTransform};
 use crate::tiles::square;
 use pwrfgs_core::{ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::PI};
 use serde::{Deserialize, Serialize};
@@ -66,8 +66,8 @@ impl FullSphere {
 }
 
 impl CameraModel for FullSphere {
-    fn view(&self, pose: &Pose) -> View {
-        View { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
+    fn view(&self, pose: &Pose) -> ViewTransform {
+        ViewTransform { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
     }
 
     /// Returns the distance from −R·r, where v is 0.

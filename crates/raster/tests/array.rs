@@ -313,7 +313,7 @@ fn nothing_strange_comes_of_strange_splats() {
 }
 
 #[test]
-fn what_cannot_work_is_refused() {
+fn rejects_unsupported_settings() {
     let refused = |text: &str| Plugin::<dyn Rasterizer>::parse(text).unwrap_err();
     assert!(refused("ArrayResponse(rows: 0)").contains("`rows` is 0"));
     assert!(refused("ArrayResponse(spacing_wavelengths: -1)").contains("spacing"));

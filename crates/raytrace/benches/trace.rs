@@ -6,7 +6,7 @@
 
 use criterion::Criterion;
 use glam::DVec3;
-use pwrfgs_raytrace::{Scene, Simulator};
+use pwrfgs_raytrace::{SceneFile, Simulator};
 use std::hint::black_box;
 use std::path::Path;
 
@@ -18,7 +18,7 @@ const EMPTY_ROOM: &str = r#"(name: "empty", carrier_hz: 920e6,
     propagation: (order: 3, room_order: 3, diffraction: false))"#;
 
 /// A room of 10 x 8 x 3 m with 30 boxes in three rows: 186 planes.
-fn thirty_boxes() -> Scene {
+fn thirty_boxes() -> SceneFile {
     let object = |i: usize| {
         let (x, y) = (0.5 + 0.9 * (i % 10) as f64, 1.0 + 2.5 * (i / 10) as f64);
         let (width, height) = (0.4 + 0.02 * (i % 7) as f64, 0.5 + 0.11 * (i % 11) as f64);
@@ -39,14 +39,14 @@ fn thirty_boxes() -> Scene {
           transmitter: (positions: Uniform(low: (0.3, 0.2, 1.7), high: (9.7, 7, 2.8))),
           propagation: (diffraction: false))"
     );
-    Scene::parse(&text, Path::new("thirty boxes")).expect("the scene is sound")
+    SceneFile::parse(&text, Path::new("thirty boxes")).expect("the scene is sound")
 }
 
 fn main() {
     let mut criterion = Criterion::default().configure_from_args();
     let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes");
-    let empty = Scene::parse(EMPTY_ROOM, Path::new("empty room")).expect("the scene is sound");
-    let office = Scene::read(&scenes.join("office.ron")).expect("the scene ships");
+    let empty = SceneFile::parse(EMPTY_ROOM, Path::new("empty room")).expect("the scene is sound");
+    let office = SceneFile::read(&scenes.join("office.ron")).expect("the scene ships");
     for (name, scene) in [("empty room, order 3", empty), ("office", office), ("30 boxes", thirty_boxes())] {
         let simulator = Simulator::new(&scene).expect("the scene is sound");
         let positions = simulator.positions(24, 0).expect("there is room");

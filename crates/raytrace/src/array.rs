@@ -4,7 +4,7 @@
 mod tests;
 
 use crate::Complex;
-use crate::path::Path;
+use crate::path::PropagationPath;
 use glam::{DMat3, DVec3};
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
@@ -34,12 +34,12 @@ pub struct Array {
     /// Polarisation axis in the receiver frame, of any length; default y, see [`response`].
     pub polarization: [f64; 3],
     /// Model of the element phases; default `Spherical`.
-    pub wavefront: Wavefront,
+    pub wavefront: ArrayWavefront,
 }
 
 /// Model of the phase at each element, given a path to the centre of the array.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Wavefront {
+pub enum ArrayWavefront {
     /// Sources at infinite distance: exp(+j2π/λ rel·u) with u towards the source, as in the steering vector.
     Plane,
     /// Exact path length to each element, from the image of the transmitter, the edge or the patch. Amplitude and
@@ -48,7 +48,7 @@ pub enum Wavefront {
     Spherical,
     /// Separate ray tracing for each element; cost grows with the number of elements. Amplitudes, angles at walls and
     /// shadows are then also exact.
-    Traced,
+    TracedBaseline,
 }
 
 impl Default for Array {
@@ -59,7 +59,7 @@ impl Default for Array {
             spacing_wavelengths: 0.5,
             element: Element::Isotropic,
             polarization: [0.0, 1.0, 0.0],
-            wavefront: Wavefront::Spherical,
+            wavefront: ArrayWavefront::Spherical,
         }
     }
 }
@@ -102,9 +102,15 @@ impl Array {
     /// Channel h `[K]`: the sum over paths, eq. (1), at each element.
     ///
     /// `center` is the receiver position, metres; the columns of `world_from_receiver` are its axes in the world. The
-    /// paths lead to `center`; their gains include both antenna patterns. [`Wavefront::Traced`] needs separate paths
+    /// paths lead to `center`; their gains include both antenna patterns. [`ArrayWavefront::TracedBaseline`] needs separate paths
     /// per element, which the simulator provides; here it is treated as `Spherical`.
-    pub fn channel(&self, paths: &[Path], center: DVec3, world_from_receiver: DMat3, wavelength: f64) -> Vec<Complex> {
+    pub fn channel(
+        &self,
+        paths: &[PropagationPath],
+        center: DVec3,
+        world_from_receiver: DMat3,
+        wavelength: f64,
+    ) -> Vec<Complex> {
         let elements: Vec<DVec3> =
             self.offsets(wavelength).iter().map(|offset| center + world_from_receiver * *offset).collect();
         band_at(paths, &elements, center, &[wavelength], self.wavefront)
@@ -114,16 +120,16 @@ impl Array {
 /// Channel `[elements, wavelengths]` at antennas near `center`, all in metres. Each wavelength has its own wavenumber,
 /// so delays are exact; gains are common to all. See [`Array::channel`].
 pub fn band_at(
-    paths: &[Path],
+    paths: &[PropagationPath],
     elements: &[DVec3],
     center: DVec3,
     wavelengths: &[f64],
-    wavefront: Wavefront,
+    wavefront: ArrayWavefront,
 ) -> Vec<Complex> {
     let wavenumbers: Vec<f64> = wavelengths.iter().map(|wavelength| TAU / wavelength).collect();
-    let length = |path: &Path, element: DVec3| match wavefront {
-        Wavefront::Plane => path.length - (element - center).dot(path.arrival),
-        Wavefront::Spherical | Wavefront::Traced => path.length_to(element),
+    let length = |path: &PropagationPath, element: DVec3| match wavefront {
+        ArrayWavefront::Plane => path.length - (element - center).dot(path.arrival),
+        ArrayWavefront::Spherical | ArrayWavefront::TracedBaseline => path.length_to(element),
     };
     let mut channel = vec![Complex::ZERO; elements.len() * wavelengths.len()];
     for (element, row) in elements.iter().zip(channel.chunks_mut(wavelengths.len().max(1))) {

@@ -2,22 +2,22 @@
 //!
 //! Everything is in double precision, metres, hertz and radians; the time factor is e^{+jωt}.
 //!
-//! * [`Scene`] is a scene file, [`Simulator`] a prepared scene: paths, channel and spectrum of every transmitter.
+//! * [`SceneFile`] is a scene file, [`Simulator`] a prepared scene: paths, channel and spectrum of every transmitter.
 //! * [`World`](world::World) holds faces and edges; [`ImageTree`](images::ImageTree) and [`Tracer`](tracer::Tracer) find
-//!   the [`Path`]s.
+//!   the [`PropagationPath`]s.
 //! * [`material`], [`fresnel`], [`diffraction`] and [`scattering`] implement the physics in a few functions each.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 pub mod array;
 pub mod images;
-mod listener;
 pub mod mesh;
 mod observe;
 pub mod output;
 mod patches;
 mod path;
 mod perturb;
+mod prepared_receiver;
 mod ray_tracing;
 mod recipe;
 pub mod scene;
@@ -30,14 +30,14 @@ pub mod transmitters;
 mod waves;
 pub mod world;
 
-pub use listener::{Listener, Reception};
-pub use observe::{Heard, Noise, Observe, Observed, SILENT_DBM};
-pub use path::{Interaction, Path};
+pub use observe::{Noise, ObservationKind, ReceiverObservation, SILENT_DBM, SimulatedObservation};
+pub use path::{Interaction, PropagationPath};
+pub use prepared_receiver::{PreparedReceiver, ReceivedPaths};
 pub use ray_tracing::RayTracing;
-pub use recipe::Recipe;
-pub use scene::Scene;
+pub use recipe::SimulationRecipe;
+pub use scene::SceneFile;
 pub use simulated::{Simulated, cache_root, open_or_make};
-pub use simulator::{Simulator, Wanted, simulate_links};
+pub use simulator::{SimulationRequest, Simulator, simulate_links};
 pub use spectrum::{HEIGHT, WIDTH};
 pub use waves::{diffraction, fresnel, material, scattering};
 

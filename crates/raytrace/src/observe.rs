@@ -5,8 +5,8 @@
 mod tests;
 
 use crate::Complex;
-use crate::path::Path;
-use crate::scene::Receiver;
+use crate::path::PropagationPath;
+use crate::scene::SceneReceiver;
 use crate::spectrum::Spectrum;
 use pwrfgs_core::plugin::Check;
 use pwrfgs_core::rng::{self, Rng, normal_f64};
@@ -22,7 +22,7 @@ const GRAINS: f64 = 1e3;
 /// Observation of each pair of transmitter and receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub enum Observe {
+pub enum ObservationKind {
     /// Spatial spectrum of 360 x 90 pixels at the carrier.
     #[default]
     Spectrum,
@@ -44,7 +44,7 @@ pub enum Observe {
     },
 }
 
-impl Observe {
+impl ObservationKind {
     /// Task of the data set.
     pub fn task(&self) -> Task {
         match self {
@@ -73,7 +73,7 @@ impl Observe {
 
 /// Observation of one transmitter at one receiver.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Observed {
+pub enum SimulatedObservation {
     /// Spatial spectrum.
     Spectrum(Spectrum),
     /// Reading in dBm; [`SILENT_DBM`] without a signal.
@@ -82,7 +82,7 @@ pub enum Observed {
     Channel(Vec<Complex>),
 }
 
-impl Observed {
+impl SimulatedObservation {
     /// Whether all numbers are finite.
     pub(crate) fn is_finite(&self) -> bool {
         match self {
@@ -95,16 +95,16 @@ impl Observed {
 
 /// Observation of one transmitter at one receiver, with its paths.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Heard {
+pub struct ReceiverObservation {
     /// The observation.
-    pub observed: Observed,
+    pub observed: SimulatedObservation,
     /// Paths to the centre of the array.
-    pub paths: Vec<Path>,
+    pub paths: Vec<PropagationPath>,
 }
 
 /// Reading in dBm of a channel at a transmit power of `sent_dbm`. `draw` selects the random error of `noise_db` with
 /// its seed; `None`: no error.
-pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, Draw<'_>)>) -> f64 {
+pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, NoiseDraw<'_>)>) -> f64 {
     let power = mean_power(channel);
     if power.is_nan() {
         return power; // reported by the caller
@@ -147,14 +147,14 @@ impl Check for Noise {
 
 /// Receiver and sample of a random draw. Random numbers depend only on these and the seed, not on earlier draws.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Draw<'a> {
+pub(crate) struct NoiseDraw<'a> {
     /// The receiver.
-    pub(crate) receiver: &'a Receiver,
+    pub(crate) receiver: &'a SceneReceiver,
     /// Number of the sample.
     pub(crate) sample: u64,
 }
 
-impl Draw<'_> {
+impl NoiseDraw<'_> {
     /// Random stream `what` of this receiver and sample.
     pub(crate) fn stream(&self, seed: u64, what: &str) -> Rng {
         rng::stream(seed, &self.receiver.stream(what), self.sample)
@@ -163,10 +163,10 @@ impl Draw<'_> {
 
 /// Adds the errors to the channel `[K, subcarriers]` of one sample. An antenna has the same phase error at all
 /// subcarriers.
-pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usize, draw: Draw<'_>) {
+pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usize, draw: NoiseDraw<'_>) {
     if noise.phase_error_deg > 0.0 {
         let deviation = noise.phase_error_deg.to_radians();
-        let mut random = Draw { sample: 0, ..draw }.stream(noise.seed, "receiver phase errors");
+        let mut random = NoiseDraw { sample: 0, ..draw }.stream(noise.seed, "receiver phase errors");
         for antenna in channel.chunks_mut(subcarriers.max(1)) {
             let turn = Complex::cis(deviation * rng::normal(&mut random) as f64);
             antenna.iter_mut().for_each(|h| *h *= turn);

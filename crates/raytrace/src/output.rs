@@ -4,11 +4,11 @@ mod files;
 
 pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
 use files::{Files, check_powers, put};
-pub use files::{Layout, PATHS, POWER};
+pub use files::{OutputLayout, PATHS, POWER};
 
-use crate::observe::Observe;
-use crate::recipe::Recipe;
-use crate::simulator::{Simulator, Wanted, simulate_links};
+use crate::observe::ObservationKind;
+use crate::recipe::SimulationRecipe;
+use crate::simulator::{SimulationRequest, Simulator, simulate_links};
 use crate::surface_points;
 use pwrfgs_core::{Error, Progress, Result, files::NewFolder, files::refuse_occupied};
 use std::fs;
@@ -56,8 +56,8 @@ pub const POINTS: &str = "points.ply";
 /// `out` is not empty, a write failed, the layout does not fit, or `stop` is set ([`Error::Stopped`]; nothing is left
 /// behind).
 pub fn write_as(
-    recipe: &Recipe,
-    layout: Layout,
+    recipe: &SimulationRecipe,
+    layout: OutputLayout,
     paths: bool,
     out: &Path,
     progress: Progress<'_>,
@@ -68,9 +68,9 @@ pub fn write_as(
     let simulator = Simulator::new(&recipe.scene)?; // reports errors of all receivers before the first is simulated
     let making = NewFolder::begin(out)?;
     let receivers = recipe.scene.receivers().count();
-    if receivers == 1 || layout == Layout::Rssi {
+    if receivers == 1 || layout == OutputLayout::Rssi {
         fill(recipe, &simulator, layout, paths, making.path(), progress, stop)?;
-        if layout == Layout::Rssi {
+        if layout == OutputLayout::Rssi {
             check_powers(making.path())?;
         }
         return making.publish();
@@ -93,12 +93,12 @@ pub fn write_as(
 ///
 /// # Errors
 /// Same as [`write_as`].
-pub(crate) fn write_links(recipe: &Recipe, out: &Path, progress: Progress<'_>) -> Result<()> {
+pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progress<'_>) -> Result<()> {
     let (simulator, making) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
     let layout = match recipe.observe {
-        Observe::Spectrum => Layout::Array,
-        Observe::Power { .. } => Layout::Rssi,
-        Observe::Channel { .. } => Layout::Channels,
+        ObservationKind::Spectrum => OutputLayout::Array,
+        ObservationKind::Power { .. } => OutputLayout::Rssi,
+        ObservationKind::Channel { .. } => OutputLayout::Channels,
     };
     fill(recipe, &simulator, layout, false, making.path(), progress, &AtomicBool::new(false))?;
     making.publish()
@@ -106,30 +106,30 @@ pub(crate) fn write_links(recipe: &Recipe, out: &Path, progress: Progress<'_>) -
 
 /// Simulates `recipe` into the existing, empty `folder`.
 fn fill(
-    recipe: &Recipe,
+    recipe: &SimulationRecipe,
     simulator: &Simulator,
-    layout: Layout,
+    layout: OutputLayout,
     paths: bool,
     folder: &Path,
     progress: Progress<'_>,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let &Recipe { samples, seed, observe, .. } = recipe;
+    let &SimulationRecipe { samples, seed, observe, .. } = recipe;
     let mut written = Files::begin(folder, simulator, layout, samples, paths)?;
-    let go_on = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
-    simulate_links(simulator, &Wanted { what: observe, samples, seed }, stop, |i, tx, heard| {
-        go_on()?;
-        written.add(i, tx, &heard)?;
+    let check_cancelled = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
+    simulate_links(simulator, &SimulationRequest { what: observe, samples, seed }, stop, |i, tx, received| {
+        check_cancelled()?;
+        written.add(i, tx, &received)?;
         progress(i + 1, samples);
         Ok(())
     })?;
     written.finish(samples)?;
     write_points(recipe, simulator, folder)?;
     put(&folder.join(MANIFEST), recipe.to_json())?;
-    go_on()
+    check_cancelled()
 }
 
-fn write_points(recipe: &Recipe, simulator: &Simulator, folder: &Path) -> Result<()> {
+fn write_points(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
     let path = folder.join(POINTS);

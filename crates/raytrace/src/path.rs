@@ -3,7 +3,7 @@
 use crate::world::World;
 use crate::{Complex, SPEED_OF_LIGHT};
 use glam::{DMat3, DVec3};
-use pwrfgs_core::words::cell;
+use pwrfgs_core::messages::cell;
 use std::fmt::Write as _;
 
 /// Interaction of a wave on its path.
@@ -41,7 +41,7 @@ pub enum Interaction {
 
 /// A propagation path from transmitter to receiver: one summand of eq. (1).
 #[derive(Clone, Debug, PartialEq)]
-pub struct Path {
+pub struct PropagationPath {
     /// Complex gain without the phase of the carrier delay: |gain|² is the path gain between the two antennas. For the
     /// line of sight between isotropic antennas it is λ/(4πd), real and positive.
     pub gain: Complex,
@@ -60,7 +60,7 @@ pub struct Path {
     pub interactions: Vec<Interaction>,
 }
 
-impl Path {
+impl PropagationPath {
     /// Delay, seconds.
     pub fn delay(&self) -> f64 {
         self.length / SPEED_OF_LIGHT
@@ -104,7 +104,7 @@ impl PathTable {
     }
 
     /// Rows of transmitter `id`.
-    pub(crate) fn rows(&self, id: usize, paths: &[Path]) -> String {
+    pub(crate) fn rows(&self, id: usize, paths: &[PropagationPath]) -> String {
         let mut text = String::new();
         for (i, path) in paths.iter().enumerate() {
             let letters: String = path.interactions.iter().map(letter).collect();

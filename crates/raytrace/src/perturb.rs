@@ -1,13 +1,13 @@
 //! Scenes with errors of material and position, as from an imperfect survey.
 
-use crate::scene::{Object, Outline, Scene};
+use crate::scene::{Object, Outline, SceneFile};
 use crate::world::TOUCHING;
 use glam::DVec2;
 use pwrfgs_core::rng::{self, Rng};
 
 /// Errors of a scene model.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Errors {
+pub(crate) struct SceneErrors {
     /// Standard deviation of the logarithm of permittivities, conductivities and thicknesses: 0.2 is about 20 %.
     pub(crate) materials: f64,
     /// Standard deviation of the position of each wall and object along each horizontal axis, and of the ceiling
@@ -21,7 +21,7 @@ pub(crate) struct Errors {
 
 /// Returns the scene with errors, drawn independently per finish. Objects stay on the floor; receiver and transmitters
 /// keep their positions, which are usually measured best.
-pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
+pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
     let mut wrong = scene.clone();
     finishes(&mut wrong, errors);
     if errors.positions_m > 0.0 {
@@ -35,7 +35,7 @@ pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
 }
 
 /// Gives each finish its own perturbed material.
-fn finishes(scene: &mut Scene, errors: &Errors) {
+fn finishes(scene: &mut SceneFile, errors: &SceneErrors) {
     if errors.materials == 0.0 {
         return;
     }
@@ -82,8 +82,8 @@ fn move_object(object: &mut Object, by: [f64; 2]) {
 }
 
 /// Moves each opening together with its host.
-fn move_openings(truth: &Scene, wrong: &mut Scene) {
-    let top = |scene: &Scene| match &scene.room.outline {
+fn move_openings(truth: &SceneFile, wrong: &mut SceneFile) {
+    let top = |scene: &SceneFile| match &scene.room.outline {
         Outline::Box { high, .. } => high[2],
         Outline::Plan { ceiling, .. } => *ceiling,
     };
@@ -103,7 +103,7 @@ fn move_openings(truth: &Scene, wrong: &mut Scene) {
 }
 
 /// Upright sides of the room and of the first `count` objects as seen from above, in a fixed order.
-fn uprights(scene: &Scene, count: usize) -> Vec<[DVec2; 2]> {
+fn uprights(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
     let ring = |corners: &[DVec2]| -> Vec<[DVec2; 2]> {
         (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]).collect()
     };

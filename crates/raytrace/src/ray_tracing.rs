@@ -1,13 +1,13 @@
 //! `RayTracing`: baseline that uses the scene.
 
-use crate::observe::{Observe, Observed};
-use crate::perturb::{Errors, perturbed};
-use crate::scene::Scene;
+use crate::observe::{ObservationKind, SimulatedObservation};
+use crate::perturb::{SceneErrors, perturbed};
+use crate::scene::SceneFile;
 use crate::simulator::Simulator;
 use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use pwrfgs_core::{
-    Baseline, Channels, Dataset, Elevation, Error, Image, JsonSchema, Known, Observations, Predict, Query, Real,
+    Baseline, Channels, Dataset, Elevation, Error, FittingSet, Image, JsonSchema, Observations, Predict, Query, Real,
     Result, Task,
 };
 use serde::{Deserialize, Serialize};
@@ -49,9 +49,9 @@ pub struct RayTracing {
 
 impl RayTracing {
     /// Note that explains the name.
-    fn note(&self, knows_scene: bool, task: Task) -> String {
+    fn note(&self, is_oracle: bool, task: Task) -> String {
         let things = task.plural;
-        let what = match (&self.scene, self.is_exact() && knows_scene) {
+        let what = match (&self.scene, self.is_exact() && is_oracle) {
             (_, true) => {
                 let errors = if self.noise {
                     "with the phase errors of the antennas, and with new random noise"
@@ -80,14 +80,14 @@ impl RayTracing {
     }
 
     /// Scene of this baseline, and whether it is that of the data.
-    fn scene(&self, data: &Dataset) -> Result<(Scene, bool)> {
+    fn scene(&self, data: &Dataset) -> Result<(SceneFile, bool)> {
         let of_data = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
-        let of_data = of_data.and_then(|text| Scene::parse(text, Path::new("scene of the data")).ok());
+        let of_data = of_data.and_then(|text| SceneFile::parse(text, Path::new("scene of the data")).ok());
         match (&self.scene, of_data) {
             (Some(path), of_data) => {
-                let scene = Scene::read(path)?;
-                let knows_scene = of_data.is_some_and(|of_data| of_data.portable() == scene.portable());
-                Ok((scene, knows_scene))
+                let scene = SceneFile::read(path)?;
+                let is_oracle = of_data.is_some_and(|of_data| of_data.portable() == scene.portable());
+                Ok((scene, is_oracle))
             }
             (None, Some(scene)) => Ok((scene, true)),
             (None, None) => {
@@ -99,13 +99,17 @@ impl RayTracing {
     }
 
     /// Prepares the scene with its errors. If an error moves a wall past the receiver, another draw is used.
-    fn simulator(&self, scene: &Scene) -> Result<Simulator> {
+    fn simulator(&self, scene: &SceneFile) -> Result<Simulator> {
         if self.is_exact() {
             return Simulator::new(scene);
         }
         let attempt = |draw| {
-            let errors =
-                Errors { materials: self.material_error, positions_m: self.position_error_m, seed: self.seed, draw };
+            let errors = SceneErrors {
+                materials: self.material_error,
+                positions_m: self.position_error_m,
+                seed: self.seed,
+                draw,
+            };
             let wrong = perturbed(scene, &errors);
             match wrong.fault() {
                 Some(fault) => Err(Error::Config(format!("RayTracing: {fault}; lower its errors"))),
@@ -137,15 +141,15 @@ impl Baseline for RayTracing {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        self.fit(data, Known::train(&[])).map(|_| ()) // it learns nothing, and reads all that can be missing
+        self.fit(data, FittingSet::train(&[])).map(|_| ()) // it learns nothing, and reads all that can be missing
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let (scene, knows_scene) = self.scene(data)?;
-        let what = wanted(data, &scene)?;
+    fn fit<'a>(&self, data: &'a Dataset, _: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+        let (scene, is_oracle) = self.scene(data)?;
+        let what = required_observation(data, &scene)?;
         let listeners = receivers(data, &scene)?;
-        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene, data.task()));
-        Ok(Box::new(Traced { simulator, listeners, what, noise: self.noise, seed: self.seed, note, knows_scene }))
+        let (simulator, note) = (self.simulator(&scene)?, self.note(is_oracle, data.task()));
+        Ok(Box::new(TracedBaseline { simulator, listeners, what, noise: self.noise, seed: self.seed, note, is_oracle }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -159,11 +163,11 @@ impl Baseline for RayTracing {
 }
 
 /// Observation type of the data; an error if this scene cannot provide it.
-fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
+fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<ObservationKind> {
     let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
     let Some(channels) = data.observations.channels() else {
         if data.task().is_scalar {
-            return Ok(Observe::Power { noise_db: 0.0 });
+            return Ok(ObservationKind::Power { noise_db: 0.0 });
         }
         let (width, height) = (data.width, data.height);
         if (width, height) != (WIDTH, HEIGHT) {
@@ -176,7 +180,7 @@ fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
                 format!("spectra of this data set cover elevations {first} to {last}, but RayTracing makes 0 to 90");
             return refuse(what);
         }
-        return Ok(Observe::Spectrum);
+        return Ok(ObservationKind::Spectrum);
     };
     let (hz, have) = (scene.frequencies(), channels.antennas);
     if let Some(other) = scene.receivers().find(|receiver| receiver.array.elements() != have) {
@@ -187,11 +191,11 @@ fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
     if hz.len() != channels.frequencies_hz.len() || !hz.iter().zip(&channels.frequencies_hz).all(near) {
         return refuse("channels of this data set have other subcarriers than the scene".into());
     }
-    Ok(Observe::Channel { snr_db: None })
+    Ok(ObservationKind::Channel { snr_db: None })
 }
 
 /// Index in the scene of each receiver of the data: by name, or the only one.
-fn receivers(data: &Dataset, scene: &Scene) -> Result<Vec<usize>> {
+fn receivers(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     let of_data = &data.scene.receivers;
     let find = |name: &str| scene.receivers().position(|receiver| receiver.name == name);
     let only = (of_data.len() == 1).then_some(0);
@@ -203,18 +207,18 @@ fn receivers(data: &Dataset, scene: &Scene) -> Result<Vec<usize>> {
     of_data.iter().map(|receiver| which(&receiver.name)).collect()
 }
 
-struct Traced {
+struct TracedBaseline {
     simulator: Simulator,
     /// Index of the listener of each receiver of the data.
     listeners: Vec<usize>,
-    what: Observe,
+    what: ObservationKind,
     noise: bool,
     seed: u64,
     note: String,
-    knows_scene: bool,
+    is_oracle: bool,
 }
 
-impl Predict for Traced {
+impl Predict for TracedBaseline {
     fn predict(&self, query: Query<'_>) -> Image {
         let tx = query.tx;
         // A separate draw for every position, different from those of the data, which count from 0.
@@ -223,9 +227,9 @@ impl Predict for Traced {
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
         let listener = &self.simulator.listeners()[self.listeners.get(query.receiver).copied().unwrap_or(0)];
         match listener.observe(DVec3::from(tx), &self.what, self.noise.then_some(draw | 1 << 63)).observed {
-            Observed::Spectrum(spectrum) => Image::from_bytes(WIDTH, HEIGHT, &spectrum.pixels),
-            Observed::Power(dbm) => Image { width: 1, height: 1, pixels: vec![dbm as Real] },
-            Observed::Channel(channel) => {
+            SimulatedObservation::Spectrum(spectrum) => Image::from_bytes(WIDTH, HEIGHT, &spectrum.pixels),
+            SimulatedObservation::Power(dbm) => Image { width: 1, height: 1, pixels: vec![dbm as Real] },
+            SimulatedObservation::Channel(channel) => {
                 let gains = channel.iter().map(|h| [h.re as Real, h.im as Real]).collect();
                 let frequencies_hz = self.simulator.scene().frequencies();
                 let antennas = listener.receiver().array.elements();
@@ -238,7 +242,7 @@ impl Predict for Traced {
         Some(self.note.clone())
     }
 
-    fn knows_scene(&self) -> bool {
-        self.knows_scene
+    fn is_oracle(&self) -> bool {
+        self.is_oracle
     }
 }

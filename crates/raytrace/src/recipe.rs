@@ -1,8 +1,8 @@
 //! Recipe of a simulated data set, and its cache key.
 
 use crate::mesh;
-use crate::observe::Observe;
-use crate::scene::{Object, Receiver, Scene};
+use crate::observe::ObservationKind;
+use crate::scene::{Object, SceneFile, SceneReceiver};
 use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
@@ -18,9 +18,9 @@ const MOST_POINTS: usize = 50_000_000;
 
 /// Recipe of a simulation.
 #[derive(Clone, Debug)]
-pub struct Recipe {
+pub struct SimulationRecipe {
     /// The parsed scene.
-    pub scene: Scene,
+    pub scene: SceneFile,
     /// Number of transmitters.
     pub samples: usize,
     /// Random seed of transmitter positions and receiver errors.
@@ -28,24 +28,24 @@ pub struct Recipe {
     /// Number of points of the cloud.
     pub points: usize,
     /// Observation type.
-    pub observe: Observe,
+    pub observe: ObservationKind,
     /// Hash of every mesh file, in the order of the objects.
     meshes: Vec<String>,
 }
 
-impl Recipe {
+impl SimulationRecipe {
     /// Reads the scene of a recipe, and the bytes of its meshes.
     ///
     /// # Errors
     /// An invalid scene, with line and column, or a mesh that cannot be read.
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check(samples, points).map_err(Error::Config)?;
-        let scene = Scene::read(scene)?;
+        let scene = SceneFile::read(scene)?;
         let receivers = scene.receivers().count();
         if samples * receivers > MOST_SAMPLES {
             let what = format!("more than {MOST_SAMPLES} links; give fewer samples");
-            let who = format!("{samples} samples at {receivers} receivers");
-            return Err(Error::Config(format!("scene `{}`: {who} are {what}", scene.name)));
+            let subject = format!("{samples} samples at {receivers} receivers");
+            return Err(Error::Config(format!("scene `{}`: {subject} are {what}", scene.name)));
         }
         let file = |object: &Object| match object {
             Object::Mesh { file, .. } => Some(file.clone()),
@@ -56,23 +56,23 @@ impl Recipe {
             Ok(format!("{:016x}", fnv(&bytes)))
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
-        Ok(Self { scene, samples, seed, points, observe: Observe::Spectrum, meshes })
+        Ok(Self { scene, samples, seed, points, observe: ObservationKind::Spectrum, meshes })
     }
 
     /// Returns the recipe with another observation type.
     ///
     /// # Errors
     /// The scene does not support it.
-    pub fn observing(self, observe: Observe) -> Result<Self> {
+    pub fn observing(self, observe: ObservationKind) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
-        if let Observe::Channel { .. } = observe {
+        if let ObservationKind::Channel { .. } = observe {
             check_channels(&self.scene, self.samples)?;
         }
         Ok(Self { observe, ..self })
     }
 
     /// Returns the recipe with only one of its receivers.
-    pub(crate) fn with_receiver(&self, receiver: &Receiver) -> Self {
+    pub(crate) fn with_receiver(&self, receiver: &SceneReceiver) -> Self {
         Self { scene: self.scene.with_receiver(receiver), ..self.clone() }
     }
 
@@ -90,7 +90,7 @@ impl Recipe {
             "mesh_hashes": self.meshes,
             "scene": self.scene.portable().to_ron(), // the hashes say which meshes
         });
-        if self.observe != Observe::Spectrum {
+        if self.observe != ObservationKind::Spectrum {
             manifest["observe"] = serde_json::json!(self.observe); // spectra of before keep their name
         }
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
@@ -116,8 +116,8 @@ pub(crate) fn check(samples: usize, points: usize) -> Result<(), String> {
 }
 
 /// Returns an error if the channels have different shapes or do not fit.
-fn check_channels(scene: &Scene, samples: usize) -> Result<()> {
-    let elements = |receiver: &Receiver| receiver.array.elements();
+fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
+    let elements = |receiver: &SceneReceiver| receiver.array.elements();
     let (first, count) = (&scene.receiver, elements(&scene.receiver));
     if let Some(other) = scene.receivers().find(|receiver| elements(receiver) != count) {
         return Err(Error::Config(format!(

@@ -4,7 +4,7 @@ mod antennas;
 mod propagation;
 mod room;
 
-pub use antennas::{Orientation, Receiver, Transmitter};
+pub use antennas::{Orientation, SceneReceiver, SceneTransmitter};
 pub use propagation::{Propagation, Subcarriers};
 pub(crate) use room::FAR;
 pub use room::{Finish, Object, Outline, Room};
@@ -34,7 +34,7 @@ const MOST_RECEIVERS: usize = 200;
 /// Scene as in `scenes/*.ron`. Metres, hertz, degrees; z is up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Scene {
+pub struct SceneFile {
     /// Name of the scene.
     pub name: String,
     /// Notes for the reader, in particular assumed values.
@@ -51,16 +51,16 @@ pub struct Scene {
     #[serde(default)]
     pub objects: Vec<Object>,
     /// The first receiver.
-    pub receiver: Receiver,
+    pub receiver: SceneReceiver,
     /// Further receivers with unique names. Fields added later are omitted from the written scene if unused, so that
     /// data of older scenes keep their key.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub more_receivers: Vec<Receiver>,
+    pub more_receivers: Vec<SceneReceiver>,
     /// Frequencies of channels and powers; default the carrier alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub subcarriers: Option<Checked<Subcarriers>>,
     /// The transmitter.
-    pub transmitter: Transmitter,
+    pub transmitter: SceneTransmitter,
     /// Propagation effects to simulate.
     #[serde(default)]
     pub propagation: Checked<Propagation>,
@@ -72,7 +72,7 @@ pub struct Scene {
     pub noise: Checked<Noise>,
 }
 
-impl Scene {
+impl SceneFile {
     /// Reads a scene file; mesh paths become relative to the current directory.
     ///
     /// # Errors
@@ -134,12 +134,12 @@ impl Scene {
     }
 
     /// All receivers: `receiver` first, then `more_receivers`.
-    pub fn receivers(&self) -> impl Iterator<Item = &Receiver> + Clone {
+    pub fn receivers(&self) -> impl Iterator<Item = &SceneReceiver> + Clone {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
     }
 
     /// The scene with only one of its receivers.
-    pub fn with_receiver(&self, receiver: &Receiver) -> Self {
+    pub fn with_receiver(&self, receiver: &SceneReceiver) -> Self {
         Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
     }
 
@@ -160,15 +160,15 @@ impl Scene {
     }
 
     /// Checks that every name is printable.
-    fn check_names(&self) -> Result<(), Fault> {
+    fn check_names(&self) -> Result<(), SceneFault> {
         let is_plain = |name: &str| !name.chars().any(char::is_control) && name.chars().count() <= LONGEST_NAME;
         let fault = |what: String| {
             let what =
                 format!("{what} holds control characters or more than {LONGEST_NAME} letters; give a plain name");
-            Err(Fault::of(what, "name"))
+            Err(SceneFault::of(what, "name"))
         };
         if self.name.trim().is_empty() {
-            return Err(Fault::of("`name` is empty; give a plain name", "name"));
+            return Err(SceneFault::of("`name` is empty; give a plain name", "name"));
         }
         if !is_plain(&self.name) {
             return fault("`name`".into());
@@ -183,56 +183,58 @@ impl Scene {
         Ok(())
     }
 
-    fn check(&self) -> Result<(), Fault> {
+    fn check(&self) -> Result<(), SceneFault> {
         if !(1e6..=1e12).contains(&self.carrier_hz) {
             let what = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
-            return Err(Fault::of(what, "carrier_hz"));
+            return Err(SceneFault::of(what, "carrier_hz"));
         }
         for (name, material) in &self.materials {
-            material.check().map_err(|why| Fault::of(format!("material `{name}`: {why}"), &format!("\"{name}\"")))?;
+            material
+                .check()
+                .map_err(|why| SceneFault::of(format!("material `{name}`: {why}"), &format!("\"{name}\"")))?;
         }
         for (owner, finish) in self.finishes() {
             self.check_finish(owner, finish)?;
         }
-        self.room.outline.check().map_err(|what| Fault::of(what, "outline"))?;
+        self.room.outline.check().map_err(|what| SceneFault::of(what, "outline"))?;
         let mut names = BTreeSet::new();
         for object in &self.objects {
             let quoted = format!("\"{}\"", object.name());
-            object.check().map_err(|why| Fault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
+            object.check().map_err(|why| SceneFault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
             if !names.insert(object.name()) {
                 let what = format!("two objects are called `{}`; give each a unique name", object.name());
-                return Err(Fault::of(what, &quoted));
+                return Err(SceneFault::of(what, &quoted));
             }
         }
         self.check_receivers()?;
         if let Some(band) = &self.subcarriers {
-            band.check_around(self.carrier_hz).map_err(|what| Fault::of(what, "subcarriers"))?;
+            band.check_around(self.carrier_hz).map_err(|what| SceneFault::of(what, "subcarriers"))?;
         }
-        self.transmitter.check().map_err(|what| Fault::of(what, "transmitter"))?;
-        self.transmitter.positions.check().map_err(|what| Fault::of(what, "positions"))
+        self.transmitter.check().map_err(|what| SceneFault::of(what, "transmitter"))?;
+        self.transmitter.positions.check().map_err(|what| SceneFault::of(what, "positions"))
     }
 
-    fn check_receivers(&self) -> Result<(), Fault> {
+    fn check_receivers(&self) -> Result<(), SceneFault> {
         if self.receivers().count() > MOST_RECEIVERS {
             let what = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
-            return Err(Fault::of(what, "more_receivers"));
+            return Err(SceneFault::of(what, "more_receivers"));
         }
-        self.receiver.check().map_err(|what| Fault::of(what, "receiver"))?;
+        self.receiver.check().map_err(|what| SceneFault::of(what, "receiver"))?;
         let mut names = BTreeSet::new();
         for receiver in self.receivers() {
             let quoted = format!("\"{}\"", receiver.name);
-            receiver.check_name().map_err(|what| Fault::of(what, &quoted))?;
-            receiver.check().map_err(|what| Fault::of(what, &quoted))?;
+            receiver.check_name().map_err(|what| SceneFault::of(what, &quoted))?;
+            receiver.check().map_err(|what| SceneFault::of(what, &quoted))?;
             // Folder names are not case-sensitive on some systems.
             if !names.insert(receiver.name.to_ascii_lowercase()) {
                 let what = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
-                return Err(Fault::of(what, "more_receivers"));
+                return Err(SceneFault::of(what, "more_receivers"));
             }
         }
         Ok(())
     }
 
-    fn check_finish(&self, owner: &str, finish: &Finish) -> Result<(), Fault> {
+    fn check_finish(&self, owner: &str, finish: &Finish) -> Result<(), SceneFault> {
         let name = &finish.material;
         let quoted = format!("\"{name}\"");
         let Some(material) = self.material(name) else {
@@ -241,7 +243,7 @@ impl Scene {
             let hint = did_you_mean(name, known.iter().copied());
             known.truncate(material::names().len() + LISTED);
             let what = format!("unknown material `{name}`{hint}; known are {}", known.join(", "));
-            return Err(Fault::of(what, &quoted));
+            return Err(SceneFault::of(what, &quoted));
         };
         let eta = material.permittivity(self.carrier_hz);
         if !(eta.re >= LEAST_PERMITTIVITY && eta.norm() <= MOST_PERMITTIVITY) {
@@ -251,17 +253,17 @@ impl Scene {
                 eta.im,
                 self.carrier_hz / 1e9
             );
-            return Err(Fault::of(what, &quoted));
+            return Err(SceneFault::of(what, &quoted));
         }
         if let Some(thickness) = finish.thickness_m
             && !(thickness > 0.0 && thickness <= 10.0)
         {
             let what = format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
-            return Err(Fault::of(what, &quoted));
+            return Err(SceneFault::of(what, &quoted));
         }
         match finish.roughness {
             Some(s) if !(0.0..=1.0).contains(&s) => {
-                Err(Fault::of(format!("{owner}: `roughness` is {s}; give a share between 0 and 1"), &quoted))
+                Err(SceneFault::of(format!("{owner}: `roughness` is {s}; give a share between 0 and 1"), &quoted))
             }
             _ => Ok(()),
         }
@@ -269,12 +271,12 @@ impl Scene {
 }
 
 /// Problem, with a word of the file near it.
-struct Fault {
+struct SceneFault {
     what: String,
     near: String,
 }
 
-impl Fault {
+impl SceneFault {
     fn of(what: impl Into<String>, near: &str) -> Self {
         Self { what: what.into(), near: near.into() }
     }

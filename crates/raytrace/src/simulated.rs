@@ -3,16 +3,16 @@
 #[cfg(test)]
 mod tests;
 
-use crate::observe::{Observe, SILENT_DBM};
+use crate::observe::{ObservationKind, SILENT_DBM};
 use crate::output::{self, CHANNELS, MANIFEST, POINTS, POSITIONS, POWERS, SPECTRA, is_test};
-use crate::recipe::{self, Recipe};
-use crate::scene::{self, Scene};
+use crate::recipe::{self, SimulationRecipe};
+use crate::scene::{self, SceneFile};
 use crate::spectrum::{HEIGHT, WIDTH};
 use etcetera::BaseStrategy as _;
 use pwrfgs_core::files::{self, NewFolder};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, JsonSchema, Number, Observations, Progress, Real, Receiver, Result, Sample,
-    Simulation, Spectra, words::clean,
+    Simulation, Spectra, messages::strip_control,
 };
 use pwrfgs_data::{Arrays, npy_header, npy_header_as, read_points};
 use serde::{Deserialize, Serialize};
@@ -52,7 +52,7 @@ pub struct Simulated {
     /// Number of points of the cloud, spread over all surfaces; 190,000 in the paper.
     pub points: usize,
     /// Observation: `Spectrum`, `Power(noise_db: 3)` or `Channel(snr_db: 30)`.
-    pub observe: Observe,
+    pub observe: ObservationKind,
     /// Whether to cache the data set on disk.
     pub cache: bool,
 }
@@ -64,7 +64,7 @@ impl Default for Simulated {
             samples: 1000,
             seed: 0,
             points: 190_000,
-            observe: Observe::Spectrum,
+            observe: ObservationKind::Spectrum,
             cache: true,
         }
     }
@@ -72,9 +72,9 @@ impl Default for Simulated {
 
 impl Simulated {
     /// Reads a data set written by [`crate::output::write_links`].
-    fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
+    fn read(&self, recipe: &SimulationRecipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| folder.join(POINTS));
-        let one = self.observe == Observe::Spectrum && recipe.scene.more_receivers.is_empty();
+        let one = self.observe == ObservationKind::Spectrum && recipe.scene.more_receivers.is_empty();
         let mut data = if one {
             Arrays { root: folder.to_owned(), points, elevation: None }.load(Path::new(""), &|_, _| {})?
         } else {
@@ -83,14 +83,14 @@ impl Simulated {
         if (one && data.len() != self.samples) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds an unexpected number of spectra or points"));
         }
-        data.title = clean(&format!("{} (simulated)", recipe.scene.name));
+        data.title = strip_control(&format!("{} (simulated)", recipe.scene.name));
         data.simulation = Some(Simulation { scene: Some(recipe.scene.to_ron()) });
         Ok(data)
     }
 }
 
 /// Reads powers or channels: all received links of all receivers.
-fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
+fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
     let receivers: Vec<Receiver> = scene.receivers().map(|receiver| of_data(scene, receiver)).collect();
     let (transmitters, mut observations) = read_links(recipe, folder)?;
@@ -98,8 +98,8 @@ fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Data
     let mut samples: Vec<Sample> = pairs.map(|(t, tx, receiver)| Sample { id: t as u32 + 1, tx, receiver }).collect();
     if let Observations::Powers(all) = &mut observations {
         let is_heard = |dbm: &Real| f64::from(*dbm) > SILENT_DBM;
-        let mut heard = all.iter().map(is_heard);
-        samples.retain(|_| heard.next().unwrap_or(false));
+        let mut received = all.iter().map(is_heard);
+        samples.retain(|_| received.next().unwrap_or(false));
         all.retain(is_heard);
     }
     if samples.is_empty() {
@@ -115,16 +115,16 @@ fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Data
 /// Transmitter positions and observations of every link of a cached folder; the link of a pair has index `transmitter *
 /// receivers + receiver`. Only files written by this program version are valid: others count as damaged, and the cache
 /// is rebuilt.
-fn read_links(recipe: &Recipe, folder: &Path) -> Result<(Vec<[f64; 3]>, Observations)> {
+fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<[f64; 3]>, Observations)> {
     let (scene, samples) = (&recipe.scene, recipe.samples);
     let receivers = scene.receivers().count();
     let observations = match recipe.observe {
-        Observe::Spectrum => spectra(&folder.join(SPECTRA), samples * receivers)?.into(),
-        Observe::Power { .. } => {
+        ObservationKind::Spectrum => spectra(&folder.join(SPECTRA), samples * receivers)?.into(),
+        ObservationKind::Power { .. } => {
             let powers = table(&folder.join(POWERS), samples, receivers)?;
             powers.into_iter().map(|dbm| dbm as Real).collect::<Vec<Real>>().into()
         }
-        Observe::Channel { .. } => {
+        ObservationKind::Channel { .. } => {
             let (antennas, frequencies_hz) = (scene.receiver.array.elements(), scene.frequencies());
             let gains = channels(&folder.join(CHANNELS), [samples * receivers, antennas, frequencies_hz.len()])?;
             Channels { antennas, frequencies_hz, gains }.into()
@@ -164,7 +164,7 @@ fn table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
 }
 
 /// Converts a receiver of a scene to one of a data set.
-fn of_data(scene: &Scene, receiver: &scene::Receiver) -> Receiver {
+fn of_data(scene: &SceneFile, receiver: &scene::SceneReceiver) -> Receiver {
     let antennas = receiver.array.offsets(scene.wavelength()).into_iter().map(|place| place.to_array()).collect();
     Receiver { antennas, ..Receiver::new(receiver.name.clone(), receiver.pose()) }
 }
@@ -176,7 +176,7 @@ impl DataSource for Simulated {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
+        let recipe = SimulationRecipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
         let recipe = recipe.observing(self.observe)?;
         let root = if self.cache { cache_root() } else { None };
         open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
@@ -207,7 +207,7 @@ pub fn cache_root() -> Option<PathBuf> {
 /// # Errors
 /// Errors of the simulation and of `read`.
 pub fn open_or_make<T>(
-    recipe: &Recipe,
+    recipe: &SimulationRecipe,
     root: Option<&Path>,
     progress: Progress<'_>,
     read: impl Fn(&Path) -> Result<T>,
@@ -240,12 +240,12 @@ pub fn open_or_make<T>(
 }
 
 /// Whether the folder holds the data set of the recipe according to its manifest.
-fn is_of(folder: &Path, recipe: &Recipe) -> bool {
+fn is_of(folder: &Path, recipe: &SimulationRecipe) -> bool {
     files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
 }
 
-fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
-    let making = NewFolder::beside(&std::env::temp_dir().join("pwrfgs"))?;
+fn make_for_now<T>(recipe: &SimulationRecipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
+    let making = NewFolder::next_to(&std::env::temp_dir().join("pwrfgs"))?;
     let folder = making.path().join("data");
     output::write_links(recipe, &folder, progress)?;
     read(&folder)

@@ -1,10 +1,10 @@
 //! `Simulator`: a prepared scene, and observations of every transmitter at its receivers.
 
-use crate::listener::{Listener, MOST_BYTES};
-use crate::observe::{Heard, Observe};
+use crate::observe::{ObservationKind, ReceiverObservation};
 use crate::patches;
-use crate::path::Path;
-use crate::scene::Scene;
+use crate::path::PropagationPath;
+use crate::prepared_receiver::{MOST_BYTES, PreparedReceiver};
+use crate::scene::SceneFile;
 use crate::surface_points::{self, SurfacePoints};
 use crate::world::{self, MARGIN, Triangle, World};
 use glam::DVec3;
@@ -19,10 +19,10 @@ const CHUNK: usize = 32;
 /// Prepared scene: geometry and receivers, everything independent of the transmitter.
 #[derive(Debug)]
 pub struct Simulator {
-    scene: Arc<Scene>,
+    scene: Arc<SceneFile>,
     world: Arc<World>,
     /// Receivers, at least one.
-    listeners: Vec<Listener>,
+    listeners: Vec<PreparedReceiver>,
 }
 
 impl Simulator {
@@ -31,19 +31,19 @@ impl Simulator {
     /// # Errors
     /// A mesh that cannot be read or is not closed as required, a receiver inside an object, or too many images or
     /// patches.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &SceneFile) -> Result<Self> {
         let (scene, world) = (Arc::new(scene.clone()), Arc::new(world::from_scene(scene)?));
         check_patches(&scene, &world)?;
-        let mut listeners: Vec<Listener> = Vec::new();
+        let mut listeners: Vec<PreparedReceiver> = Vec::new();
         for receiver in scene.receivers() {
-            listeners.push(Listener::new(&scene, receiver, &world)?);
+            listeners.push(PreparedReceiver::new(&scene, receiver, &world)?);
             check_memory(&scene, &listeners)?;
         }
         Ok(Self { scene, world, listeners })
     }
 
     /// The scene.
-    pub fn scene(&self) -> &Scene {
+    pub fn scene(&self) -> &SceneFile {
         &self.scene
     }
 
@@ -53,12 +53,12 @@ impl Simulator {
     }
 
     /// Receivers, in the order of the scene; the first is `receiver`.
-    pub fn listeners(&self) -> &[Listener] {
+    pub fn listeners(&self) -> &[PreparedReceiver] {
         &self.listeners
     }
 
     /// Paths from `tx` to the centre of the first receiver's array.
-    pub fn trace(&self, tx: DVec3) -> Vec<Path> {
+    pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         self.listeners[0].trace(tx)
     }
 
@@ -80,9 +80,9 @@ impl Simulator {
             places.push(DVec3::from(listener.receiver().position));
             let is_in = |tx: &DVec3| places.iter().any(|place| place.distance(*tx) < MARGIN);
             if let Some(i) = positions.iter().position(is_in) {
-                let (DVec3 { x, y, z }, who) = (positions[i], listener.receiver().called("the receiver"));
+                let (DVec3 { x, y, z }, subject) = (positions[i], listener.receiver().called("the receiver"));
                 let what = "move the transmitters or the receiver";
-                return Err(Error::Config(format!("transmitter {} at ({x}, {y}, {z}) is in {who}; {what}", i + 1)));
+                return Err(Error::Config(format!("transmitter {} at ({x}, {y}, {z}) is in {subject}; {what}", i + 1)));
             }
         }
         Ok(())
@@ -99,9 +99,9 @@ impl Simulator {
 
 /// Settings of a simulation.
 #[derive(Clone, Copy, Debug)]
-pub struct Wanted {
+pub struct SimulationRequest {
     /// Observation type.
-    pub what: Observe,
+    pub what: ObservationKind,
     /// Number of transmitters.
     pub samples: usize,
     /// Random seed of positions and errors.
@@ -116,36 +116,36 @@ pub struct Wanted {
 /// Errors of [`Simulator::positions`] and of `each`, [`Error::Stopped`], or a channel that is not finite.
 pub fn simulate_links(
     simulator: &Simulator,
-    wanted: &Wanted,
+    request: &SimulationRequest,
     stop: &AtomicBool,
-    mut each: impl FnMut(usize, DVec3, Vec<Heard>) -> Result<()>,
+    mut each: impl FnMut(usize, DVec3, Vec<ReceiverObservation>) -> Result<()>,
 ) -> Result<()> {
-    let &Wanted { what, samples, seed } = wanted;
+    let &SimulationRequest { what, samples, seed } = request;
     let positions = simulator.positions(samples, seed)?;
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
-        let hear = |(i, tx): (usize, &DVec3)| {
+        let receive = |(i, tx): (usize, &DVec3)| {
             if stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
             Ok(simulator.listeners.iter().map(|listener| listener.observe(*tx, &what, Some(draw(i)))).collect())
         };
-        let all: Vec<Vec<Heard>> = chunk.par_iter().enumerate().map(hear).collect::<Result<_>>()?;
-        for ((i, tx), heard) in chunk.iter().enumerate().zip(all) {
-            if !heard.iter().all(|heard| heard.observed.is_finite()) {
+        let all: Vec<Vec<ReceiverObservation>> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
+        for ((i, tx), received) in chunk.iter().enumerate().zip(all) {
+            if !received.iter().all(|received| received.observed.is_finite()) {
                 let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);
                 let what = "gives a field that is not finite; correct materials and positions";
                 return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {what}")));
             }
-            each(c * CHUNK + i, *tx, heard)?;
+            each(c * CHUNK + i, *tx, received)?;
         }
     }
     Ok(())
 }
 
 /// Returns an error if the receivers together need too much memory.
-fn check_memory(scene: &Scene, listeners: &[Listener]) -> Result<()> {
-    let bytes: usize = listeners.iter().map(Listener::bytes).sum();
+fn check_memory(scene: &SceneFile, listeners: &[PreparedReceiver]) -> Result<()> {
+    let bytes: usize = listeners.iter().map(PreparedReceiver::bytes).sum();
     if bytes <= MOST_BYTES {
         return Ok(());
     }
@@ -159,7 +159,7 @@ fn check_memory(scene: &Scene, listeners: &[Listener]) -> Result<()> {
 }
 
 /// Returns an error for too many patches to trace in reasonable time.
-fn check_patches(scene: &Scene, world: &World) -> Result<()> {
+fn check_patches(scene: &SceneFile, world: &World) -> Result<()> {
     const MOST: f64 = 300_000.0;
     // Most cells of the bounding rectangle of a slanted or thin face lie outside the face.
     const MOST_CELLS: f64 = 10.0 * MOST;

@@ -7,7 +7,7 @@ use crate::Complex;
 use crate::array::Array;
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
-use pwrfgs_core::Axis;
+use pwrfgs_core::AngleAxis;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -61,13 +61,13 @@ pub struct Beamformer {
 impl Beamformer {
     /// Creates a beamformer for images of `width` columns and `height` rows.
     pub fn new(array: &Array, width: usize, height: usize) -> Self {
-        let axis = |degrees: f64, pixels: usize| Axis { first: 0.0, step: degrees / pixels as f64 };
+        let axis = |degrees: f64, pixels: usize| AngleAxis { first: 0.0, step: degrees / pixels as f64 };
         Self::on_grid(array, (width, axis(360.0, width)), (height, axis(90.0, height)))
     }
 
     /// Creates a beamformer for any regular grid: columns and their azimuths, rows and their elevations.
-    fn on_grid(array: &Array, (width, azimuth): (usize, Axis), (height, elevation): (usize, Axis)) -> Self {
-        let angle = |axis: Axis, pixel: usize| (axis.first + axis.step * pixel as f64).to_radians();
+    fn on_grid(array: &Array, (width, azimuth): (usize, AngleAxis), (height, elevation): (usize, AngleAxis)) -> Self {
+        let angle = |axis: AngleAxis, pixel: usize| (axis.first + axis.step * pixel as f64).to_radians();
         let directions = (0..height).flat_map(|row| {
             let (sin, cos) = angle(elevation, row).sin_cos();
             (0..width).map(move |column| {
@@ -124,18 +124,18 @@ fn stretch(values: &[f64], black: f64, white: f64) -> Vec<u8> {
 /// between neighbours in x and in y per direction.
 #[derive(Clone, Debug)]
 struct Steering {
-    x: Lanes,
-    y: Lanes,
+    x: ComplexLanes,
+    y: ComplexLanes,
 }
 
 /// Complex numbers as separate real and imaginary arrays.
 #[derive(Clone, Debug, Default)]
-struct Lanes {
+struct ComplexLanes {
     re: Vec<f64>,
     im: Vec<f64>,
 }
 
-impl Lanes {
+impl ComplexLanes {
     fn push(&mut self, value: Complex) {
         self.re.push(value.re);
         self.im.push(value.im);
@@ -145,7 +145,7 @@ impl Lanes {
 impl Steering {
     /// Creates the phase factors; `directions` are unit vectors in the receiver frame, `spacing` is in wavelengths.
     fn new(directions: impl Iterator<Item = DVec3>, spacing: f64) -> Self {
-        let (mut x, mut y) = (Lanes::default(), Lanes::default());
+        let (mut x, mut y) = (ComplexLanes::default(), ComplexLanes::default());
         for direction in directions {
             x.push(Complex::cis(-TAU * spacing * direction.x));
             y.push(Complex::cis(-TAU * spacing * direction.y));

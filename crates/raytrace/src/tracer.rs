@@ -4,7 +4,7 @@ use crate::Complex;
 use crate::array::{self, Element};
 use crate::images::{ImageTree, Orders};
 use crate::patches::{Patch, patches};
-use crate::path::{Interaction, Path};
+use crate::path::{Interaction, PropagationPath};
 use crate::scattering::amplitude;
 use crate::scene::Propagation;
 use crate::waves::Ray;
@@ -78,8 +78,9 @@ impl Tracer {
     }
 
     /// All paths from `tx`: specular by image order, then diffracted, then scattered.
-    pub fn trace(&self, tx: DVec3) -> Vec<Path> {
-        let mut walk = Walk { tracer: self, tx, rx: self.tree.origin(), met: Vec::new(), interactions: Vec::new() };
+    pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
+        let mut walk =
+            TraceWalk { tracer: self, tx, rx: self.tree.origin(), met: Vec::new(), interactions: Vec::new() };
         let mut paths = Vec::new();
         self.tree.candidates(&self.world, tx, |faces, points| paths.extend(walk.specular(faces, points)));
         if self.propagation.diffraction {
@@ -96,7 +97,7 @@ impl Tracer {
 }
 
 /// Traversal of the candidates of one transmitter, with reused buffers.
-struct Walk<'a> {
+struct TraceWalk<'a> {
     tracer: &'a Tracer,
     tx: DVec3,
     rx: DVec3,
@@ -104,7 +105,7 @@ struct Walk<'a> {
     interactions: Vec<Interaction>,
 }
 
-impl Walk<'_> {
+impl TraceWalk<'_> {
     /// Ray after the straight segment from `from` to `to` through sheets, each end with the faces at it; `None` if it
     /// is blocked.
     fn go(&mut self, ray: Ray, (from, left): (DVec3, &[u32]), (to, reached): (DVec3, &[u32])) -> Option<Ray> {
@@ -122,17 +123,17 @@ impl Walk<'_> {
     }
 
     /// Ray that leaves the transmitter towards `to`.
-    fn leave(&mut self, to: DVec3) -> Option<Ray> {
+    fn emit_ray(&mut self, to: DVec3) -> Option<Ray> {
         self.interactions.clear();
         let direction = (to - self.tx).try_normalize()?;
         Some(Ray::new(direction, self.tracer.transmitter.field(direction)))
     }
 
     /// Path that ends with `ray`; `gain` is its spreading factor.
-    fn arrive(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> Path {
+    fn arrive(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> PropagationPath {
         let arrival = -ray.direction;
         let field = self.tracer.receiver.field(arrival);
-        Path {
+        PropagationPath {
             gain: gain * ray.along(field),
             length: before + self.rx.distance(source),
             departure,
@@ -143,10 +144,10 @@ impl Walk<'_> {
         }
     }
 
-    fn specular(&mut self, faces: &[u32], points: &[DVec3]) -> Option<Path> {
+    fn specular(&mut self, faces: &[u32], points: &[DVec3]) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let first = points.first().copied().unwrap_or(self.rx);
-        let mut ray = self.leave(first)?;
+        let mut ray = self.emit_ray(first)?;
         let (departure, mut from, mut source) = (ray.direction, self.tx, self.tx);
         let mut left: &[u32] = &[];
         for (on, &point) in faces.chunks(1).zip(points) {
@@ -168,7 +169,7 @@ impl Walk<'_> {
         Some(self.arrive(ray, gain, departure, (source, 0.0)))
     }
 
-    fn diffracted(&mut self, index: u32, edge: &Edge) -> Option<Path> {
+    fn diffracted(&mut self, index: u32, edge: &Edge) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let [a, b] = edge.ends;
         let t = diffraction::edge_point(a, b, self.tx, self.rx);
@@ -177,7 +178,7 @@ impl Walk<'_> {
         }
         let point = a.lerp(b, t);
         let wedge = self.wedge(edge, point)?;
-        let ray = self.leave(point)?;
+        let ray = self.emit_ray(point)?;
         let departure = ray.direction;
         let ray = self.go(ray, (self.tx, &[]), (point, &edge.faces))?;
         self.interactions.push(Interaction::Diffraction { edge: index, point });
@@ -233,13 +234,13 @@ impl Walk<'_> {
         Some(diffraction::wedge(edge.outer_angle, k, distances, angles, sine, &sides))
     }
 
-    fn scattered(&mut self, patch: &Patch) -> Option<Path> {
+    fn scattered(&mut self, patch: &Patch) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let surface = tracer.world.surface_of(patch.face);
         let normal = tracer.world.faces[patch.face as usize].normal;
         let (to_tx, to_rx) = (self.tx - patch.point, self.rx - patch.point);
         let out = to_rx.try_normalize()?;
-        let ray = self.leave(patch.point)?;
+        let ray = self.emit_ray(patch.point)?;
         let (departure, cos_in, cos_out) = (ray.direction, -ray.direction.dot(normal), out.dot(normal));
         if cos_in * cos_out <= 0.0 {
             return None; // it scatters back to the side that the wave came from

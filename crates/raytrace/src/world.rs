@@ -8,7 +8,7 @@ mod opening;
 
 use crate::Complex;
 use crate::scattering::Lobe;
-pub use build::{Builder, Part};
+pub use build::{WorldBuilder, WorldPart};
 pub(crate) use contact::TOUCHING;
 pub(crate) use from_scene::from_scene;
 use glam::DVec3;
@@ -54,16 +54,16 @@ pub struct Face {
     /// Convex hull, corners in order.
     pub hull: Vec<DVec3>,
     /// Type of the part it belongs to.
-    pub layer: Layer,
+    pub layer: SurfaceLayer,
 }
 
 /// Order of overlapping faces in one plane: a later layer lies in front of an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Layer {
+pub enum SurfaceLayer {
     /// Walls, floor and ceiling.
     Room,
     /// Boxes and closed meshes.
-    Body,
+    SolidBody,
     /// Panels and open meshes.
     Sheet,
 }
@@ -71,7 +71,7 @@ pub enum Layer {
 impl Face {
     /// Whether it belongs to the room rather than to an object.
     pub fn is_room(&self) -> bool {
-        self.layer == Layer::Room
+        self.layer == SurfaceLayer::Room
     }
 
     /// Distance of a point from the plane, metres, positive on the side of the normal.
@@ -111,13 +111,13 @@ impl Edge {
 
 /// Closed surface of the room or of an object.
 #[derive(Debug)]
-struct Body {
+struct SolidBody {
     name: String,
     bounds: [DVec3; 2],
     triangles: Vec<Triangle>,
 }
 
-impl Body {
+impl SolidBody {
     /// Whether a ray from the point crosses the surface an odd number of times. The ray direction is oblique to typical
     /// faces.
     fn holds(&self, point: DVec3) -> bool {
@@ -140,7 +140,7 @@ pub struct World {
     /// All triangles, in the order of their faces.
     pub triangles: Vec<Triangle>,
     /// Closed bodies; the room is the first.
-    bodies: Vec<Body>,
+    bodies: Vec<SolidBody>,
     hierarchy: Hierarchy,
 }
 
@@ -158,13 +158,13 @@ impl World {
     /// Frontmost face at a point in the plane of `face`, for a wave that comes from `from`: another face if that covers
     /// it.
     pub fn counting(&self, face: u32, point: DVec3, from: DVec3) -> u32 {
-        let lies_on = |best: u32, twin: u32| self.goes_before(twin, best, from) && self.is_on(twin, point);
+        let lies_on = |best: u32, twin: u32| self.overrides_face(twin, best, from) && self.is_on(twin, point);
         self.faces[face as usize].twins.iter().fold(face, |best, &twin| if lies_on(best, twin) { twin } else { best })
     }
 
     /// Whether `one` covers `other` in a common plane, as seen from `from`: the later layer in front, the earlier
     /// behind; within a layer the first.
-    fn goes_before(&self, one: u32, other: u32, from: DVec3) -> bool {
+    fn overrides_face(&self, one: u32, other: u32, from: DVec3) -> bool {
         let [a, b] = [one, other].map(|face| &self.faces[face as usize]);
         match a.layer.cmp(&b.layer) {
             Ordering::Equal => one < other,

@@ -4,7 +4,7 @@ use crate::common::law_scene as scene;
 use glam::DVec3;
 use pwrfgs_raytrace::fresnel::{reflection, transmission};
 use pwrfgs_raytrace::world::Triangle;
-use pwrfgs_raytrace::{Complex, Interaction, Path, Scene, Simulator};
+use pwrfgs_raytrace::{Complex, Interaction, PropagationPath, SceneFile, Simulator};
 use std::f64::consts::PI;
 
 const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
@@ -34,8 +34,8 @@ fn refused(objects: &str) -> String {
 }
 
 /// The paths that are reflected once, at x = `x`.
-fn bounced(paths: &[Path], x: f64) -> Vec<&Path> {
-    let is_there = |p: &&Path| match p.interactions[..] {
+fn bounced(paths: &[PropagationPath], x: f64) -> Vec<&PropagationPath> {
+    let is_there = |p: &&PropagationPath| match p.interactions[..] {
         [Interaction::Reflection { point, .. }] => (point.x - x).abs() < 1e-3,
         _ => false,
     };
@@ -96,8 +96,9 @@ fn waves_pass_both_of_two_sheets_that_lie_on_each_other() {
     let board = panel("board", "(0, -1)", "(0, 1)", "(1, 3)", "wood");
     let through = |objects: &str| {
         let paths = simulator(objects, [4.0, 0.0, 2.0], ONCE).trace(DVec3::new(-4.0, 0.0, 2.0));
-        let is_straight = |p: &Path| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
-        let found: Vec<Path> = paths.into_iter().filter(is_straight).collect();
+        let is_straight =
+            |p: &PropagationPath| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
+        let found: Vec<PropagationPath> = paths.into_iter().filter(is_straight).collect();
         assert_eq!(found.len(), 1);
         found[0].gain
     };
@@ -138,7 +139,7 @@ fn an_opening_lets_everything_through_and_reflects_nothing() {
     let wall = panel("partition", "(0, -5)", "(0, 5)", "(0.1, 5)", "metal");
     let door = opening("(0, -1)", "(0, 1)", "(1, 3)");
     let paths = |objects: &str, to: [f64; 3]| simulator(objects, to, ONCE).trace(DVec3::new(-4.0, 0.0, 2.0));
-    let straight = |paths: &[Path]| paths.iter().find(|p| p.interactions.is_empty()).map(|p| p.gain);
+    let straight = |paths: &[PropagationPath]| paths.iter().find(|p| p.interactions.is_empty()).map(|p| p.gain);
     let both = wall.clone() + &door;
     assert_near(straight(&paths(&both, [4.0, 0.0, 2.0])).unwrap(), (WAVELENGTH / (4.0 * PI * 8.0)).into());
     assert!(straight(&paths(&wall, [4.0, 0.0, 2.0])).is_none());
@@ -159,7 +160,7 @@ fn an_opening_lets_everything_through_and_reflects_nothing() {
 }
 
 #[test]
-fn what_an_opening_takes_is_gone_from_patches_points_and_area() {
+fn opening_removes_patches_points_and_area() {
     let rough = "order: 0, room_order: 0, diffraction: false, roughness: 0.4, patch_m: 0.5";
     let open = simulator(&opening("(10, -2)", "(10, 2)", "(0, 3)"), [0.0, 0.0, 2.0], rough);
     let is_inside = |p: DVec3| p.x > 9.999 && p.y.abs() < 2.0 && p.z < 3.0;
@@ -232,7 +233,7 @@ fn the_rims_of_an_opening_diffract() {
 }
 
 #[test]
-fn an_opening_that_opens_nothing_is_refused() {
+fn rejects_opening_outside_surface() {
     let nothing = refused(&opening("(1, 0)", "(2, 0)", "(0, 2)"));
     assert!(
         nothing.contains("opening `door` does not lie wholly on a wall, a panel or the side of a box"),
@@ -241,13 +242,13 @@ fn an_opening_that_opens_nothing_is_refused() {
     refused(&opening("(10, 0)", "(10, 1)", "(-0.5, 2)")); // half of it below the floor
     refused(&(opening("(1, 0)", "(2, 0)", "(0, 2)") + &panel("late", "(0, 0)", "(3, 0)", "(0, 3)", "wood")));
     let solid = "Box(name: \"safe\", low: (0, 0, 0), high: (2, 2, 2), finish: (material: \"metal\")),";
-    let said = refused(&(solid.to_owned() + &opening("(0, 0.5)", "(0, 1)", "(0.5, 1)")));
-    assert!(said.contains("opens `safe`, which is solid"), "{said}");
+    let message = refused(&(solid.to_owned() + &opening("(0, 0.5)", "(0, 1)", "(0.5, 1)")));
+    assert!(message.contains("opens `safe`, which is solid"), "{message}");
 }
 
 #[test]
 fn an_opening_moves_with_its_wall_where_a_scene_is_known_with_errors() {
-    use pwrfgs_core::{Baseline, DataSource, Known, Plugin};
+    use pwrfgs_core::{Baseline, DataSource, FittingSet, Plugin};
     let folder = tempfile::tempdir().unwrap();
     let objects = opening("(10, -1)", "(10, 1)", "(0, 6)")
         + "Box(name: \"closet\", low: (2, 2, 0), high: (4, 4, 2), yaw_deg: 20, finish: (material: \"wood\", thickness_m: 0.02)),"
@@ -261,13 +262,13 @@ fn an_opening_moves_with_its_wall_where_a_scene_is_known_with_errors() {
     for seed in 0..5 {
         let text = format!("RayTracing(material_error: 0.2, position_error_m: 0.05, seed: {seed})");
         let baseline: Plugin<dyn Baseline> = Plugin::parse(&text).unwrap();
-        baseline.fit(&data, Known::default()).map(|_| ()).unwrap();
+        baseline.fit(&data, FittingSet::default()).map(|_| ()).unwrap();
     }
 }
 
 /// The scene survives being written.
 #[test]
-fn an_opening_is_written_as_it_is_read() {
+fn opening_round_trips_through_ron() {
     let made = scene(WALLS, &opening("(10, -1)", "(10, 1)", "(0, 3)"), [0.0, 0.0, 1.0], ONCE);
-    assert_eq!(Scene::parse(&made.to_ron(), std::path::Path::new("a.ron")).unwrap(), made);
+    assert_eq!(SceneFile::parse(&made.to_ron(), std::path::Path::new("a.ron")).unwrap(), made);
 }

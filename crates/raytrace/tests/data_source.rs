@@ -1,9 +1,9 @@
 //! Simulated data sets: reproducible, cached completely or not at all, with clear errors.
 
 use glam::DVec3;
-use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};
-use pwrfgs_raytrace::output::{Layout, MANIFEST, POINTS, write_as};
-use pwrfgs_raytrace::{Recipe, Scene, Simulator, open_or_make};
+use pwrfgs_core::{Baseline, DataSource, Dataset, FittingSet, Plugin, Simulation};
+use pwrfgs_raytrace::output::{MANIFEST, OutputLayout, POINTS, write_as};
+use pwrfgs_raytrace::{SceneFile, SimulationRecipe, Simulator, open_or_make};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -34,12 +34,12 @@ fn file(folder: &Path, name: &str, text: &str) -> PathBuf {
     path
 }
 
-fn recipe(folder: &Path) -> Recipe {
+fn recipe(folder: &Path) -> SimulationRecipe {
     let noise = "noise: (snr_db: 20, phase_error_deg: 3),";
-    Recipe::read(&file(folder, "small.ron", &scene_text(noise)), 12, 7, 500).unwrap()
+    SimulationRecipe::read(&file(folder, "small.ron", &scene_text(noise)), 12, 7, 500).unwrap()
 }
 
-fn write(recipe: &Recipe, layout: Layout, paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
+fn write(recipe: &SimulationRecipe, layout: OutputLayout, paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
     write_as(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
 }
 
@@ -47,13 +47,13 @@ fn write(recipe: &Recipe, layout: Layout, paths: bool, out: &Path) -> pwrfgs_cor
 fn a_folder_that_holds_something_is_not_touched() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
-    let message = write(&recipe, Layout::Pictures, true, folder.path()).unwrap_err();
+    let message = write(&recipe, OutputLayout::Pictures, true, folder.path()).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("is not empty (it holds `small.ron`)"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
 #[test]
-fn a_kept_data_set_is_used_only_while_it_is_whole() {
+fn cached_data_set_is_used_only_if_complete() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
     let root = folder.path().join("cache");
@@ -97,7 +97,7 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
 }
 
 #[test]
-fn an_array_holds_what_the_pictures_hold() {
+fn array_layout_equals_image_layout() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
     let load = |source: &str, layout| {
@@ -106,22 +106,22 @@ fn an_array_holds_what_the_pictures_hold() {
         let source = Plugin::<dyn DataSource>::parse(&format!("{source}(root: {out:?})")).unwrap();
         source.load(Path::new(""), &|_, _| {}).unwrap()
     };
-    let [a, b] = [load("Nerf2Spectrum", Layout::Pictures), load("Arrays", Layout::Array)];
+    let [a, b] = [load("Nerf2Spectrum", OutputLayout::Pictures), load("Arrays", OutputLayout::Array)];
     assert!(b.is_simulated() && a.simulation == b.simulation && a.official == b.official);
     for i in 0..12 {
         assert!(a.observations.raw(i) == b.observations.raw(i) && a.sample(i).tx == b.sample(i).tx);
     }
     // Names have five digits; an array has no names.
-    let many = Recipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
-    let said = write(&many, Layout::Pictures, false, &folder.path().join("many")).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("write one array with --npy"), "{said}");
+    let many = SimulationRecipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
+    let shown = write(&many, OutputLayout::Pictures, false, &folder.path().join("many")).unwrap_err();
+    assert!(shown.is_input() && shown.to_string().contains("write one array with --npy"), "{shown}");
 }
 
 #[test]
 fn the_shipped_scenes_are_simulated() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
     for name in ["office", "conference", "lab-s23"] {
-        let simulator = Simulator::new(&Scene::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
+        let simulator = Simulator::new(&SceneFile::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
         for tx in simulator.positions(2, 0).unwrap() {
             let reception = simulator.listeners()[0].spectrum(tx, Some(0));
             assert!(reception.paths.len() > 50, "{name}: {} paths", reception.paths.len());
@@ -138,15 +138,15 @@ fn the_shipped_scenes_are_simulated() {
 fn rooms_may_have_niches_and_panels_in_line_with_walls() {
     let niche = "Plan(corners: [(0, 0), (1, 0), (1, -1), (2, -1), (2, 0), (4, 0), (4, 3), (0, 3)], ceiling: 2.5)";
     let text = scene_text("").replace("Box(low: (0, 0, 0), high: (4, 3, 2.5))", niche);
-    let simulator = Simulator::new(&Scene::parse(&text, Path::new("niche.ron")).unwrap()).unwrap();
+    let simulator = Simulator::new(&SceneFile::parse(&text, Path::new("niche.ron")).unwrap()).unwrap();
     assert_eq!(simulator.world().faces.len(), 8 + 2 + 5);
     // Two corners of the niche stand out into the room.
     let upright = |e: &&pwrfgs_raytrace::world::Edge| (e.ends[0].z - e.ends[1].z).abs() > 2.0;
     assert_eq!(simulator.world().edges.iter().filter(upright).count(), 2);
     let crossed = text.replace("(2, -1), (2, 0)", "(2, -1), (0.5, 0)");
-    assert!(Scene::parse(&crossed, Path::new("s.ron")).unwrap_err().to_string().contains("cross or touch"));
+    assert!(SceneFile::parse(&crossed, Path::new("s.ron")).unwrap_err().to_string().contains("cross or touch"));
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
-    let conference = Simulator::new(&Scene::read(&root.join("conference.ron")).unwrap()).unwrap();
+    let conference = Simulator::new(&SceneFile::read(&root.join("conference.ron")).unwrap()).unwrap();
     assert!(conference.world().faces.iter().any(|f| f.name == "glass front"));
 }
 
@@ -155,7 +155,7 @@ fn the_scene_of_the_manual_is_read() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     let page = fs::read_to_string(root.join("docs/simulator.md")).unwrap();
     let text = page.split("```ron\n").nth(1).unwrap().split("```").next().unwrap();
-    let simulator = Simulator::new(&Scene::parse(text, Path::new("docs/simulator.md")).unwrap()).unwrap();
+    let simulator = Simulator::new(&SceneFile::parse(text, Path::new("docs/simulator.md")).unwrap()).unwrap();
     assert_eq!(simulator.world().faces.len(), 6 + 5 + 1); // the underside of the crate lies on the floor
     assert_eq!(simulator.positions(20, 0).unwrap().len(), 20);
 }
@@ -170,8 +170,8 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     assert!(data.title.contains("simulated") && data.is_simulated());
     let predict = |text: &str, i: usize| {
         let baseline: Plugin<dyn Baseline> = Plugin::parse(text).unwrap();
-        let predictor = baseline.fit(&data, Known::default()).unwrap();
-        assert!(predictor.knows_scene());
+        let predictor = baseline.fit(&data, FittingSet::default()).unwrap();
+        assert!(predictor.is_oracle());
         (predictor.predict(data.query(i)), predictor.note())
     };
     for i in 0..10 {
@@ -185,37 +185,37 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     let knows = |data: &Dataset, name: &str| {
         let scene = folder.path().join(name);
         let baseline: Plugin<dyn Baseline> = Plugin::parse(&format!("RayTracing(scene: {scene:?})")).unwrap();
-        baseline.fit(data, Known::default()).unwrap().knows_scene()
+        baseline.fit(data, FittingSet::default()).unwrap().is_oracle()
     };
     file(folder.path(), "other.ron", &scene_text("spectrum: Power,"));
     assert!(knows(&data, "small.ron") && !knows(&data, "other.ron"));
     let sheet = "Mesh(name: \"desk\", file: \"sheet.obj\", finish: (material: \"metal\", thickness_m: 0.001)";
     let desk = "Box(name: \"desk\", low: (1, 1, 0), high: (2, 2, 0.7), finish: (material: \"metal\")";
     file(folder.path(), "sheet.obj", "v 1 1 0\nv 2 1 0\nv 2 2 0\nf 1 2 3\n");
-    let meshes = Scene::read(&file(folder.path(), "meshes.ron", &scene_text("").replace(desk, sheet))).unwrap();
+    let meshes = SceneFile::read(&file(folder.path(), "meshes.ron", &scene_text("").replace(desk, sheet))).unwrap();
     let elsewhere = Some(meshes.to_ron().replace(&folder.path().display().to_string(), "elsewhere"));
     let moved = Dataset { simulation: Some(Simulation { scene: elsewhere }), ..data.clone() };
     assert!(knows(&moved, "meshes.ron") && !knows(&moved, "small.ron"));
     // A folder that was written says from which scene.
     let out = folder.path().join("written");
-    let recipe = Recipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap();
-    write(&recipe, Layout::Pictures, false, &out).unwrap();
+    let recipe = SimulationRecipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap();
+    write(&recipe, OutputLayout::Pictures, false, &out).unwrap();
     let read = pwrfgs_data::Nerf2Spectrum { root: out, ..Default::default() }.load(Path::new(""), &|_, _| {}).unwrap();
     assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();
-    let exact = baseline.fit(&read, Known::default()).unwrap();
-    assert!(exact.knows_scene() && exact.predict(read.query(3)) == data.image(3));
+    let exact = baseline.fit(&read, FittingSet::default()).unwrap();
+    assert!(exact.is_oracle() && exact.predict(read.query(3)) == data.image(3));
     // Data that were not simulated need a scene by name.
     let measured = Dataset { simulation: None, ..data.clone() };
     assert!(!knows(&measured, "small.ron"));
-    assert!(baseline.fit(&measured, Known::default()).err().unwrap().to_string().contains("name one in `scene`"));
+    assert!(baseline.fit(&measured, FittingSet::default()).err().unwrap().to_string().contains("name one in `scene`"));
 }
 
 #[test]
-fn mistakes_in_a_scene_are_told_with_their_place() {
+fn reports_position_of_scene_errors() {
     let folder = tempfile::tempdir().unwrap();
-    let told = |text: &str| {
-        let error = Scene::read(&file(folder.path(), "s.ron", text)).and_then(|s| Simulator::new(&s).map(|_| ()));
+    let error_of = |text: &str| {
+        let error = SceneFile::read(&file(folder.path(), "s.ron", text)).and_then(|s| Simulator::new(&s).map(|_| ()));
         let error = error.unwrap_err();
         assert!(error.is_input());
         error.to_string().replace(&folder.path().display().to_string(), "DIR")
@@ -245,7 +245,7 @@ fn mistakes_in_a_scene_are_told_with_their_place() {
     ];
     for (from, to, expected) in cases {
         assert!(plain.contains(from), "{from}");
-        let message = told(&plain.replacen(from, to, 1));
+        let message = error_of(&plain.replacen(from, to, 1));
         assert!(message.to_lowercase().contains(&expected.to_lowercase()), "{to}: {message}");
     }
     let mesh = |file: &str| {
@@ -256,12 +256,12 @@ fn mistakes_in_a_scene_are_told_with_their_place() {
     };
     file(folder.path(), "open.obj", "v 1 1 0\nv 2 1 0\nv 2 2 0\nv 1 1 1\nf 1 2 3\nf 1 2 4\n");
     file(folder.path(), "flat.obj", "v 1 1 0\nv 2 1 0\nv 3 1 0\nf 1 2 3\n");
-    assert!(told(&mesh("open.obj")).contains("DIR/open.obj: the surface of `desk` is open"));
-    assert!(told(&mesh("flat.obj")).contains("has no area"));
-    assert!(told(&mesh("gone.obj")).contains("cannot read DIR/gone.obj"));
+    assert!(error_of(&mesh("open.obj")).contains("DIR/open.obj: the surface of `desk` is open"));
+    assert!(error_of(&mesh("flat.obj")).contains("has no area"));
+    assert!(error_of(&mesh("gone.obj")).contains("cannot read DIR/gone.obj"));
     // A thin sheet may be open.
     let sheet = mesh("open.obj").replace("(material: \"metal\")", "(material: \"metal\", thickness_m: 0.001)");
-    let scene = Scene::read(&file(folder.path(), "s.ron", &sheet)).unwrap();
+    let scene = SceneFile::read(&file(folder.path(), "s.ron", &sheet)).unwrap();
     assert_eq!(Simulator::new(&scene).unwrap().world().faces.len(), 6 + 2);
 }
 
@@ -272,10 +272,10 @@ fn transmitters_do_not_stand_inside_things() {
         "Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))",
         "Grid(low: (0.9, 0.9, 0.1), high: (2.1, 2.1, 0.7), step_m: 0.3)",
     );
-    let scene = Scene::read(&file(folder.path(), "s.ron", &in_desk)).unwrap();
+    let scene = SceneFile::read(&file(folder.path(), "s.ron", &in_desk)).unwrap();
     let message = Simulator::new(&scene).unwrap().positions(5, 0).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("inside `desk`"), "{message}");
-    let free = Simulator::new(&Scene::read(&file(folder.path(), "s.ron", &scene_text(""))).unwrap()).unwrap();
+    let free = Simulator::new(&SceneFile::read(&file(folder.path(), "s.ron", &scene_text(""))).unwrap()).unwrap();
     let desk = |p: &DVec3| p.x > 1.0 && p.x < 2.0 && p.y > 1.0 && p.y < 2.0 && p.z < 0.7;
     assert!(!free.positions(200, 3).unwrap().iter().any(desk));
 }

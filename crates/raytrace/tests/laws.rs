@@ -4,7 +4,7 @@ use crate::common::law_scene as scene;
 use glam::DVec3;
 use proptest::prelude::*;
 use pwrfgs_raytrace::fresnel::reflection;
-use pwrfgs_raytrace::{Complex, Interaction, Path, Simulator};
+use pwrfgs_raytrace::{Complex, Interaction, PropagationPath, Simulator};
 use std::f64::consts::{PI, TAU};
 
 const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
@@ -62,19 +62,19 @@ const PAIRS: [([f64; 3], [f64; 3]); 3] =
     [([-6.0, 1.0, 1.2], [5.0, -3.0, 2.2]), ([0.3, 4.0, 0.4], [-4.0, -5.0, 5.0]), ([2.5, 3.0, 1.0], [2.4, -0.5, 1.1])];
 
 /// Paths from `a` to `b` and from `b` to `a`.
-fn both_ways((a, b): ([f64; 3], [f64; 3]), propagation: &str) -> [Vec<Path>; 2] {
+fn both_ways((a, b): ([f64; 3], [f64; 3]), propagation: &str) -> [Vec<PropagationPath>; 2] {
     [(a, b), (b, a)].map(|(from, to)| cluttered(to, propagation).trace(DVec3::from(from)))
 }
 
 /// Length and gain of every path, sorted, for comparison of sets.
-fn sorted(paths: &[Path]) -> Vec<(f64, Complex)> {
+fn sorted(paths: &[PropagationPath]) -> Vec<(f64, Complex)> {
     let mut all: Vec<(f64, Complex)> = paths.iter().map(|p| (p.length, p.gain)).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.norm().total_cmp(&b.1.norm())));
     all
 }
 
 /// Both sets have the same lengths and gains, to rounding.
-fn assert_same(there: &[Path], back: &[Path]) {
+fn assert_same(there: &[PropagationPath], back: &[PropagationPath]) {
     assert_eq!(there.len(), back.len());
     for (x, y) in sorted(there).into_iter().zip(sorted(back)) {
         assert!((x.0 - y.0).abs() < 1e-9 && (x.1 - y.1).norm() < 1e-9 * x.1.norm().max(1e-3), "{x:?} and {y:?}");
@@ -82,7 +82,7 @@ fn assert_same(there: &[Path], back: &[Path]) {
 }
 
 /// The field of all paths, of the carrier of [`scene`].
-fn field(paths: &[Path]) -> Complex {
+fn field(paths: &[PropagationPath]) -> Complex {
     paths.iter().map(|p| p.baseband(299_792_458.0 / 2e9)).sum()
 }
 
@@ -99,18 +99,18 @@ fn without_scattering_transmitter_and_receiver_may_change_places() {
 /// Effective roughness takes |Γ| at the angle of incidence, and bends the polarisation as the wave leaves: neither is the
 /// same backwards. All other paths keep the law.
 #[test]
-fn what_patches_scatter_differs_between_the_two_ways() {
-    let is_scattered = |p: &Path| p.interactions.iter().any(|i| matches!(i, Interaction::Scattering { .. }));
+fn scattering_is_not_reciprocal() {
+    let is_scattered = |p: &PropagationPath| p.interactions.iter().any(|i| matches!(i, Interaction::Scattering { .. }));
     let mut worst = [0.0_f64; 3];
     for pair in PAIRS {
         let both = both_ways(pair, "order: 2, room_order: 3, roughness: 0.3, patch_m: 1.5");
         let [h, reversed] = both.each_ref().map(|paths| field(paths).norm_sqr());
         let [(rough, smooth), (rough_back, smooth_back)] =
-            both.map(|paths| paths.into_iter().partition::<Vec<Path>, _>(is_scattered));
+            both.map(|paths| paths.into_iter().partition::<Vec<PropagationPath>, _>(is_scattered));
         assert_same(&smooth, &smooth_back);
         assert!(rough.len() > 100 && rough.len() == rough_back.len(), "{} {}", rough.len(), rough_back.len());
         let decibel = |a: f64, b: f64| 10.0 * (a / b).log10().abs();
-        let power = |paths: &[Path]| paths.iter().map(|p| p.gain.norm_sqr()).sum::<f64>();
+        let power = |paths: &[PropagationPath]| paths.iter().map(|p| p.gain.norm_sqr()).sum::<f64>();
         let single = rough.iter().zip(&rough_back).map(|(x, y)| {
             assert!((x.length - y.length).abs() < 1e-9, "the same patches in the same order");
             decibel(x.gain.norm_sqr(), y.gain.norm_sqr())
@@ -130,7 +130,7 @@ fn a_solid_closes_the_way_and_a_sheet_weakens_it() {
     let rx = [4.0, 1.5, 1.0];
     let tx = DVec3::new(0.0, 1.5, 1.0); // the cupboard stands between them
     let line_of_sight = |s: &Simulator, tx: DVec3| {
-        let direct = |p: &Path| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
+        let direct = |p: &PropagationPath| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
         s.trace(tx).into_iter().find(direct)
     };
     assert!(line_of_sight(&cluttered(rx, NOTHING), tx).is_none());
@@ -170,7 +170,7 @@ fn diffraction_makes_up_for_the_edge_of_the_shadow() {
 }
 
 #[test]
-fn the_edge_of_a_sheet_diffracts_what_the_sheet_stops() {
+fn sheet_edge_diffracts_blocked_field() {
     // Continuous where the way through the glass begins, and nothing at all at the edge of a sheet of air.
     let at = |y: f64| behind_a_board("glass", DVec3::new(-4.0, y, 0.0));
     let jump = (at(1.5 + 1e-6) - at(1.5 - 1e-6)).norm();
@@ -185,7 +185,7 @@ fn the_edge_of_a_sheet_diffracts_what_the_sheet_stops() {
 }
 
 #[test]
-fn a_face_that_lies_on_another_reflects_once() {
+fn coplanar_faces_reflect_once() {
     let bench = |name: &str, high: &str| {
         format!("Box(name: \"{name}\", low: (-1, -1, 0.5), high: {high}, finish: (material: \"wood\")),")
     };
@@ -199,7 +199,7 @@ fn a_face_that_lies_on_another_reflects_once() {
 }
 
 #[test]
-fn a_room_with_more_faces_only_adds_image_sequences_it_can_see() {
+fn finds_all_visible_image_sequences_in_cluttered_room() {
     // Every image is tried against a brute force over all pairs of faces, without beams.
     let simulator = cluttered([0.5, 0.5, 1.4], "order: 2, room_order: 2, diffraction: false, transmission: false");
     let world = simulator.world();

@@ -1,7 +1,7 @@
 //! Extreme scenes are rejected as invalid input before they need much memory or time.
 
 use crate::common::law_scene;
-use pwrfgs_raytrace::{Scene, Simulator};
+use pwrfgs_raytrace::{SceneFile, Simulator};
 use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -10,10 +10,10 @@ const ROOM: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (
                     floor: (material: \"concrete\"), ceiling: (material: \"concrete\"))";
 
 /// The error for the scene with `from` replaced by `to`, within seconds.
-fn said(text: &str, from: &str, to: &str) -> String {
+fn shown(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     let begun = Instant::now();
-    let scene = Scene::parse(&text.replacen(from, to, 1), Path::new("a.ron"));
+    let scene = SceneFile::parse(&text.replacen(from, to, 1), Path::new("a.ron"));
     let error = scene.and_then(|scene| Simulator::new(&scene).map(|_| ())).expect_err(to);
     assert!(error.is_input() && begun.elapsed() < Duration::from_secs(20), "{to}: {error}");
     let message = error.to_string();
@@ -49,7 +49,7 @@ fn numbers_out_of_range_are_named() {
         ),
         ("roughness: 0.0,\n", "roughness: 0.5, patch_m: 0.02, seed: 0, ) ,//", "a.ron:"),
     ] {
-        let message = said(&text, from, to);
+        let message = shown(&text, from, to);
         assert!(message.contains(expected), "{to}: {message}");
     }
 }
@@ -61,7 +61,7 @@ fn names_are_short_and_plain() {
         for (from, expected) in
             [("\"law\"", "`name`"), ("\"crate\"", "the name of object 1"), ("\"wood\"", "the name of a material")]
         {
-            let message = said(&plain(), from, &format!("\"{name}\""));
+            let message = shown(&plain(), from, &format!("\"{name}\""));
             assert!(
                 message.contains(expected) && message.contains("holds control characters or more than 200 letters"),
                 "{message}"
@@ -71,9 +71,9 @@ fn names_are_short_and_plain() {
 }
 
 #[test]
-fn what_would_not_fit_is_refused_before_it_is_tried() {
+fn rejects_oversized_scene_before_tracing() {
     let text = plain();
-    let with = |objects: &str| said(&text, "objects: [", &format!("objects: [{objects}"));
+    let with = |objects: &str| shown(&text, "objects: [", &format!("objects: [{objects}"));
     let boxes: Vec<String> = (0..30_000)
         .map(|i| format!("Box(name: \"{i}\", low: (1, 1, 1), high: (2, 2, 2), finish: (material: \"wood\")),"))
         .collect();
@@ -87,16 +87,16 @@ fn what_would_not_fit_is_refused_before_it_is_tried() {
     let traced =
         text.replace("rows: 4", "rows: 32").replace("columns: 4", "columns: 32").replace("order: 1", "order: 7");
     let traced = traced.replace("position: (0.0, 0.0, 2.0)", "position: (-4, 0, 2)");
-    let message = said(&traced, "wavefront: Spherical", "wavefront: Traced");
+    let message = shown(&traced, "wavefront: Spherical", "wavefront: Traced");
     assert!(message.contains("tracing to each of 1024 antennas would take"), "{message}");
     let rough = text.replace("roughness: 0.0", "roughness: 0.5");
-    assert!(said(&rough, "patch_m: 0.5", "patch_m: 0.02").contains("in patches of 0.02 m are too many"));
+    assert!(shown(&rough, "patch_m: 0.5", "patch_m: 0.02").contains("in patches of 0.02 m are too many"));
     let corners: Vec<String> = (0..2000).map(|i| format!("({i}, {})", i % 2)).collect();
     let outline = "Box(\n            low: (-10.0, -8.0, 0.0),\n            high: (10.0, 8.0, 6.0),\n        )";
     let plan = |corners: &str| format!("Plan(corners: [{corners}], ceiling: 6)");
-    assert!(said(&text, outline, &plan(&corners.join(","))).contains("has 2000 corners; give at most 1000"));
+    assert!(shown(&text, outline, &plan(&corners.join(","))).contains("has 2000 corners; give at most 1000"));
     for flat in ["(0, 0), (4, 0), (8, 0)", "(-9, -9), (9, -9), (8, -9), (8, 9), (-9, 9)"] {
-        assert!(said(&text, outline, &plan(flat)).contains("cross or touch"));
+        assert!(shown(&text, outline, &plan(flat)).contains("cross or touch"));
     }
 }
 
@@ -105,17 +105,17 @@ fn brackets_without_end_do_not_overflow_the_stack() {
     for (bracket, field) in
         [("(", "objects: ["), ("[", "objects: ["), ("Some(", "noise: "), ("{", "materials: {"), ("/*", "(")]
     {
-        said(&plain(), field, &format!("{field}{}", bracket.repeat(100_000)));
+        shown(&plain(), field, &format!("{field}{}", bracket.repeat(100_000)));
     }
 }
 
 #[test]
-fn meshes_that_nobody_can_trace_are_named() {
+fn names_meshes_that_cannot_be_traced() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = |name: &str| {
         let file = folder.path().join(name);
         let object = format!("Mesh(name: \"m\", file: {file:?}, finish: (material: \"wood\", thickness_m: 0.01)),");
-        said(&plain(), "objects: [", &format!("objects: [{object}"))
+        shown(&plain(), "objects: [", &format!("objects: [{object}"))
     };
     let vertices = "v 1 1 1\nv 2 1 1\n";
     let fan: Vec<String> = (0..100).map(|i| format!("v 1 {} {}\nf 1 2 {}\n", 2 + i, 1 + i * i, i + 3)).collect();
@@ -131,6 +131,8 @@ fn meshes_that_nobody_can_trace_are_named() {
     let made = std::process::Command::new("mkfifo").arg(folder.path().join("pipe.obj")).status();
     if made.is_ok_and(|status| status.success()) {
         assert!(mesh("pipe.obj").contains("this is a named pipe"));
-        assert!(Scene::read(&folder.path().join("pipe.obj")).unwrap_err().to_string().contains("this is a named pipe"));
+        assert!(
+            SceneFile::read(&folder.path().join("pipe.obj")).unwrap_err().to_string().contains("this is a named pipe")
+        );
     }
 }

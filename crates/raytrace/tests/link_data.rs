@@ -1,9 +1,9 @@
 //! `Simulated` and `RayTracing` with several receivers, powers and channels.
 
 use crate::common::{CSI, small_room};
-use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Link, Observations, Plugin, Real, Split, Task, rng};
+use pwrfgs_core::{Baseline, DataSource, Dataset, FittingSet, Link, Observations, Plugin, Real, Split, Task, rng};
 use pwrfgs_data as _;
-use pwrfgs_raytrace::Scene;
+use pwrfgs_raytrace::SceneFile;
 use std::fs;
 use std::path::Path;
 
@@ -18,7 +18,7 @@ fn load(folder: &Path, observe: &str) -> pwrfgs_core::Result<Dataset> {
 fn a_data_set_has_a_link_each_transmitter_and_receiver() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("s.ron"), small_room(CSI)).unwrap();
-    let scene = Scene::read(&folder.path().join("s.ron")).unwrap();
+    let scene = SceneFile::read(&folder.path().join("s.ron")).unwrap();
     for (observe, kind, size) in [
         ("", Task::Spectrum, (360, 90)),
         (", observe: Power(noise_db: 2)", Task::Power, (1, 1)),
@@ -45,7 +45,7 @@ fn a_data_set_has_a_link_each_transmitter_and_receiver() {
 }
 
 #[test]
-fn who_is_not_heard_has_no_link() {
+fn unreceived_transmitters_have_no_link() {
     let folder = tempfile::tempdir().unwrap();
     let sends = |dbm: f64| {
         let text = small_room("").replace("transmitter: (", &format!("transmitter: (power_dbm: {dbm}, "));
@@ -55,13 +55,14 @@ fn who_is_not_heard_has_no_link() {
     let (all, some) = (sends(0.0).unwrap(), sends(-50.0).unwrap());
     assert!(all.len() == 20 && (1..20).contains(&some.len()), "{}", some.len());
     for i in 0..some.len() {
-        let heard = some.sample(i);
-        let j = (0..20).find(|&j| (all.sample(j).id, all.sample(j).receiver) == (heard.id, heard.receiver)).unwrap();
+        let received = some.sample(i);
+        let j =
+            (0..20).find(|&j| (all.sample(j).id, all.sample(j).receiver) == (received.id, received.receiver)).unwrap();
         let (loud, quiet) = (all.image(j).pixels[0], some.image(i).pixels[0]);
         assert!(quiet > -100.0 && (loud - quiet - 50.0).abs() < 0.01);
     }
-    let said = sends(-190.0).unwrap_err().to_string();
-    assert!(said.contains("no receiver receives any transmitter; raise `power_dbm`"), "{said}");
+    let shown = sends(-190.0).unwrap_err().to_string();
+    assert!(shown.contains("no receiver receives any transmitter; raise `power_dbm`"), "{shown}");
 }
 
 #[test]
@@ -70,7 +71,7 @@ fn ray_tracing_is_the_generator_of_every_kind() {
     fs::write(folder.path().join("s.ron"), small_room(CSI).replace(QUIET, "")).unwrap();
     let fit = |data: &Dataset, text: &str| -> pwrfgs_core::Result<_> {
         let baseline = Plugin::<dyn Baseline>::parse(text).unwrap();
-        let predictor = baseline.fit(data, Known::default())?;
+        let predictor = baseline.fit(data, FittingSet::default())?;
         let predicted: Vec<_> = (0..data.len()).map(|i| predictor.predict(data.query(i))).collect();
         Ok((predicted, predictor.note().unwrap()))
     };
@@ -102,8 +103,8 @@ fn ray_tracing_is_the_generator_of_every_kind() {
 }
 
 #[test]
-fn mistakes_in_observe_are_told() {
-    let told = |observe: &str| {
+fn reports_invalid_observe_setting() {
+    let error_of = |observe: &str| {
         let text = format!("Simulated(scene: \"s.ron\", observe: {observe})");
         Plugin::<dyn DataSource>::parse(&text).unwrap_err()
     };
@@ -112,7 +113,7 @@ fn mistakes_in_observe_are_told() {
         ("Channel(snr_db: 1e9)", "observe: `snr_db` is 1000000000"),
         ("Chanel()", "1:"),
     ] {
-        let message = told(observe);
+        let message = error_of(observe);
         assert!(message.contains(expected), "{message}");
     }
 }

@@ -1,20 +1,23 @@
 //! Folders of powers and channels: reproducible bytes, content, and clear errors.
 
 use crate::common::{CSI, small_room};
-use pwrfgs_raytrace::output::{Layout, write_as};
-use pwrfgs_raytrace::{Heard, Observe, Observed, Recipe, SILENT_DBM, Scene, Simulator, Wanted, simulate_links};
+use pwrfgs_raytrace::output::{OutputLayout, write_as};
+use pwrfgs_raytrace::{
+    ObservationKind, ReceiverObservation, SILENT_DBM, SceneFile, SimulatedObservation, SimulationRecipe,
+    SimulationRequest, Simulator, simulate_links,
+};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-fn parse(text: &str) -> Scene {
-    Scene::parse(text, Path::new("links.ron")).unwrap()
+fn parse(text: &str) -> SceneFile {
+    SceneFile::parse(text, Path::new("links.ron")).unwrap()
 }
 
-fn recipe(folder: &Path, text: &str, observe: Observe) -> Recipe {
+fn recipe(folder: &Path, text: &str, observe: ObservationKind) -> SimulationRecipe {
     let path = folder.join("scene.ron");
     fs::write(&path, text).unwrap();
-    Recipe::read(&path, 10, 7, 50).unwrap().observing(observe).unwrap()
+    SimulationRecipe::read(&path, 10, 7, 50).unwrap().observing(observe).unwrap()
 }
 
 /// Every file of a folder with its bytes.
@@ -35,17 +38,17 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     all
 }
 
-fn written(recipe: &Recipe, layout: Layout, out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+fn written(recipe: &SimulationRecipe, layout: OutputLayout, out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     write_as(recipe, layout, true, out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
     contents(out)
 }
 
-const KINDS: [(Layout, Observe); 5] = [
-    (Layout::Pictures, Observe::Spectrum),
-    (Layout::Array, Observe::Spectrum),
-    (Layout::Rssi, Observe::Power { noise_db: 3.0 }),
-    (Layout::Channels, Observe::Channel { snr_db: Some(10.0) }),
-    (Layout::Csi, Observe::Channel { snr_db: None }),
+const KINDS: [(OutputLayout, ObservationKind); 5] = [
+    (OutputLayout::Pictures, ObservationKind::Spectrum),
+    (OutputLayout::Array, ObservationKind::Spectrum),
+    (OutputLayout::Rssi, ObservationKind::Power { noise_db: 3.0 }),
+    (OutputLayout::Channels, ObservationKind::Channel { snr_db: Some(10.0) }),
+    (OutputLayout::Csi, ObservationKind::Channel { snr_db: None }),
 ];
 
 #[test]
@@ -63,7 +66,7 @@ fn every_layout_has_the_same_bytes_at_any_thread_count() {
 }
 
 #[test]
-fn a_receiver_among_others_hears_what_it_hears_alone() {
+fn receiver_observes_same_with_and_without_others() {
     let folder = tempfile::tempdir().unwrap();
     let text = small_room(CSI);
     let (from, to) = (text.find("receiver: (pos").unwrap(), text.find("transmitter: (").unwrap());
@@ -75,7 +78,7 @@ fn a_receiver_among_others_hears_what_it_hears_alone() {
         let all = written(&both, layout, &folder.path().join(format!("{layout:?}")));
         let recipe = recipe(folder.path(), &alone, observe);
         let own = written(&recipe, layout, &folder.path().join(format!("{layout:?} alone")));
-        if layout == Layout::Rssi {
+        if layout == OutputLayout::Rssi {
             let column = |files: &[(PathBuf, Vec<u8>)], k: usize| -> Vec<String> {
                 let table = files.iter().find(|(name, _)| name == Path::new("gateway_rssi.csv")).unwrap();
                 let text = String::from_utf8(table.1.clone()).unwrap();
@@ -92,43 +95,44 @@ fn a_receiver_among_others_hears_what_it_hears_alone() {
 }
 
 #[test]
-fn the_files_hold_what_is_heard() {
+fn files_hold_simulated_observations() {
     let folder = tempfile::tempdir().unwrap();
     let text = small_room(CSI).replace("transmitter: (", "transmitter: (power_dbm: -50, ");
-    let heard = |observe| {
+    let received = |observe| {
         let mut all = Vec::new();
-        let wanted = Wanted { what: observe, samples: 10, seed: 7 };
-        let each = |_, _, heard: Vec<Heard>| {
-            all.extend(heard.into_iter().map(|heard| heard.observed));
+        let request = SimulationRequest { what: observe, samples: 10, seed: 7 };
+        let each = |_, _, received: Vec<ReceiverObservation>| {
+            all.extend(received.into_iter().map(|received| received.observed));
             Ok(())
         };
-        simulate_links(&Simulator::new(&parse(&text)).unwrap(), &wanted, &AtomicBool::new(false), each).unwrap();
+        simulate_links(&Simulator::new(&parse(&text)).unwrap(), &request, &AtomicBool::new(false), each).unwrap();
         all
     };
     let text_of = |out: &str, name: &str| fs::read_to_string(folder.path().join(out).join(name)).unwrap();
 
-    let observe = Observe::Power { noise_db: 3.0 };
-    written(&recipe(folder.path(), &text, observe), Layout::Rssi, &folder.path().join("rssi"));
+    let observe = ObservationKind::Power { noise_db: 3.0 };
+    written(&recipe(folder.path(), &text, observe), OutputLayout::Rssi, &folder.path().join("rssi"));
     let table = text_of("rssi", "gateway_rssi.csv");
     let mut rows = table.lines();
     assert_eq!(rows.next(), Some("gateway1,b"));
-    let read: Vec<Observed> =
-        rows.flat_map(|row| row.split(',').map(|v| Observed::Power(v.parse().unwrap()))).collect();
-    assert_eq!(read, heard(observe));
+    let read: Vec<SimulatedObservation> =
+        rows.flat_map(|row| row.split(',').map(|v| SimulatedObservation::Power(v.parse().unwrap()))).collect();
+    assert_eq!(read, received(observe));
     let silent = table.matches("-100.0").count();
-    assert!(silent > 0 && silent < 20 && read.contains(&Observed::Power(SILENT_DBM)), "{table}");
+    assert!(silent > 0 && silent < 20 && read.contains(&SimulatedObservation::Power(SILENT_DBM)), "{table}");
     assert_eq!(text_of("rssi", "gateway_position.yml"), "gateway1: [0.2, 1.5, 1.5]\nb: [3.7, 1.0, 2.0]\n");
     assert_eq!(text_of("rssi", "test_index.txt"), "4\n9\n");
     assert_eq!(text_of("rssi", "tx_pos.csv").lines().count(), 11);
     assert!(text_of("rssi", "manifest.json").contains("\"simulated\": true"));
     assert!(folder.path().join("rssi/paths-b.csv").exists());
 
-    let observe = Observe::Channel { snr_db: Some(30.0) };
+    let observe = ObservationKind::Channel { snr_db: Some(30.0) };
     let recipe = recipe(folder.path(), &text, observe);
-    let links = heard(observe);
-    for (layout, array, facts) in
-        [(Layout::Channels, "channel.npy", "receiver.yml"), (Layout::Csi, "csidata.npy", "base-station.yml")]
-    {
+    let links = received(observe);
+    for (layout, array, facts) in [
+        (OutputLayout::Channels, "channel.npy", "receiver.yml"),
+        (OutputLayout::Csi, "csidata.npy", "base-station.yml"),
+    ] {
         let out = format!("{layout:?}");
         written(&recipe, layout, &folder.path().join(&out));
         for (r, name) in ["gateway1", "b"].into_iter().enumerate() {
@@ -136,14 +140,14 @@ fn the_files_hold_what_is_heard() {
             let header = String::from_utf8_lossy(&bytes[10..128]).into_owned();
             assert!(header.contains("'<c8'") && header.contains("(10, 8, 6)"), "{header}");
             let own = links.chunks(2).map(|both| &both[r]).flat_map(|observed| match observed {
-                Observed::Channel(channel) => channel.clone(),
+                SimulatedObservation::Channel(channel) => channel.clone(),
                 other => panic!("{other:?}"),
             });
             let expected: Vec<u8> = own.flat_map(|h| [h.re as f32, h.im as f32]).flat_map(f32::to_le_bytes).collect();
             assert!(bytes[128..] == expected);
             let facts = text_of(&format!("{out}/{name}"), facts);
             let places = facts.matches('[').count();
-            assert_eq!(places, if layout == Layout::Csi { 1 + 8 } else { 3 + 1 + 8 }, "{facts}");
+            assert_eq!(places, if layout == OutputLayout::Csi { 1 + 8 } else { 3 + 1 + 8 }, "{facts}");
         }
     }
     let facts = text_of("Channels/b", "receiver.yml");
@@ -163,16 +167,16 @@ fn data_of_old_scenes_keep_their_key() {
     assert_eq!(parse(&full.to_ron()), full);
     let folder = tempfile::tempdir().unwrap();
     let names = KINDS.map(|(_, observe)| recipe(folder.path(), &small_room(CSI), observe).folder_name());
-    assert!(!recipe(folder.path(), &small_room(CSI), Observe::Spectrum).to_json().contains("\"observe\""));
+    assert!(!recipe(folder.path(), &small_room(CSI), ObservationKind::Spectrum).to_json().contains("\"observe\""));
     assert!(names[0] == names[1] && names[1] != names[2] && names[3] != names[4]);
 }
 
 #[test]
-fn mistakes_are_told_with_their_place() {
-    let told = |from: &str, to: &str| {
+fn reports_position_of_invalid_input() {
+    let error_of = |from: &str, to: &str| {
         let text = small_room(CSI);
         assert!(text.contains(from), "{from}");
-        let scene = Scene::parse(&text.replacen(from, to, 1), Path::new("s.ron"));
+        let scene = SceneFile::parse(&text.replacen(from, to, 1), Path::new("s.ron"));
         let error = scene.and_then(|scene| Simulator::new(&scene).map(|_| ())).expect_err(to);
         assert!(error.is_input());
         error.to_string()
@@ -197,50 +201,56 @@ fn mistakes_are_told_with_their_place() {
         ("more_receivers", "more_recievers", "did you mean `more_receivers`?"),
         ("transmitter: (", "transmitter: (power_dbm: inf, ", "s.ron:8:11: `power_dbm` of the transmitter is inf"),
     ] {
-        let message = told(from, to);
+        let message = error_of(from, to);
         assert!(message.contains(expected), "{to}: {message}");
     }
     let one = "(name: \"b\", position: (3.7, 1, 2), orientation: Facing(direction: (-1, 0, 0))),";
     let many: String = (0..300).map(|i| one.replace("\"b\"", &format!("\"b{i}\""))).collect();
-    assert!(told("more_receivers: [", &format!("more_receivers: [{many}")).contains("302 receivers are too many"));
+    assert!(error_of("more_receivers: [", &format!("more_receivers: [{many}")).contains("302 receivers are too many"));
 }
 
 #[test]
-fn what_does_not_suit_a_layout_is_refused() {
+fn rejects_observation_that_does_not_fit_layout() {
     let folder = tempfile::tempdir().unwrap();
-    let said = |text: &str, observe: Observe, layout: Layout| {
+    let shown = |text: &str, observe: ObservationKind, layout: OutputLayout| {
         let path = folder.path().join("scene.ron");
         fs::write(&path, text).unwrap();
-        let recipe = Recipe::read(&path, 10, 7, 50).and_then(|recipe| recipe.observing(observe));
+        let recipe = SimulationRecipe::read(&path, 10, 7, 50).and_then(|recipe| recipe.observing(observe));
         let out = folder.path().join("out");
         let made = recipe.and_then(|r| write_as(&r, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)));
         let error = made.unwrap_err();
         assert!(error.is_input() && !out.exists());
         error.to_string()
     };
-    let (text, channel) = (small_room(CSI), Observe::Channel { snr_db: None });
-    assert!(said(&text, channel, Layout::Rssi).contains("does not match the observation type"));
+    let (text, channel) = (small_room(CSI), ObservationKind::Channel { snr_db: None });
+    assert!(shown(&text, channel, OutputLayout::Rssi).contains("does not match the observation type"));
     assert!(
-        said(&text.replace("rows: 4", "rows: 3"), channel, Layout::Channels).contains("has 8 antennas and `b` has 6")
+        shown(&text.replace("rows: 4", "rows: 3"), channel, OutputLayout::Channels)
+            .contains("has 8 antennas and `b` has 6")
     );
-    assert!(said(&text.replace("count: 6", "count: 5"), channel, Layout::Csi).contains("give an even number"));
+    assert!(shown(&text.replace("count: 6", "count: 5"), channel, OutputLayout::Csi).contains("give an even number"));
     let path = folder.path().join("scene.ron");
     fs::write(&path, text.replace("count: 6", "count: 4096")).unwrap();
-    let links = Recipe::read(&path, 600_000, 7, 50).unwrap_err().to_string();
+    let links = SimulationRecipe::read(&path, 600_000, 7, 50).unwrap_err().to_string();
     assert!(links.contains("600000 samples at 2 receivers are more than 1000000 links"), "{links}");
-    let many = Recipe::read(&path, 100_000, 7, 50).unwrap().observing(channel);
+    let many = SimulationRecipe::read(&path, 100_000, 7, 50).unwrap().observing(channel);
     assert!(many.unwrap_err().to_string().contains("GB, more than 8; give fewer samples, antennas or subcarriers"));
-    assert!(said(&text, Observe::Power { noise_db: f64::NAN }, Layout::Rssi).contains("`noise_db` is NaN"));
-    assert!(said(&text, Observe::Channel { snr_db: Some(1e9) }, Layout::Csi).contains("`snr_db` is 1000000000"));
+    assert!(
+        shown(&text, ObservationKind::Power { noise_db: f64::NAN }, OutputLayout::Rssi).contains("`noise_db` is NaN")
+    );
+    assert!(
+        shown(&text, ObservationKind::Channel { snr_db: Some(1e9) }, OutputLayout::Csi)
+            .contains("`snr_db` is 1000000000")
+    );
 }
 
 #[test]
-fn a_table_of_silence_is_refused_and_nothing_is_left() {
+fn rejects_table_without_received_power_and_removes_files() {
     let folder = tempfile::tempdir().unwrap();
     let text = small_room("").replace("transmitter: (", "transmitter: (power_dbm: -190, ");
-    let recipe = recipe(folder.path(), &text, Observe::Power { noise_db: 0.0 });
+    let recipe = recipe(folder.path(), &text, ObservationKind::Power { noise_db: 0.0 });
     let out = folder.path().join("silent");
-    let said = write_as(&recipe, Layout::Rssi, true, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("receives no transmitter above -100 dBm"), "{said}");
+    let shown = write_as(&recipe, OutputLayout::Rssi, true, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap_err();
+    assert!(shown.is_input() && shown.to_string().contains("receives no transmitter above -100 dBm"), "{shown}");
     assert!(!out.exists());
 }

@@ -3,7 +3,9 @@
 use crate::common::{CSI, small_room};
 use glam::DVec3;
 use pwrfgs_core::plugin::Checked;
-use pwrfgs_raytrace::{Complex, Listener, Observe, Observed, SPEED_OF_LIGHT, Scene, Simulator};
+use pwrfgs_raytrace::{
+    Complex, ObservationKind, PreparedReceiver, SPEED_OF_LIGHT, SceneFile, SimulatedObservation, Simulator,
+};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
@@ -25,24 +27,24 @@ fn large_room(floor: &str, more: &str) -> String {
 const ANYWHERE: &str = "transmitter: (positions: Uniform(low: (-20, -20, 1), high: (20, 20, 3)))";
 const BAND: &str = "subcarriers: (count: 16, bandwidth_hz: 40e6)";
 
-fn parse(text: &str) -> Scene {
-    Scene::parse(text, Path::new("links.ron")).unwrap()
+fn parse(text: &str) -> SceneFile {
+    SceneFile::parse(text, Path::new("links.ron")).unwrap()
 }
 
 fn simulator(text: &str) -> Simulator {
     Simulator::new(&parse(text)).unwrap()
 }
 
-fn channel(listener: &Listener, tx: DVec3, snr_db: Option<f64>, sample: Option<u64>) -> Vec<Complex> {
-    match listener.observe(tx, &Observe::Channel { snr_db }, sample).observed {
-        Observed::Channel(channel) => channel,
+fn channel(listener: &PreparedReceiver, tx: DVec3, snr_db: Option<f64>, sample: Option<u64>) -> Vec<Complex> {
+    match listener.observe(tx, &ObservationKind::Channel { snr_db }, sample).observed {
+        SimulatedObservation::Channel(channel) => channel,
         other => panic!("{other:?}"),
     }
 }
 
-fn power(listener: &Listener, tx: DVec3, noise_db: f64, sample: Option<u64>) -> f64 {
-    match listener.observe(tx, &Observe::Power { noise_db }, sample).observed {
-        Observed::Power(dbm) => dbm,
+fn power(listener: &PreparedReceiver, tx: DVec3, noise_db: f64, sample: Option<u64>) -> f64 {
+    match listener.observe(tx, &ObservationKind::Power { noise_db }, sample).observed {
+        SimulatedObservation::Power(dbm) => dbm,
         other => panic!("{other:?}"),
     }
 }
@@ -123,7 +125,7 @@ fn at_the_carrier_a_channel_is_that_of_the_spectrum() {
             assert!(listener.antennas().iter().all(|place| place.distance(center) < 0.2));
         }
         // Without subcarriers the power equals that of the spectra, including errors.
-        let narrow = Simulator::new(&Scene { subcarriers: None, ..scene.clone() }).unwrap();
+        let narrow = Simulator::new(&SceneFile { subcarriers: None, ..scene.clone() }).unwrap();
         let listener = &narrow.listeners()[0];
         let beside = 10.0 * listener.spectrum(tx, Some(5)).spectrum.power.log10();
         assert!((power(listener, tx, 0.0, Some(5)) - beside).abs() < 0.001);
@@ -135,7 +137,7 @@ fn errors_have_the_stated_size() {
     let simulator = simulator(&small_room(CSI));
     let [a, b] = simulator.listeners() else { panic!() };
     let tx = DVec3::new(2.5, 1.2, 1.1);
-    let quiet = Simulator::new(&Scene { noise: Checked::default(), ..simulator.scene().clone() }).unwrap();
+    let quiet = Simulator::new(&SceneFile { noise: Checked::default(), ..simulator.scene().clone() }).unwrap();
     let a_quiet = &quiet.listeners()[0];
     let clean = channel(a_quiet, tx, None, None);
     assert_eq!(clean, channel(a_quiet, tx, None, Some(3)));
@@ -153,15 +155,15 @@ fn errors_have_the_stated_size() {
     let deviation = (errors.iter().map(|e| e * e).sum::<f64>() / 2000.0).sqrt();
     assert!(mean.abs() < 0.2 && (deviation - 3.0).abs() < 0.15, "{mean} {deviation}");
     assert_eq!(power(a, tx, 3.0, Some(7)), power(a, tx, 3.0, Some(7)));
-    let error = |listener: &Listener| power(listener, tx, 3.0, Some(7)) - power(listener, tx, 0.0, Some(7));
+    let error = |listener: &PreparedReceiver| power(listener, tx, 3.0, Some(7)) - power(listener, tx, 0.0, Some(7));
     assert!((error(a) - error(b)).abs() > 0.01);
 }
 
 #[test]
 fn the_offices_of_links_are_simulated() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
-    let open = |name: &str| Simulator::new(&Scene::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
-    let office = Scene::read(&root.join("office.ron")).unwrap();
+    let open = |name: &str| Simulator::new(&SceneFile::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
+    let office = SceneFile::read(&root.join("office.ron")).unwrap();
     for (name, receivers, numbers) in
         [("office-links", 4, 16), ("office-channel", 1, 16 * 16), ("office-csi", 1, 8 * 52)]
     {

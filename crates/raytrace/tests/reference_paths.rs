@@ -4,7 +4,7 @@
 use crate::common::reference_room;
 use glam::DVec3;
 use pwrfgs_core::testing::shared;
-use pwrfgs_raytrace::{Complex, Interaction, Path, Simulator};
+use pwrfgs_raytrace::{Complex, Interaction, PropagationPath, Simulator};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
@@ -56,7 +56,7 @@ fn name(simulator: &Simulator, face: u32) -> &'static str {
     walls.into_iter().find(|(normal, _)| normal.dot(n) > 0.999).unwrap().1
 }
 
-fn surfaces(simulator: &Simulator, path: &Path) -> String {
+fn surfaces(simulator: &Simulator, path: &PropagationPath) -> String {
     if path.interactions.is_empty() {
         return "LOS".into();
     }
@@ -67,7 +67,7 @@ fn surfaces(simulator: &Simulator, path: &Path) -> String {
     met.collect::<Vec<_>>().join(">")
 }
 
-fn points(path: &Path) -> Vec<DVec3> {
+fn points(path: &PropagationPath) -> Vec<DVec3> {
     let point = |i: &Interaction| match i {
         Interaction::Reflection { point, .. } => Some(*point),
         _ => None,
@@ -85,7 +85,8 @@ fn every_path_of_the_reference_room_is_found_with_its_gain() {
         for (tx, position) in txs {
             let found = simulator.trace(DVec3::from(position));
             assert_eq!(found.len(), 63);
-            let by_name: BTreeMap<String, &Path> = found.iter().map(|p| (surfaces(&simulator, p), p)).collect();
+            let by_name: BTreeMap<String, &PropagationPath> =
+                found.iter().map(|p| (surfaces(&simulator, p), p)).collect();
             let rows = &expected[tx];
             for row in rows {
                 let path = by_name.get(&row.surfaces).unwrap_or_else(|| panic!("{tx}: no path {}", row.surfaces));

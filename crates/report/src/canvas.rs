@@ -10,7 +10,7 @@ mod png;
 mod svg;
 
 pub use font::{cut, text_width, wrapped};
-use pwrfgs_core::words;
+use pwrfgs_core::messages;
 pub use svg::xml;
 
 /// Text height: 7.5 pt if a column of 380 is 3.5 in wide.
@@ -102,12 +102,12 @@ pub enum Step {
 
 /// Lines and curves that are painted together.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Path(
+pub struct VectorPath(
     /// Segments in order.
     pub Vec<Step>,
 );
 
-impl Path {
+impl VectorPath {
     /// Creates a line through `points`.
     pub fn of(points: &[Point]) -> Self {
         let mut path = Self::default();
@@ -166,7 +166,7 @@ pub enum Anchor {
 
 /// Text style.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Letters {
+pub struct TextStyle {
     /// Height of the em square.
     pub size: f64,
     /// Colour of the text.
@@ -181,7 +181,7 @@ pub struct Text {
     /// Alignment to the point.
     pub anchor: Anchor,
     /// Text style.
-    pub letters: Letters,
+    pub letters: TextStyle,
     /// Whether the text reads upwards.
     pub upright: bool,
     /// Characters.
@@ -190,7 +190,7 @@ pub struct Text {
 
 /// Raster image.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pixels {
+pub struct RasterImage {
     /// Width in pixels.
     pub width: usize,
     /// Height in pixels.
@@ -205,13 +205,13 @@ pub struct Pixels {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// Lines and curves.
-    Path(Path, Paint),
+    Path(VectorPath, Paint),
     /// Circle: centre and radius.
     Circle(Point, f64, Paint),
     /// Text.
     Text(Text),
     /// Image: corner, width and height.
-    Pixels(Point, Point, Pixels),
+    RasterImage(Point, Point, RasterImage),
     /// Another drawing, scaled and then moved.
     Group(Point, f64, Vec<Self>),
 }
@@ -224,7 +224,7 @@ pub struct Canvas {
     /// Height of the drawing.
     pub height: f64,
     /// Style of the next text.
-    pub letters: Letters,
+    pub letters: TextStyle,
     /// Elements, bottom first.
     pub shapes: Vec<Shape>,
 }
@@ -232,12 +232,12 @@ pub struct Canvas {
 impl Canvas {
     /// Creates an empty drawing with the text style of charts.
     pub fn new(width: f64, height: f64) -> Self {
-        let letters = Letters { size: TEXT, colour: INK };
+        let letters = TextStyle { size: TEXT, colour: INK };
         Self { width, height, letters, shapes: Vec::new() }
     }
 
     /// Adds a path, unless it is invisible or not finite.
-    pub fn path(&mut self, path: Path, paint: Paint) {
+    pub fn path(&mut self, path: VectorPath, paint: Paint) {
         if path.shows(&paint) {
             self.shapes.push(Shape::Path(path, paint));
         }
@@ -245,12 +245,12 @@ impl Canvas {
 
     /// Adds a line through `points`.
     pub fn line(&mut self, points: &[Point], paint: Paint) {
-        self.path(Path::of(points), paint);
+        self.path(VectorPath::of(points), paint);
     }
 
     /// Adds a filled area within `corners`.
     pub fn polygon(&mut self, corners: &[Point], paint: Paint) {
-        self.path(Path::of(corners).closed(), paint);
+        self.path(VectorPath::of(corners).closed(), paint);
     }
 
     /// Adds a rectangle by its corner and size.
@@ -267,7 +267,7 @@ impl Canvas {
 
     fn write(&mut self, at: Point, anchor: Anchor, upright: bool, words: &str) {
         if is_place(&at) {
-            let words = plain(words);
+            let words = single_line(words);
             self.shapes.push(Shape::Text(Text { at, anchor, letters: self.letters, upright, words }));
         }
     }
@@ -291,12 +291,12 @@ impl Canvas {
     }
 
     /// Adds an image by its corner and size.
-    pub fn pixels(&mut self, at: Point, size: Point, pixels: Pixels) {
-        self.shapes.push(Shape::Pixels(at, size, pixels));
+    pub fn pixels(&mut self, at: Point, size: Point, pixels: RasterImage) {
+        self.shapes.push(Shape::RasterImage(at, size, pixels));
     }
 
     /// Adds an image with a frame.
-    pub fn framed(&mut self, at: Point, size: Point, pixels: Pixels) {
+    pub fn framed(&mut self, at: Point, size: Point, pixels: RasterImage) {
         self.pixels(at, size, pixels);
         self.rect(at, size, Paint::stroke(INK, 0.6));
     }
@@ -308,8 +308,8 @@ impl Canvas {
 }
 
 /// Text from untrusted files as one line without control characters.
-pub fn plain(text: &str) -> String {
-    words::plain(&text.replace(char::is_whitespace, " "))
+pub fn single_line(text: &str) -> String {
+    messages::escape_control(&text.replace(char::is_whitespace, " "))
 }
 
 /// Whether a point is finite.
@@ -322,7 +322,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_no_place_or_no_size_is_left_out() {
+    fn omits_shapes_without_position_or_size() {
         let mut canvas = Canvas::new(10.0, 10.0);
         let thin = Paint::stroke(INK, 1.0);
         canvas.line(&[[1.0, 1.0], [1.0, 1.0]], thin);
@@ -341,7 +341,10 @@ mod tests {
     }
 
     #[test]
-    fn a_terminal_gets_one_line_and_no_commands() {
-        assert_eq!(plain("a\r\nb\t\u{1b}]0;x\u{7}\u{9b}1m\u{202e}c"), "a  b \u{fffd}]0;x\u{fffd}\u{fffd}1m\u{fffd}c");
+    fn label_is_one_line_without_control_characters() {
+        assert_eq!(
+            single_line("a\r\nb\t\u{1b}]0;x\u{7}\u{9b}1m\u{202e}c"),
+            "a  b \u{fffd}]0;x\u{fffd}\u{fffd}1m\u{fffd}c"
+        );
     }
 }

@@ -19,6 +19,6 @@ mod run_page;
 mod study;
 mod templates;
 
-pub use pwrfgs_experiment::{Setting, Study, Variant};
+pub use pwrfgs_experiment::{Setting, Study, StudyVariant};
 pub use run_page::page;
 pub use study::{figures, write};

@@ -4,7 +4,7 @@
 //! stage: a room to rotate, a transmitter to move, and the observation at a receiver.
 
 use pwrfgs_core::colour::{diverging, sequential};
-use pwrfgs_core::{Activated, Dataset, Frame, Origin, Partition, Pose, Real, evenly};
+use pwrfgs_core::{Activated, Dataset, MeasurementSetup, Origin, Partition, Pose, Real, evenly};
 use pwrfgs_model::Ensemble;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
@@ -13,13 +13,13 @@ use std::collections::{BTreeMap, HashMap};
 /// Named arrays with a JSON note, sent to a page as one safetensors file; `web/tensors.js` reads it, as it reads
 /// models.
 #[derive(Clone, Debug, Default)]
-pub struct Pack {
+pub struct TensorBundle {
     /// JSON data besides the arrays.
     pub note: Value,
     arrays: BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>,
 }
 
-impl Pack {
+impl TensorBundle {
     /// Creates a bundle without arrays.
     pub fn new(note: Value) -> Self {
         Self { note, arrays: BTreeMap::new() }
@@ -54,7 +54,7 @@ impl Pack {
 
 /// Data and their split.
 #[derive(Clone, Copy, Debug)]
-pub struct Known<'a> {
+pub struct PartitionedData<'a> {
     /// Measurements.
     pub data: &'a Dataset,
     /// Split of the data.
@@ -66,23 +66,28 @@ pub struct Known<'a> {
 }
 
 /// Room: receivers, bounds, at most `points` surface points, and transmitter, set and score of every link.
-/// `frame` is that of the model; `means` are points that the room must contain if there are no data.
-pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points: usize) -> Pack {
-    let origin = origin(frame, known.map(|known| known.data));
-    let receivers = known.map_or(&frame.receivers, |known| &known.data.scene.receivers);
-    let own = known.map_or(frame.origin, |known| known.data.scene.origin);
+/// `setup` is that of the model; `means` are points that the room must contain if there are no data.
+pub fn room(
+    setup: &MeasurementSetup,
+    known: Option<PartitionedData<'_>>,
+    means: &[[Real; 3]],
+    points: usize,
+) -> TensorBundle {
+    let origin = origin(setup, known.map(|known| known.data));
+    let receivers = known.map_or(&setup.receivers, |known| &known.data.scene.receivers);
+    let own = known.map_or(setup.origin, |known| known.data.scene.origin);
     let poses: Vec<(&str, Pose)> = receivers.iter().map(|r| (r.name.as_str(), own.world_pose(r.pose))).collect();
-    let plane = &frame.plane;
+    let plane = &setup.plane;
     let mut note = json!({
         "format": "pwrfgs-room",
-        "has_pixels": frame.task.has_pixels,
-        "is_scalar": frame.task.is_scalar,
-        "unit": frame.task.level_name[1],
-        "score": { "name": frame.task.headline.name, "higher": frame.task.headline.higher },
+        "has_pixels": setup.task.has_pixels,
+        "is_scalar": setup.task.is_scalar,
+        "unit": setup.task.level_name[1],
+        "score": { "name": setup.task.headline.name, "higher": setup.task.headline.higher },
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles },
         "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
-        "frequencies_hz": frame.frequencies_hz,
+        "frequencies_hz": setup.frequencies_hz,
     });
     let places = poses.iter().map(|(_, pose)| origin.local(pose.position));
     note["bounds"] = match known {
@@ -94,31 +99,35 @@ pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points
         note["simulated"] = json!(known.data.is_simulated());
         note["placed"] = json!(known.data.placed);
     }
-    let mut pack = Pack::new(note);
+    let mut tensors = TensorBundle::new(note);
     for (name, colour) in [("power", sequential as fn(f64) -> [u8; 3]), ("error", |t| diverging(2.0 * t - 1.0))] {
         let all = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
-        pack.put_bytes(&format!("colours.{name}"), &[256, 3], all);
+        tensors.put_bytes(&format!("colours.{name}"), &[256, 3], all);
     }
     if let Some(known) = known {
-        put_data(&mut pack, known, points);
+        put_data(&mut tensors, known, points);
     }
-    pack
+    tensors
 }
 
 /// Origin of all coordinates of a page.
-pub fn origin(frame: &Frame, data: Option<&Dataset>) -> Origin {
-    data.map_or(frame.origin, |data| data.scene.origin)
+pub fn origin(setup: &MeasurementSetup, data: Option<&Dataset>) -> Origin {
+    data.map_or(setup.origin, |data| data.scene.origin)
 }
 
-fn put_data(pack: &mut Pack, Known { data, partition, scores, links }: Known<'_>, points: usize) {
+fn put_data(
+    tensors: &mut TensorBundle,
+    PartitionedData { data, partition, scores, links }: PartitionedData<'_>,
+    points: usize,
+) {
     let shown = evenly(&(0..data.scene.points.len()).collect::<Vec<_>>(), points);
-    pack.put("points", &[shown.len(), 3], shown.iter().flat_map(|&i| data.scene.points[i]));
+    tensors.put("points", &[shown.len(), 3], shown.iter().flat_map(|&i| data.scene.points[i]));
     let (n, samples) = (links.len(), || links.iter().map(|&i| data.sample(i)));
-    pack.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
-    pack.put("links.id", &[n], samples().map(|sample| sample.id as Real));
-    pack.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
-    pack.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));
-    pack.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
+    tensors.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
+    tensors.put("links.id", &[n], samples().map(|sample| sample.id as Real));
+    tensors.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
+    tensors.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));
+    tensors.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
 }
 
 fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
@@ -137,17 +146,19 @@ fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
 /// Means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx` (metres,
 /// world frame) the values for a transmitter at this position. A strength is the grey value of the Gaussian alone, if
 /// it were opaque.
-pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> Pack {
-    let mut pack = Pack::new(json!({ "gaussians": ensemble.gaussians() }));
+pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> TensorBundle {
+    let mut tensors = TensorBundle::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
     let all: Vec<_> = ensemble.members().iter().map(|model| model.gaussians(tx)).collect();
-    let put = |pack: &mut Pack, name: &str, width: usize, values: Vec<Real>| pack.put(name, &[n, width], values);
-    put(&mut pack, "means", 3, ensemble.means_from(origin).into_flattened());
-    put(&mut pack, "scales", 3, all.iter().flat_map(|own| own.primitives.scales.as_flattened().to_vec()).collect());
-    put(&mut pack, "quats", 4, all.iter().flat_map(|own| own.primitives.quats.as_flattened().to_vec()).collect());
-    put(&mut pack, "opacities", 1, all.iter().flat_map(|own| own.primitives.opacities.clone()).collect());
-    put(&mut pack, "strengths", 1, all.iter().flat_map(strengths).collect());
-    pack
+    let put = |tensors: &mut TensorBundle, name: &str, width: usize, values: Vec<Real>| {
+        tensors.put(name, &[n, width], values);
+    };
+    put(&mut tensors, "means", 3, ensemble.means_from(origin).into_flattened());
+    put(&mut tensors, "scales", 3, all.iter().flat_map(|own| own.primitives.scales.as_flattened().to_vec()).collect());
+    put(&mut tensors, "quats", 4, all.iter().flat_map(|own| own.primitives.quats.as_flattened().to_vec()).collect());
+    put(&mut tensors, "opacities", 1, all.iter().flat_map(|own| own.primitives.opacities.clone()).collect());
+    put(&mut tensors, "strengths", 1, all.iter().flat_map(strengths).collect());
+    tensors
 }
 
 /// Strengths of the Gaussians, `[N]`; 0 if the method has none.

@@ -8,8 +8,8 @@ mod powers;
 mod tables;
 
 use crate::draw::charts::Symbol;
-use crate::draw::room::{Panel, Room};
-use crate::draw::spectra::Scale;
+use crate::draw::room::{Panel, RoomFigure};
+use crate::draw::spectra::ColourScale;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
@@ -56,8 +56,8 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         receivers => tables::receivers(run),
         channels => data.task().is_complex.then(|| channels::section(run, &chosen)),
         examples,
-        power_bar => Scale::Power.bar().svg("bar", "colour scale of power"),
-        error_bar => Scale::Error(limit).bar().svg("bar", "colour scale of the error"),
+        power_bar => ColourScale::Power.bar().svg("bar", "colour scale of power"),
+        error_bar => ColourScale::Error(limit).bar().svg("bar", "colour scale of the error"),
         live => live::section(run),
         angles => model.plane().angles.is_some(),
         pipeline => settings(run),
@@ -105,18 +105,18 @@ fn room(run: &LoadedRun<'_>) -> Result<Value> {
     let last = Snapshot::of_ensemble(run.record.facts.steps, run.model);
     let read = |name: &str| Snapshot::read(&run.record.folder.join(name));
     let step = |s: &Snapshot| grouped(s.step as i64);
-    let mut moments: Vec<(String, Snapshot)> = Vec::new();
-    moments.extend(read(START_SNAPSHOT)?.map(|s| ("At the start".into(), s)));
-    moments.extend(read(UNPRUNED_SNAPSHOT)?.map(|s| (format!("Before pruning, step {}", step(&s)), s)));
-    moments.push((if moments.is_empty() { "Gaussians".into() } else { "Final".into() }, last));
-    let clouds: Vec<&Snapshot> = moments.iter().map(|m| &m.1).collect();
-    let room = Room::new(run.data, run.partition, &clouds, TEXT);
+    let mut snapshots: Vec<(String, Snapshot)> = Vec::new();
+    snapshots.extend(read(START_SNAPSHOT)?.map(|s| ("At the start".into(), s)));
+    snapshots.extend(read(UNPRUNED_SNAPSHOT)?.map(|s| (format!("Before pruning, step {}", step(&s)), s)));
+    snapshots.push((if snapshots.is_empty() { "Gaussians".into() } else { "Final".into() }, last));
+    let clouds: Vec<&Snapshot> = snapshots.iter().map(|m| &m.1).collect();
+    let room = RoomFigure::new(run.data, run.partition, &clouds, TEXT);
     let panel = |(title, snapshot): &(String, Snapshot)| {
         let Panel { title, numbers, picture, caption } = room.panel(title, snapshot, run.data);
         let svg = picture.svg("room", &title);
         context! { title, numbers, svg, caption }
     };
-    let panels: Vec<Value> = moments.iter().map(panel).collect();
+    let panels: Vec<Value> = snapshots.iter().map(panel).collect();
     let symbol = |s: Symbol| (s.picture.svg("symbol", &s.meaning), s.meaning);
     let legend: Vec<(String, String)> = room.legend().into_iter().map(symbol).collect();
     Ok(context! { panels, legend, note => room.note(run.data) })

@@ -1,6 +1,6 @@
 //! Templates of pages and documents, with an escaper per file type.
 
-use crate::canvas::{plain, xml};
+use crate::canvas::{single_line, xml};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::syntax::SyntaxConfig;
@@ -41,7 +41,7 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
             _ if value.is_safe() => text,
             AutoEscape::Html => xml(&text),
             AutoEscape::Custom(kind) if kind == "tex" => tex(&text),
-            _ => plain(&text),
+            _ => single_line(&text),
         };
         Ok(out.write_str(&text)?)
     });
@@ -115,12 +115,12 @@ mod tests {
     fn a_label_adds_no_sentence() {
         let (name, reference, least, most) = ("differences", "a\nb\u{1b}", 3, 3);
         let words = context! { name, reference, least, most, replicates => 9, percent => 95, edge => "1", cubes => 20 };
-        let said = sentences("legend.txt", words.clone());
-        assert!(said[0].starts_with("Row minus a b\u{fffd}: mean") && said.len() == 4, "{said:#?}");
-        assert!(said[1].contains("cubes of 1 m (20 with test"), "{said:#?}");
+        let message = sentences("legend.txt", words.clone());
+        assert!(message[0].starts_with("Row minus a b\u{fffd}: mean") && message.len() == 4, "{message:#?}");
+        assert!(message[1].contains("cubes of 1 m (20 with test"), "{message:#?}");
         let nowhere = context! { edge => None::<String>, observations => "channels", ..words };
-        let said = sentences("legend.txt", nowhere);
-        assert!(said[1].contains("single channels (20), because positions are unknown"), "{said:#?}");
+        let message = sentences("legend.txt", nowhere);
+        assert!(message[1].contains("single channels (20), because positions are unknown"), "{message:#?}");
     }
 
     #[test]

@@ -21,8 +21,8 @@ export class ServerSource {
     return this.fetch("room");
   }
 
-  gaussians(side, { moment, tx, receiver, contribution }) {
-    return this.fetch("gaussians", { side, moment, tx, receiver, with: contribution ? "contribution" : null });
+  gaussians(side, { snapshot, tx, receiver, contribution }) {
+    return this.fetch("gaussians", { side, snapshot, tx, receiver, with: contribution ? "contribution" : null });
   }
 
   predict(side, { tx, link, receiver }) {

@@ -57,27 +57,27 @@ class StageSide {
   async loadGaussians(tx) {
     const { stage } = this;
     if (!this.room || this.about.floor || !this.about.gaussians) return;
-    const moment = stage.momentOf(this);
-    const moves = moment === null && ["strength", "contribution"].includes(stage.colouring);
+    const snapshot = stage.snapshotOf(this);
+    const moves = snapshot === null && ["strength", "contribution"].includes(stage.colouring);
     const contribution = stage.colouring === "contribution";
-    const asked = moment === null ? { tx: moves ? tx : null, receiver: stage.receiver, contribution } : { moment };
+    const asked = snapshot === null ? { tx: moves ? tx : null, receiver: stage.receiver, contribution } : { snapshot };
     const all = await stage.source.gaussians(this.place, asked);
     this.gaussians = all;
-    this.drawGaussians(all, await this.fates(moment));
+    this.drawGaussians(all, await this.nextIds(snapshot));
   }
 
   /** IDs of the Gaussians in the next snapshot; null if unknown. */
-  async fates(moment) {
-    const { moments } = this.about;
-    if (moment === null || moment + 1 >= moments.length || !this.gaussians.has("births")) return null;
-    const next = await this.stage.source.gaussians(this.place, { moment: moment + 1 });
-    return next.has("births") ? new Set(next.get("births")) : null;
+  async nextIds(snapshot) {
+    const { snapshots } = this.about;
+    if (snapshot === null || snapshot + 1 >= snapshots.length || !this.gaussians.has("gaussian_ids")) return null;
+    const next = await this.stage.source.gaussians(this.place, { snapshot: snapshot + 1 });
+    return next.has("gaussian_ids") ? new Set(next.get("gaussian_ids")) : null;
   }
 
-  drawGaussians(all, fates) {
+  drawGaussians(all, nextIds) {
     const means = all.get("means");
     const n = means.length / 3;
-    const colours = this.stage.coloursOf(all, n, fates);
+    const colours = this.stage.coloursOf(all, n, nextIds);
     if (!this.about.ellipsoids || !all.has("scales")) {
       this.room.setGaussians(null);
       this.room.setPoints("gaussians", { positions: means, colours, size: 6, shape: "dot", pickable: false });
@@ -187,7 +187,7 @@ export class Stage {
     Object.assign(this, { root, source, sides: [], abouts: [], updates: 0, times: { page: 0, prediction: 0 } });
     this.colouring = "opacity";
     this.receiver = 0;
-    this.moment = null;
+    this.snapshot = null;
     this.truths = new Map();
   }
 
@@ -283,7 +283,7 @@ export class Stage {
     on("samples", "change", () => this.drawSamples());
     on("surfaces", "change", () => this.drawSurfaces());
     on("reset", "click", () => this.resetView());
-    on("moment", "input", (own) => this.showMoment(own.valueAsNumber));
+    on("snapshot", "input", (own) => this.showSnapshot(own.valueAsNumber));
     this.offerColours();
     this.offerMoments();
     const names = this.note.receivers.map((receiver, k) => new Option(receiver.name, k));
@@ -302,40 +302,40 @@ export class Stage {
     const all = [["opacity", "opacity"]];
     if (this.byPosition) all.push(["strength", "strength for this transmitter"]);
     if (this.byPosition && this.source.map) all.push(["contribution", "contribution to this prediction"]);
-    if (this.abouts.some((about) => about.moments?.length)) all.push(["fate", "removed next"], ["mask", "mask"]);
+    if (this.abouts.some((about) => about.snapshots?.length)) all.push(["fate", "removed next"], ["mask", "mask"]);
     this.find("colour").replaceChildren(...all.map(([value, text]) => new Option(text, value)));
     this.find("colour").value = this.colouring;
   }
 
   offerMoments() {
-    const count = Math.max(0, ...this.abouts.map((about) => (about.gaussians === 0 ? 0 : about.moments?.length ?? 0)));
+    const count = Math.max(0, ...this.abouts.map((about) => (about.gaussians === 0 ? 0 : about.snapshots?.length ?? 0)));
     this.find("of-time").hidden = count === 0;
-    const slider = this.find("moment");
+    const slider = this.find("snapshot");
     slider.max = count;
-    if (this.moment === null) slider.value = count;
+    if (this.snapshot === null) slider.value = count;
     this.nameMoment();
   }
 
   nameMoment() {
-    const about = this.abouts.find((own) => own.moments?.length) ?? this.abouts[0];
-    const at = this.moment === null ? null : about.moments?.[this.moment];
+    const about = this.abouts.find((own) => own.snapshots?.length) ?? this.abouts[0];
+    const at = this.snapshot === null ? null : about.snapshots?.[this.snapshot];
     const n = at ? at.gaussians : about.gaussians;
     const title = at ? at.title : about.running ? "Current" : "Final";
-    this.find("moment-title").textContent = n === null ? title : `${title}: N = ${n.toLocaleString("en")}`;
-    this.find("moment").setAttribute("aria-valuetext", this.find("moment-title").textContent);
+    this.find("snapshot-title").textContent = n === null ? title : `${title}: N = ${n.toLocaleString("en")}`;
+    this.find("snapshot").setAttribute("aria-valuetext", this.find("snapshot-title").textContent);
   }
 
   /** Snapshot of a side; null for the final model. */
-  momentOf(side) {
-    return this.moment !== null && this.moment < (side.about.moments?.length ?? 0) ? this.moment : null;
+  snapshotOf(side) {
+    return this.snapshot !== null && this.snapshot < (side.about.snapshots?.length ?? 0) ? this.snapshot : null;
   }
 
-  showMoment(place) {
-    const count = Number(this.find("moment").max);
-    this.moment = place >= count ? null : place;
+  showSnapshot(place) {
+    const count = Number(this.find("snapshot").max);
+    this.snapshot = place >= count ? null : place;
     this.nameMoment();
-    if (this.moment !== null && this.colouring !== "mask") this.colouring = this.find("colour").value = "fate";
-    if (this.moment === null && ["fate", "mask"].includes(this.colouring)) this.colouring = this.find("colour").value = "opacity";
+    if (this.snapshot !== null && this.colouring !== "mask") this.colouring = this.find("colour").value = "fate";
+    if (this.snapshot === null && ["fate", "mask"].includes(this.colouring)) this.colouring = this.find("colour").value = "opacity";
     this.reloadGaussians();
   }
 
@@ -429,7 +429,7 @@ export class Stage {
     const parts = PART_NAMES.map((name, k) => mark(PART_COLOURS[k], name)).filter((_, k) => this.parts.includes(k));
     const all = by === "part" ? ["Transmitters:", ...parts.flat()] : [];
     if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test set:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
-    if (this.colouring === "fate" && this.moment !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
+    if (this.colouring === "fate" && this.snapshot !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
     else if (this.abouts.some((about) => about.gaussians)) all.push(` · Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
@@ -447,15 +447,15 @@ export class Stage {
   }
 
   /** RGBA colours of the Gaussians. */
-  coloursOf(all, n, fates) {
+  coloursOf(all, n, nextIds) {
     const colours = new Uint8Array(4 * n);
     const names = { opacity: "opacities", strength: "strengths", contribution: "contributions", mask: "gates" };
     const name = names[this.colouring];
-    const births = fates && this.colouring === "fate" ? all.get("births") : null;
-    const values = !births && all.has(name) ? all.get(name) : all.get("opacities");
+    const ids = nextIds && this.colouring === "fate" ? all.get("gaussian_ids") : null;
+    const values = !ids && all.has(name) ? all.get(name) : all.get("opacities");
     const most = this.colouring === "mask" ? 1 : values.reduce((a, b) => Math.max(a, b), 1e-12);
     for (let i = 0; i < n; i++) {
-      const own = births ? (fates.has(births[i]) ? STAYS : GOES) : this.rgb(Math.min(255, Math.max(0, Math.round((255 * values[i]) / most))));
+      const own = ids ? (nextIds.has(ids[i]) ? STAYS : GOES) : this.rgb(Math.min(255, Math.max(0, Math.round((255 * values[i]) / most))));
       colours.set([...own, 255], 4 * i);
     }
     return colours;
@@ -542,7 +542,7 @@ export class Stage {
     this.sides.forEach((side) => side.room?.setSelected(at));
     this.times = { page: performance.now() - begun, prediction: found[0].note.ms };
     this.updates += 1;
-    if (["strength", "contribution"].includes(this.colouring) && this.moment === null) await this.reloadGaussians();
+    if (["strength", "contribution"].includes(this.colouring) && this.snapshot === null) await this.reloadGaussians();
   }
 
   /** Updates slower parts once the transmitter is at rest. */

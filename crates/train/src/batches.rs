@@ -1,9 +1,9 @@
 //! `Batches`: the transmitters of each step and the observations of their links.
 
-use crate::graph::{Batch, Places};
+use crate::graph::{Batch, BatchPixels};
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Real, Result, Task, rng, stretch::stretch};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Needs, Real, Result, StepContext, Task, rng, stretch::stretch};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -52,13 +52,13 @@ impl Batches {
         let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
         let random = &mut rng::stream(seed, "rays", step);
         let places = match settings.rays {
-            Rays::All => Places::All,
-            Rays::Same(count) => Places::Same(rays(count, stages.numbers(), random)),
+            Rays::All => BatchPixels::All,
+            Rays::Same(count) => BatchPixels::Same(rays(count, stages.numbers(), random)),
             Rays::Each(count) => {
                 let mut links: Vec<usize> =
                     (0..count).map(|_| self.train[rng::below(random, self.train.len())]).collect();
                 links.sort_unstable();
-                let places = Places::Own(rays(count, stages.numbers(), random));
+                let places = BatchPixels::Own(rays(count, stages.numbers(), random));
                 return observed(&links, data, stages, places, &mut moved);
             }
         };
@@ -85,17 +85,17 @@ impl Batches {
     pub(crate) fn sample<'a>(
         &'a self,
         needs: &Needs,
-        moment: &Moment,
+        context: &StepContext,
         data: &'a Dataset,
         stages_of: impl Fn(u64) -> Stages + 'a,
     ) -> impl Iterator<Item = Result<(Stages, Batch)>> + 'a {
-        let mut sample = needs.sample(self.transmitters.len(), moment.seed, moment.step).into_iter().peekable();
+        let mut sample = needs.sample(self.transmitters.len(), context.seed, context.step).into_iter().peekable();
         let mut parts = 0..;
         std::iter::from_fn(move || {
             sample.peek()?;
             let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
             let stages = stages_of(parts.next()?);
-            let batch = observed(&self.links_of(&some), data, &stages, Places::All, &mut |x| x);
+            let batch = observed(&self.links_of(&some), data, &stages, BatchPixels::All, &mut |x| x);
             Some(batch.map(|batch| (stages, batch)))
         })
     }
@@ -111,11 +111,11 @@ fn observed(
     links: &[usize],
     data: &Dataset,
     stages: &Stages,
-    places: Places,
+    places: BatchPixels,
     moved: &mut dyn FnMut(Real) -> Real,
 ) -> Result<Batch> {
     let mut batch = Batch { width: stages.method.traits().inputs, places, ..Batch::default() };
-    let (mut before, own) = (None, matches!(batch.places, Places::Own(_)));
+    let (mut before, own) = (None, matches!(batch.places, BatchPixels::Own(_)));
     for &i in links {
         let (query, transmitter) = (data.query(i), data.links[i].transmitter);
         if !query.features.is_empty() {
@@ -133,8 +133,8 @@ fn observed(
     batch.truths.resize(links.len() * of_link, 0.0);
     let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
     truths.for_each(|(k, (truth, &i))| match (&batch.places, data.observations.spectra()) {
-        (Places::Same(places), Some(spectra)) => spectra.sampled_at(i, sampling, places, truth),
-        (Places::Own(places), Some(spectra)) => {
+        (BatchPixels::Same(places), Some(spectra)) => spectra.sampled_at(i, sampling, places, truth),
+        (BatchPixels::Own(places), Some(spectra)) => {
             spectra.sampled_at(i, sampling, &places[k..=k], truth);
         }
         _ => {

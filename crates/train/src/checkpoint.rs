@@ -4,7 +4,7 @@
 //! a checkpoint to its training.
 
 use crate::adam::Adam;
-use crate::edit::Births;
+use crate::edit::GaussianIds;
 use crate::plan::TrainingPlan;
 use crate::plan::specs_of;
 use crate::settings::Training;
@@ -36,7 +36,7 @@ struct Note {
     /// Names and widths of the extra columns.
     extra: Vec<(String, usize)>,
     /// Number of Gaussians created so far.
-    born: u32,
+    next_gaussian_id: u32,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
@@ -57,7 +57,7 @@ impl<'a> Trainer<'a> {
             done: self.done,
             gaussians: self.cloud.len(),
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
-            born: self.births.next,
+            next_gaussian_id: self.gaussian_ids.next,
         };
         let mut file = Tensors::new(json(&note));
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
@@ -73,8 +73,8 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns() {
             file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
         }
-        let births = self.births.of.iter().map(|birth| *birth as Real).collect();
-        file.put("births", vec![self.cloud.len()], births);
+        let gaussian_ids = self.gaussian_ids.of.iter().map(|id| *id as Real).collect();
+        file.put("gaussian_ids", vec![self.cloud.len()], gaussian_ids);
         file.note = json(&Sealed { digest: file.digest(), note });
         file.to_bytes()
     }
@@ -116,8 +116,9 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns_mut() {
             *values = file.take(&format!("stats.{name}"), &[n])?;
         }
-        let births = file.take("births", &[n])?;
-        self.births = Births { of: births.into_iter().map(|birth| birth as u32).collect(), next: note.born };
+        let gaussian_ids = file.take("gaussian_ids", &[n])?;
+        self.gaussian_ids =
+            GaussianIds { of: gaussian_ids.into_iter().map(|id| id as u32).collect(), next: note.next_gaussian_id };
         self.done = note.done;
         Ok(())
     }
@@ -142,9 +143,9 @@ pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) 
         validation_samples: looks.validation_samples,
         ..Training::clone(training)
     };
-    let said = to_ron(&(seed, initializer, method, pruners, training));
+    let message = to_ron(&(seed, initializer, method, pruners, training));
     let columns: Vec<_> = specs_of(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
-    let parts = [said, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
+    let parts = [message, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
     digest(parts.join("\n").as_bytes())
 }
 
@@ -166,6 +167,6 @@ fn of_data(data: &Dataset) -> String {
     let frequencies = data.observations.frequencies_hz();
     let links = digest(format!("{:?}", data.links).as_bytes());
     let size = (data.width, data.height, data.elevation);
-    let frame = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.receivers, scene.origin);
-    [frame, digest(&points), parts.join(" ")].join(" ")
+    let setup = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.receivers, scene.origin);
+    [setup, digest(&points), parts.join(" ")].join(" ")
 }

@@ -1,9 +1,9 @@
 //! Densification as in 3DGS (algorithm 1, line 9): clone, split, remove, reset opacities.
 
 use crate::adam::Adam;
-use crate::edit::{self, Beside};
+use crate::edit::{self, PerGaussianState};
 use crate::settings::Densify;
-use pwrfgs_core::{CloudStats, GaussianCloud, Real, Row, Vec3, logit, rng, sigmoid};
+use pwrfgs_core::{CloudStats, GaussianCloud, Real, RowOrigin, Vec3, logit, rng, sigmoid};
 
 /// Divisor of the scales of the two children of a split, as in 3DGS: 0.8 times the number of children.
 const SPLIT_SHRINK: Real = 1.6;
@@ -26,16 +26,16 @@ pub(crate) fn densify(
     extent: Real,
     (seed, step): (u64, u64),
     cloud: &mut GaussianCloud,
-    beside: &mut Beside<'_>,
+    per_gaussian: &mut PerGaussianState<'_>,
 ) -> (usize, Vec<(String, usize)>) {
     let n = cloud.len();
-    let chosen = chosen(settings, n, beside.stats);
+    let chosen = chosen(settings, n, per_gaussian.stats);
     let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
     let mut copies = Vec::new();
     for (i, chosen) in chosen.iter().enumerate() {
         let small = largest(cloud, i) <= settings.clone_below * extent;
         if !chosen || small {
-            rows.push(Row::Kept(i));
+            rows.push(RowOrigin::Kept(i));
         }
         if *chosen {
             let children_of = if small { 1 } else { 2 };
@@ -47,15 +47,15 @@ pub(crate) fn densify(
         if !small {
             children.push((rows.len(), child_mean(cloud, i, &mut random)));
         }
-        rows.push(Row::Copied(i));
+        rows.push(RowOrigin::Copied(i));
     }
-    edit::rewrite(&rows, cloud, beside);
+    edit::rewrite(&rows, cloud, per_gaussian);
     for (row, mean) in children {
         cloud.means[row] = mean;
         cloud.log_scales[row].iter_mut().for_each(|s| *s -= SPLIT_SHRINK.ln());
     }
     let before = cloud.len();
-    (before, remove(settings, extent, step, cloud, beside))
+    (before, remove(settings, extent, step, cloud, per_gaussian))
 }
 
 /// Selects the Gaussians to densify: mean gradient norm at or above the threshold, within the budget, largest first.
@@ -87,7 +87,7 @@ fn remove(
     extent: Real,
     step: u64,
     cloud: &mut GaussianCloud,
-    beside: &mut Beside<'_>,
+    per_gaussian: &mut PerGaussianState<'_>,
 ) -> Vec<(String, usize)> {
     let too_large =
         (settings.large_above > 0.0 && step > settings.large_after).then_some(settings.large_above * extent);
@@ -100,7 +100,7 @@ fn remove(
         (format!("`opacity_floor`, {}", settings.opacity_floor), count(&is_faint)),
     ];
     ensure_one(&mut keep, &cloud.opacity_logits, "densification");
-    edit::keep(&keep, cloud, beside);
+    edit::keep(&keep, cloud, per_gaussian);
     rules
 }
 
@@ -110,12 +110,12 @@ pub(crate) fn largest(cloud: &GaussianCloud, i: usize) -> Real {
 }
 
 /// Keeps the Gaussian with the best score if none would be left, and warns.
-pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], who: &str) {
+pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], subject: &str) {
     if keep.iter().any(|k| *k) {
         return;
     }
     if let Some(best) = (0..keep.len()).rev().max_by(|&a, &b| score[a].total_cmp(&score[b])) {
-        tracing::warn!("{who} would remove all Gaussians; the best one is kept");
+        tracing::warn!("{subject} would remove all Gaussians; the best one is kept");
         keep[best] = true;
     }
 }
@@ -135,7 +135,7 @@ pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
 mod tests {
     use super::*;
     use crate::adam::Adam;
-    use crate::edit::Births;
+    use crate::edit::GaussianIds;
     use pwrfgs_core::ExtraColumn;
 
     /// Creates a small, a large, a low-gradient and a transparent Gaussian, with a mask column and moments of 1.
@@ -160,9 +160,9 @@ mod tests {
     fn small_ones_are_cloned_large_ones_split_and_transparent_ones_removed() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify::default();
-        let mut births = Births::of(cloud.len());
-        let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
+        let mut gaussian_ids = GaussianIds::of(cloud.len());
+        let mut per_gaussian = PerGaussianState { adam: &mut adam, stats: &mut stats, gaussian_ids: &mut gaussian_ids };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut per_gaussian);
         // Kept: 0, 2. Cloned: 0. Split: 1 into two children, without the parent. Removed: 3.
         assert_eq!(cloud.signals.iter().map(|s| s[0]).collect::<Vec<_>>(), [0.0, 2.0, 0.0, 1.0, 1.0]);
         assert_eq!(cloud.extra[0].values, [1.0, 3.0, 1.0, 2.0, 2.0], "copies inherit the mask");
@@ -173,27 +173,27 @@ mod tests {
         assert_eq!(adam.cloud[0].opacity_logits, [1.0, 1.0, 0.0, 0.0, 0.0], "new rows have no moments");
         assert_eq!(adam.cloud[1].extra[0].values, [1.0, 1.0, 0.0, 0.0, 0.0]);
         assert_eq!(stats, CloudStats::zeros(5));
-        assert_eq!(births.of, [0, 2, 4, 5, 6], "children are somebody else");
+        assert_eq!(gaussian_ids.of, [0, 2, 4, 5, 6], "children are somebody else");
     }
 
     #[test]
     fn the_budget_takes_the_strongest_first() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { max_gaussians: 5, opacity_floor: 0.0, ..Densify::default() };
-        let mut births = Births::of(cloud.len());
-        let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
+        let mut gaussian_ids = GaussianIds::of(cloud.len());
+        let mut per_gaussian = PerGaussianState { adam: &mut adam, stats: &mut stats, gaussian_ids: &mut gaussian_ids };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut per_gaussian);
         assert_eq!(cloud.len(), 5);
         assert_eq!(cloud.signals.iter().filter(|s| s[0] == 1.0).count(), 2, "the large one had the larger gradient");
     }
 
     #[test]
-    fn the_last_gaussian_stays() {
+    fn densify_keeps_last_gaussian() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { opacity_floor: 0.9, gradient_threshold: 100.0, ..Densify::default() };
-        let mut births = Births::of(cloud.len());
-        let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
+        let mut gaussian_ids = GaussianIds::of(cloud.len());
+        let mut per_gaussian = PerGaussianState { adam: &mut adam, stats: &mut stats, gaussian_ids: &mut gaussian_ids };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut per_gaussian);
         assert_eq!(cloud.len(), 1);
     }
 

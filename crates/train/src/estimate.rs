@@ -51,14 +51,14 @@ impl Trainer<'_> {
         let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
         let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
         let step_seconds = whole + each * (n - most) as f64;
-        let frame = &self.stages.frame;
+        let setup = &self.stages.setup;
         let of_each = self.data.len().div_ceil(self.data.transmitters.len().max(1));
         let (links, chosen) = match self.plan.training.rays {
-            Rays::All => (batch * of_each, frame.numbers()),
+            Rays::All => (batch * of_each, setup.numbers()),
             Rays::Same(rays) => (batch * of_each, rays),
             Rays::Each(pairs) => (pairs, 1),
         };
-        let cost = self.stages.method.cost(frame, links, chosen);
+        let cost = self.stages.method.cost(setup, links, chosen);
         let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
         let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
         let step_bytes = (numbers * size_of::<Real>()) as u64 + weights + cost.bytes;
@@ -70,7 +70,7 @@ impl Trainer<'_> {
         let rows: Vec<usize> = (0..n).map(|i| i * self.cloud.len() / n.max(1)).collect();
         let cloud: GaussianCloud = self.cloud.select(&rows);
         let step = self.done + 1;
-        let moment = self.moment(step);
+        let context = self.context(step);
         let batch = Batches::new(self.data, self.batches().train().to_vec()).of_step(
             step,
             &self.plan,
@@ -81,7 +81,7 @@ impl Trainer<'_> {
         for _ in 0..2 {
             let start = Instant::now();
             let (stages, weights) = (&self.stages, Arc::clone(&self.weights));
-            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &*self.objective, &[], &moment))?;
+            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &*self.objective, &[], &context))?;
             shortest = shortest.min(start.elapsed().as_secs_f64());
         }
         Ok(shortest)

@@ -1,7 +1,7 @@
 //! Graph of one step: method and loss as ops on the dfdx tape, from the leaves of a cloud to the loss and back.
 //!
 //! ```text
-//! cloud ── pruners.gate ──► M [N] (opacity and scale), presence [N] (part in the picture)
+//! cloud ── pruners.gate ──► M [N] (opacity and scale), existence [N] (part in the picture)
 //!   └──── observe: the method makes observations of cloud, gates and Θ ─► loss (+ penalty)
 //! ```
 //! Gaussians that cannot be visible (closed gate, too faint, or out of view) are excluded from `observe`; their
@@ -12,10 +12,10 @@ use crate::loss::Objective;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
+use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op, values};
 use pwrfgs_core::{
-    Asked, CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodTraits, MethodVjp, Moment, Parameters,
-    Pixels, Pruner, Real, Result,
+    CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodTraits, MethodVjp, ObservationRequest, Parameters,
+    PixelSubset, Pruner, Real, Result, StepContext,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -32,14 +32,14 @@ pub struct Batch {
     /// Links between transmitters of the batch and receivers, grouped by transmitter.
     pub links: Vec<Link>,
     /// Selected values of the observations.
-    pub places: Places,
+    pub places: BatchPixels,
     /// Observations `[L, numbers]`: spectra in [0, 1], powers in dBm, channels.
     pub truths: Vec<Real>,
 }
 
-/// Values of each observation used in a step: [`Pixels`] that owns its data.
+/// Values of each observation used in a step: [`PixelSubset`] that owns its data.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Places {
+pub enum BatchPixels {
     /// All values.
     #[default]
     All,
@@ -49,13 +49,13 @@ pub enum Places {
     Own(Vec<usize>),
 }
 
-impl Places {
+impl BatchPixels {
     /// Borrows the selection for a method.
-    pub fn pixels(&self) -> Pixels<'_> {
+    pub fn pixels(&self) -> PixelSubset<'_> {
         match self {
-            Self::All => Pixels::All,
-            Self::Same(places) => Pixels::Same(places),
-            Self::Own(places) => Pixels::Own(places),
+            Self::All => PixelSubset::All,
+            Self::Same(places) => PixelSubset::Same(places),
+            Self::Own(places) => PixelSubset::Own(places),
         }
     }
 }
@@ -69,22 +69,22 @@ impl Batch {
 
     /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
     fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
-        let Places::Own(places) = &self.places else { return None };
+        let BatchPixels::Own(places) = &self.places else { return None };
         let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
         let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
             conditions: self.conditions.clone(),
             width: self.width,
             links: links.to_vec(),
-            places: Places::Own(places.to_vec()),
+            places: BatchPixels::Own(places.to_vec()),
             truths: truths.to_vec(),
         };
         (places.len() > most).then(|| parts.map(part))
     }
 
     /// Borrows the links for a method.
-    pub(crate) fn asked(&self) -> Asked<'_> {
+    pub(crate) fn request(&self) -> ObservationRequest<'_> {
         let conditions = Conditions::new(self.width, &self.conditions);
-        Asked { conditions, links: &self.links, pixels: self.places.pixels() }
+        ObservationRequest { conditions, links: &self.links, pixels: self.places.pixels() }
     }
 }
 
@@ -100,7 +100,7 @@ pub struct LossAndGradients {
     /// Derivative with respect to the network weights.
     pub d_weights: Vec<Real>,
     /// Statistics of each Gaussian in this step.
-    pub seen: CloudStats,
+    pub stats: CloudStats,
 }
 
 /// Runs the graph of a batch, or of a part of it, forward and backward.
@@ -111,20 +111,20 @@ fn whole(
     batch: &Batch,
     objective: &dyn Objective,
     pruners: &[Plugin<dyn Pruner>],
-    moment: &Moment,
+    context: &StepContext,
 ) -> Result<LossAndGradients> {
-    let traced = Traced::new(cloud);
-    let gates = Gates::of(&traced, pruners, moment);
-    let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, moment)).reduce(|a, b| a + b);
-    let seen = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
+    let traced = TracedCloud::new(cloud);
+    let gates = Gates::of(&traced, pruners, context);
+    let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, context)).reduce(|a, b| a + b);
+    let stats = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
     let d_weights = Rc::new(RefCell::new(vec![0.0; weights.len()]));
     let graph = Graph {
         stages: Arc::clone(stages),
         batch: Arc::new(batch.clone()),
-        open: Rc::new(Open::of(stages, cloud, &gates)),
+        open: Rc::new(DrawableGaussians::of(stages, cloud, &gates)),
         weights: Arc::clone(weights),
         d_weights: Rc::clone(&d_weights),
-        seen: Rc::clone(&seen),
+        stats: Rc::clone(&stats),
     };
 
     let observed = graph.observe(&traced, gates);
@@ -133,7 +133,7 @@ fn whole(
     let value = loss.array();
     let penalty_value = penalty.as_ref().map_or(0.0, AsArray::array);
     if !(value + penalty_value).is_finite() {
-        return Err(Error::NonFinite { what: "the loss".into(), step: moment.step });
+        return Err(Error::NonFinite { what: "the loss".into(), step: context.step });
     }
     let total = match penalty {
         Some(penalty) => loss + penalty,
@@ -147,8 +147,8 @@ fn whole(
     for (name, _, values) in d_cloud.columns_mut() {
         values.copy_from_slice(&read(traced.leaf(name)));
     }
-    let (seen, d_weights) = (seen.take(), d_weights.take());
-    Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
+    let (stats, d_weights) = (stats.take(), d_weights.take());
+    Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, stats })
 }
 
 /// Runs the graph forward and backward, split into parts if the method limits the number of [links at
@@ -163,18 +163,18 @@ pub fn loss_and_gradients(
     batch: &Batch,
     objective: &dyn Objective,
     pruners: &[Plugin<dyn Pruner>],
-    moment: &Moment,
+    context: &StepContext,
 ) -> Result<LossAndGradients> {
-    let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, moment);
+    let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
     let pixels = batch.places.pixels().of_link(stages.numbers());
-    let at_once = stages.method.cost(&stages.frame, batch.links.len(), pixels).links_at_once;
+    let at_once = stages.method.cost(&stages.setup, batch.links.len(), pixels).links_at_once;
     let Some(parts) = batch.parts(at_once) else { return of(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,
         penalty: 0.0,
         d_cloud: cloud.zeros_like(),
         d_weights: vec![0.0; weights.len()],
-        seen: CloudStats::zeros(cloud.len()),
+        stats: CloudStats::zeros(cloud.len()),
     };
     for part in parts {
         let (own, share) = (of(&part)?, part.links.len() as Real / batch.links.len() as Real);
@@ -183,7 +183,7 @@ pub fn loss_and_gradients(
         sum.penalty = own.penalty;
         add(&mut sum.d_weights, &own.d_weights);
         sum.d_cloud.columns_mut().zip(own.d_cloud.columns()).for_each(|((_, _, sum), (_, _, d))| add(sum, d));
-        sum.seen.add(&own.seen);
+        sum.stats.add(&own.stats);
     }
     Ok(sum)
 }
@@ -191,22 +191,22 @@ pub fn loss_and_gradients(
 /// Joint factors of all pruners on the Gaussians.
 struct Gates {
     whole: Option<Trace>,
-    presence: Option<Trace>,
+    existence: Option<Trace>,
 }
 
 impl Gates {
-    fn of(traced: &Traced, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Self {
-        let mut gates = Self { whole: None, presence: None };
+    fn of(traced: &TracedCloud, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Self {
+        let mut gates = Self { whole: None, existence: None };
         let times = |product: &mut Option<Trace>, factor: Trace| {
             *product = Some(match product.take() {
                 Some(product) => product * factor,
                 None => factor,
             });
         };
-        for gate in pruners.iter().filter_map(|p| p.gate(traced, moment)) {
+        for gate in pruners.iter().filter_map(|p| p.gate(traced, context)) {
             match gate {
                 Gate::Whole(factor) => times(&mut gates.whole, factor),
-                Gate::Presence(factor) => times(&mut gates.presence, factor),
+                Gate::Existence(factor) => times(&mut gates.existence, factor),
             }
         }
         gates
@@ -214,46 +214,54 @@ impl Gates {
 }
 
 /// Returns the product of those gates that allow to skip closed Gaussians; `None` without such a gate.
-pub(crate) fn open_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Option<Vec<Real>> {
-    Gates::of(&Traced::new(cloud), pruners, moment).whole.as_ref().map(values)
+pub(crate) fn open_gates(
+    cloud: &GaussianCloud,
+    pruners: &[Plugin<dyn Pruner>],
+    context: &StepContext,
+) -> Option<Vec<Real>> {
+    Gates::of(&TracedCloud::new(cloud), pruners, context).whole.as_ref().map(values)
 }
 
 /// Returns which Gaussians are drawn, including the existence gates of this step. `None` without a gate.
-pub(crate) fn drawn_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Option<Vec<bool>> {
-    let Gates { whole, presence } = Gates::of(&Traced::new(cloud), pruners, moment);
+pub(crate) fn drawn_gates(
+    cloud: &GaussianCloud,
+    pruners: &[Plugin<dyn Pruner>],
+    context: &StepContext,
+) -> Option<Vec<bool>> {
+    let Gates { whole, existence } = Gates::of(&TracedCloud::new(cloud), pruners, context);
     let open = |gate: &Trace, least: Real| values(gate).into_iter().map(|m| m > least).collect::<Vec<_>>();
-    let gates = [whole.map(|gate| open(&gate, 0.0)), presence.map(|gate| open(&gate, 0.5))];
+    let gates = [whole.map(|gate| open(&gate, 0.0)), existence.map(|gate| open(&gate, 0.5))];
     gates.into_iter().flatten().reduce(|a, b| a.into_iter().zip(b).map(|(a, b)| a && b).collect())
 }
 
 /// Gaussians that can be visible ([`Stages::drawable`]), as a separate cloud.
-struct Open {
+struct DrawableGaussians {
     /// Their rows in the whole cloud.
     rows: Vec<usize>,
     cloud: GaussianCloud,
     gate: Option<Vec<Real>>,
-    presence: Option<Vec<Real>>,
+    existence: Option<Vec<Real>>,
     /// Number of rows of the whole cloud.
     all: usize,
 }
 
-impl Open {
+impl DrawableGaussians {
     fn of(stages: &Stages, cloud: &GaussianCloud, gates: &Gates) -> Self {
-        let [mut gate, mut presence] = [&gates.whole, &gates.presence].map(|gate| gate.as_ref().map(values));
+        let [mut gate, mut existence] = [&gates.whole, &gates.existence].map(|gate| gate.as_ref().map(values));
         let rows = stages.drawable(cloud, gate.as_deref());
-        if !stages.method.traits().knows_presence
-            && let Some(presence) = presence.take()
+        if !stages.method.traits().supports_existence_gate
+            && let Some(existence) = existence.take()
         {
             let gate = gate.get_or_insert_with(|| vec![1.0; cloud.len()]);
-            gate.iter_mut().zip(presence).for_each(|(gate, factor)| *gate *= factor);
+            gate.iter_mut().zip(existence).for_each(|(gate, factor)| *gate *= factor);
         }
         let pick = |factors: Vec<Real>| rows.iter().map(|&i| factors[i]).collect();
-        let (gate, presence) = (gate.map(pick), presence.map(pick));
-        Self { cloud: cloud.select(&rows), rows, gate, presence, all: cloud.len() }
+        let (gate, existence) = (gate.map(pick), existence.map(pick));
+        Self { cloud: cloud.select(&rows), rows, gate, existence, all: cloud.len() }
     }
 
     fn parameters<'a>(&'a self, weights: &'a [Real]) -> Parameters<'a> {
-        Parameters { cloud: &self.cloud, gate: self.gate.as_deref(), presence: self.presence.as_deref(), weights }
+        Parameters { cloud: &self.cloud, gate: self.gate.as_deref(), existence: self.existence.as_deref(), weights }
     }
 
     /// Returns rows of `width` numbers at their positions in the whole cloud.
@@ -269,47 +277,48 @@ impl Open {
 struct Graph {
     stages: Arc<Stages>,
     batch: Arc<Batch>,
-    open: Rc<Open>,
+    open: Rc<DrawableGaussians>,
     /// Weights Θ and their derivative. They are not on the tape, which would copy each of them several times; only the
     /// method reads the former and writes the latter.
     weights: Arc<Vec<Real>>,
     d_weights: Rc<RefCell<Vec<Real>>>,
-    seen: Rc<RefCell<CloudStats>>,
+    stats: Rc<RefCell<CloudStats>>,
 }
 
 impl Graph {
     /// Runs the method as an op: columns of the cloud and gate (and Θ, outside the tape) → observations `[L, numbers]`.
-    fn observe(&self, traced: &Traced, mut gates: Gates) -> Trace {
+    fn observe(&self, traced: &TracedCloud, mut gates: Gates) -> Trace {
         // Standard columns and those of the method; columns of pruners act through the gate.
-        let MethodTraits { columns, knows_presence, .. } = self.stages.method.traits();
+        let MethodTraits { columns, supports_existence_gate, .. } = self.stages.method.traits();
         let own = columns.into_iter().map(|(name, _)| name);
         let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(own).collect();
         let columns = names.iter().map(|name| traced.column(name));
-        if !knows_presence && let Some(presence) = gates.presence.take() {
+        if !supports_existence_gate && let Some(existence) = gates.existence.take() {
             gates.whole = Some(match gates.whole.take() {
-                Some(whole) => whole * presence,
-                None => presence,
+                Some(whole) => whole * existence,
+                None => existence,
             });
         }
-        let inputs: Vec<Trace> = columns.chain(gates.whole).chain(gates.presence).collect();
+        let inputs: Vec<Trace> = columns.chain(gates.whole).chain(gates.existence).collect();
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
-        let (weights, d_weights, seen) = (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.seen));
-        let mut observed = stages.method.forward(&stages.frame, &open.parameters(&weights), &batch.asked());
+        let (weights, d_weights, stats) =
+            (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
+        let mut observed = stages.method.forward(&stages.setup, &open.parameters(&weights), &batch.request());
         let numbers = std::mem::take(&mut observed.numbers);
         let vjp = move |d: Vec<Vec<Real>>| {
             let parameters = open.parameters(&weights);
             let mut sums = MethodVjp::zeros(&parameters);
-            stages.method.vjp(&stages.frame, &parameters, &batch.asked(), observed, &d[0], &mut sums);
+            stages.method.vjp(&stages.setup, &parameters, &batch.request(), observed, &d[0], &mut sums);
             *d_weights.borrow_mut() = sums.weights;
-            let mut seen = seen.borrow_mut();
-            for ((_, all), (_, own)) in seen.columns_mut().into_iter().zip(sums.seen.columns()) {
+            let mut stats = stats.borrow_mut();
+            for ((_, all), (_, own)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
                 *all = open.scatter(1, own);
             }
             let of = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
             let columns = names.iter().filter_map(of).map(|(_, width, values)| open.scatter(width, values));
             let gate = open.gate.is_some().then(|| open.scatter(1, &sums.gate));
-            let presence = open.presence.is_some().then(|| open.scatter(1, &sums.presence));
-            columns.chain(gate).chain(presence).collect()
+            let existence = open.existence.is_some().then(|| open.scatter(1, &sums.existence));
+            columns.chain(gate).chain(existence).collect()
         };
         op(inputs, vec![numbers], vjp).remove(0)
     }
@@ -318,7 +327,7 @@ impl Graph {
     fn loss(&self, observed: Trace, objective: &dyn Objective) -> TraceScalar {
         let plane = &self.stages.plane;
         let size = match self.batch.places {
-            Places::All => (plane.width, plane.height),
+            BatchPixels::All => (plane.width, plane.height),
             _ => (self.batch.truths.len(), 1),
         };
         let (value, d_observed) = objective.evaluate(&observed.as_vec(), &self.batch.truths, size);
@@ -337,14 +346,14 @@ mod tests {
     #[test]
     fn parts_of_a_batch_are_all_of_it_in_order() {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
-        let places = Places::Own((0..20).map(|k| 7 * k % 11).collect());
+        let places = BatchPixels::Own((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
         let batch = Batch { conditions: vec![1.0; 21], width: 3, links, places, truths };
-        assert!(batch.parts(20).is_none() && Batch { places: Places::All, ..batch.clone() }.parts(7).is_none());
+        assert!(batch.parts(20).is_none() && Batch { places: BatchPixels::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
         assert_eq!(parts.iter().map(|part| part.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
         let own = |part: &Batch| match &part.places {
-            Places::Own(places) => places.clone(),
+            BatchPixels::Own(places) => places.clone(),
             _ => Vec::new(),
         };
         assert_eq!(parts.iter().flat_map(own).collect::<Vec<_>>(), own(&batch));

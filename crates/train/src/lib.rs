@@ -21,8 +21,8 @@ mod trainer;
 mod warnings;
 
 pub use estimate::{Estimate, network_bytes};
-pub use graph::{Batch, LossAndGradients, Places, loss_and_gradients};
+pub use graph::{Batch, BatchPixels, LossAndGradients, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use plan::{TrainingPlan, check_available};
-pub use settings::{Densify, Errors, Loss, Optimizer, Rays, Schedule, Training};
-pub use trainer::{Pruned, StepReport, Trainer};
+pub use settings::{Densify, Loss, Optimizer, PixelLoss, Rays, Schedule, Training};
+pub use trainer::{PruneStepState, StepReport, Trainer};

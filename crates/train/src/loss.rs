@@ -1,6 +1,6 @@
 //! Loss functions for each type of observation.
 
-use crate::settings::{Errors, Training};
+use crate::settings::{PixelLoss, Training};
 use pwrfgs_core::ssim::{self, Window};
 use pwrfgs_core::{Dataset, Real};
 use rayon::prelude::*;
@@ -25,7 +25,7 @@ pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) ->
     }
 }
 
-impl Errors {
+impl PixelLoss {
     /// Returns the sum over pairs; writes its derivative times `share`.
     fn sum(self, predictions: &[Real], truths: &[Real], share: Real, d: &mut [Real]) -> Real {
         let mut sum = 0.0;
@@ -50,7 +50,7 @@ impl Errors {
 #[derive(Clone, Copy, Debug)]
 pub struct LinkLoss {
     /// Absolute or squared error.
-    pub power: Errors,
+    pub power: PixelLoss,
 }
 
 impl Objective for LinkLoss {
@@ -96,7 +96,7 @@ pub struct RenderingLoss {
     /// Window of SSIM: Gaussian, zero padding; σ = 1.5 px by default.
     pub window: Window,
     /// Pixel loss that replaces L1.
-    pub errors: Errors,
+    pub errors: PixelLoss,
 }
 
 impl RenderingLoss {

@@ -3,8 +3,8 @@
 use crate::settings::{Rays, Training};
 use pwrfgs_core::plugin::{Checked, Plugin, name_of, to_ron};
 use pwrfgs_core::{
-    Budget, ColumnSpec, Dataset, Error, GaussianCloud, Initializer, Method, MethodTraits, Moment, Phase, Pruner,
-    Result, Statistic,
+    Budget, ColumnSpec, Dataset, Error, GaussianCloud, Initializer, Method, MethodTraits, Phase, Pruner, Result,
+    Statistic, StepContext,
 };
 use pwrfgs_model::Stages;
 
@@ -35,9 +35,9 @@ impl TrainingPlan {
     }
 }
 
-/// `training.target` and the pruner that must reach it: the first that supports a target.
+/// `training.target_count` and the pruner that must reach it: the first that supports a target.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Goal {
+pub(crate) struct PruneTarget {
     /// Index of the pruner in the list.
     pub(crate) pruner: usize,
     /// Way in which the pruner reaches the target.
@@ -46,10 +46,10 @@ pub(crate) struct Goal {
     pub(crate) target: usize,
 }
 
-impl Goal {
+impl PruneTarget {
     /// Returns the goal of a training; `None` without a target, or without a pruner that supports one.
     pub(crate) fn of(plan: &TrainingPlan) -> Option<Self> {
-        let target = plan.training.target;
+        let target = plan.training.target_count;
         let mut budgets = plan.pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().budget?)));
         let (pruner, budget) = budgets.next().filter(|_| target > 0)?;
         Some(Self { pruner, budget, target })
@@ -57,12 +57,12 @@ impl Goal {
 
     /// Returns whether the target is exact rather than an upper limit.
     pub(crate) fn is_exact(&self) -> bool {
-        self.budget != Budget::AtMost
+        self.budget != Budget::UpperBound
     }
 
-    /// Returns `moment` for pruner `k`; only the pruner with the goal receives the target.
-    pub(crate) fn moment(goal: Option<Self>, k: usize, moment: &Moment) -> Moment {
-        Moment { target: goal.filter(|goal| goal.pruner == k).map(|goal| goal.target), ..*moment }
+    /// Returns `context` for pruner `k`; only the pruner with the goal receives the target.
+    pub(crate) fn context(goal: Option<Self>, k: usize, context: &StepContext) -> StepContext {
+        StepContext { target: goal.filter(|goal| goal.pruner == k).map(|goal| goal.target), ..*context }
     }
 }
 
@@ -89,28 +89,30 @@ fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
     twice.map(|(_, pruner)| format!("`{}` is listed twice; list it once", name_of(pruner)))
 }
 
-/// Returns the error in `training.target` and its pruners.
+/// Returns the error in `training.target_count` and its pruners.
 pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
-    let (goal, target) = (Goal::of(plan), plan.training.target);
+    let (goal, target) = (PruneTarget::of(plan), plan.training.target_count);
     if target > 0 && goal.is_none() {
         return Some(format!(
-            "training.target is {target}, but no pruner supports a target; add one that does, such as \
+            "training.target_count is {target}, but no pruner supports a target; add one that does, such as \
              SignalContribution()"
         ));
     }
     // A pruner with an upper limit has no effect without a target.
     let is_idle = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
-        pruner.traits().budget == Some(Budget::AtMost) && goal.is_none_or(|goal| goal.pruner != *k)
+        pruner.traits().budget == Some(Budget::UpperBound) && goal.is_none_or(|goal| goal.pruner != *k)
     };
     let (_, idle) = plan.pruners.iter().enumerate().find(is_idle)?;
     let idle = name_of(idle);
     Some(match goal {
         None => {
-            format!("`{idle}` needs training.target, which is not set; set it, for example to 157")
+            format!("`{idle}` needs training.target_count, which is not set; set it, for example to 157")
         }
         Some(goal) => {
             let first = name_of(&plan.pruners[goal.pruner]);
-            format!("training.target applies to `{first}`, so `{idle}` removes none; list `{idle}` first, or remove it")
+            format!(
+                "training.target_count applies to `{first}`, so `{idle}` removes none; list `{idle}` first, or remove it"
+            )
         }
     })
 }
@@ -120,7 +122,7 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     if let Some(why) = given_twice(&plan.pruners).or_else(|| target_fault(plan)) {
         return Some(why);
     }
-    let (goal, training) = (Goal::of(plan), &plan.training);
+    let (goal, training) = (PruneTarget::of(plan), &plan.training);
     let name = |k: usize| name_of(&plan.pruners[k]);
     if let Some(goal) = goal.filter(|goal| goal.is_exact() && training.prune_until <= training.densify_until) {
         return Some(format!(
@@ -134,9 +136,9 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     }
     let MethodTraits { task, blends, .. } = plan.method.traits();
     for (k, pruner) in plan.pruners.iter().enumerate() {
-        let moment = Moment { round: 1, rounds: 1, ..Moment::new(1, Phase::Prune, 0) };
-        let needs = pruner.needs(&GaussianCloud::zeros(0), &Goal::moment(goal, k, &moment));
-        if !blends && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
+        let context = StepContext { round: 1, rounds: 1, ..StepContext::new(1, Phase::Prune, 0) };
+        let needs = pruner.needs(&GaussianCloud::zeros(0), &PruneTarget::context(goal, k, &context));
+        if !blends && needs.statistics.iter().any(|statistic| statistic.requires_blending()) {
             return Some(format!(
                 "`{}` needs blending weights, but this method does not blend; use {}a pruner without them, such as \
                  LearnableMask()",
@@ -170,21 +172,21 @@ fn grows(plan: &TrainingPlan, n: usize) -> bool {
     let densify = &plan.training.densify;
     let room = densify.max_gaussians == 0 || densify.max_gaussians >= n;
     (densify.every > 0 && densify.from < plan.training.densify_until && room)
-        || Goal::of(plan).is_some_and(|goal| plan.pruners[goal.pruner].traits().grows)
+        || PruneTarget::of(plan).is_some_and(|goal| plan.pruners[goal.pruner].traits().grows)
 }
 
 /// Returns a target that removes none of the `n` initial Gaussians, if none are added.
 pub(crate) fn idle_target(plan: &TrainingPlan, n: usize) -> Option<usize> {
-    let target = Goal::of(plan)?.target;
+    let target = PruneTarget::of(plan)?.target;
     (target >= n && !grows(plan, n + 1)).then_some(target)
 }
 
 /// Returns the error for an exact target above the `n` initial Gaussians, if none are added.
 pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
-    let target = Goal::of(plan).filter(Goal::is_exact)?.target;
+    let target = PruneTarget::of(plan).filter(PruneTarget::is_exact)?.target;
     (target > n && !grows(plan, target)).then(|| {
         format!(
-            "training.target is {target}, but training starts with {n} Gaussians; lower training.target or raise the \
+            "training.target_count is {target}, but training starts with {n} Gaussians; lower training.target_count or raise the \
              initial count"
         )
     })
@@ -194,11 +196,11 @@ pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
 pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
     let most = match rays {
         Rays::All => return Ok(()),
-        Rays::Same(_) => stages.frame.numbers(),
+        Rays::Same(_) => stages.setup.numbers(),
         Rays::Each(_) => MOST_PAIRS,
     };
-    if !stages.frame.task.has_pixels {
-        let what = stages.frame.task.plural;
+    if !stages.setup.task.has_pixels {
+        let what = stages.setup.task.plural;
         return Err(Error::Config(format!(
             "training.rays selects pixels of spectra, but the data are {what}; remove it"
         )));

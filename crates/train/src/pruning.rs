@@ -4,12 +4,12 @@ use crate::batches::plane_of_pass;
 use crate::edit;
 use crate::graph::{Batch, open_gates};
 use crate::loss::Objective;
-use crate::plan::Goal;
-use crate::trainer::{Before, Trainer};
+use crate::plan::PruneTarget;
+use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, Moment, Needs, Parameters, Phase, Pruner, Real, Result, Row, Statistic,
-    Statistics,
+    Budget, CloudStats, GaussianCloud, Needs, Parameters, PassStatistics, Phase, Pruner, Real, Result, RowOrigin,
+    Statistic, StepContext,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -22,63 +22,63 @@ fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
 }
 
 /// Number of Gaussians removed per rule.
-pub(crate) type Rules = Vec<(String, usize)>;
+pub(crate) type RemovalsByRule = Vec<(String, usize)>;
 
 /// Combines the votes of all pruners: a Gaussian is kept if all pruners agree, or by the exact target. Also returns the
 /// number of Gaussians that each pruner removes.
 fn votes(
-    (pruners, goal): (&[Plugin<dyn Pruner>], Option<Goal>),
+    (pruners, goal): (&[Plugin<dyn Pruner>], Option<PruneTarget>),
     cloud: &GaussianCloud,
     known: &[CloudStats],
-    moment: &Moment,
-) -> (Vec<bool>, Rules) {
-    let mut rules = Rules::new();
+    context: &StepContext,
+) -> (Vec<bool>, RemovalsByRule) {
+    let mut rules = RemovalsByRule::new();
     let mut keep = vec![true; cloud.len()];
     for (k, (pruner, stats)) in pruners.iter().zip(known).enumerate() {
-        if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Rounds) {
+        if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
             continue;
         }
-        let own = pruner.keep(cloud, stats, &Goal::moment(goal, k, moment));
+        let own = pruner.keep(cloud, stats, &PruneTarget::context(goal, k, context));
         assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
         rules.push((format!("`{}`", name_of(pruner)), own.iter().filter(|keep| !**keep).count()));
         keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
     }
-    let settles = |goal: &Goal| match goal.budget {
-        Budget::Rounds | Budget::Own => moment.round > 0,
-        Budget::AtLast => true,
-        Budget::AtMost => false,
+    let settles = |goal: &PruneTarget| match goal.budget {
+        Budget::Gradual | Budget::PrunerManaged => context.round > 0,
+        Budget::FinalStep => true,
+        Budget::UpperBound => false,
     };
     let Some(goal) = goal.filter(settles) else { return (keep, rules) };
-    let scores = pruners[goal.pruner].score(cloud, &known[goal.pruner], moment);
-    let kept = goal.budget.settle(goal.target, &keep, &scores, moment);
+    let scores = pruners[goal.pruner].score(cloud, &known[goal.pruner], context);
+    let kept = goal.budget.settle(goal.target, &keep, &scores, context);
     let removed = kept.iter().filter(|keep| !**keep).count();
     (kept, vec![(format!("the target of {}", goal.target), removed)])
 }
 
 impl Trainer<'_> {
     /// Returns the context of `step` for the pruners.
-    pub(crate) fn moment(&self, step: u64) -> Moment {
+    pub(crate) fn context(&self, step: u64) -> StepContext {
         let t = &self.plan.training;
         let phases = (t.densify_until, t.prune_until, t.prune_every);
         let (phase, rounds) = (self.phase(step), rounds_until(t.prune_until, phases));
         let due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
         let round = if due { rounds_until(step, phases) } else { 0 };
-        Moment { round, rounds, ..Moment::new(step, phase, self.plan.seed) }
+        StepContext { round, rounds, ..StepContext::new(step, phase, self.plan.seed) }
     }
 
     /// Runs all pruners. Returns the Gaussians before the step if some were removed.
-    pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<Before>> {
+    pub(crate) fn prune(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
-        let known = self.edits(&pruners, moment)?;
-        let (mut keep, rules) = votes((&pruners, self.goal), &self.cloud, &known, moment);
-        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
-        self.take_away(&keep);
-        self.report_removal(moment.step, keep.len(), &rules)?;
-        if let Some(Goal { target, .. }) = self.goal.filter(Goal::is_exact) {
+        let known = self.edits(&pruners, context)?;
+        let (mut keep, rules) = votes((&pruners, self.goal), &self.cloud, &known, context);
+        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], context), "pruning");
+        self.retain_rows(&keep);
+        self.report_removal(context.step, keep.len(), &rules)?;
+        if let Some(PruneTarget { target, .. }) = self.goal.filter(PruneTarget::is_exact) {
             let n = self.cloud.len();
-            if moment.round > 0 && moment.round == moment.rounds && n != target {
+            if context.round > 0 && context.round == context.rounds && n != target {
                 tracing::warn!("pruning ended with {n} Gaussians, expected {target}");
             }
         }
@@ -86,18 +86,18 @@ impl Trainer<'_> {
     }
 
     /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
-    fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Result<Vec<CloudStats>> {
+    fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
         for (k, pruner) in pruners.iter().enumerate() {
-            let moment = Goal::moment(self.goal, k, moment);
-            let stats = self.stats_for(pruner, &moment)?;
-            match pruner.edit(&self.cloud, &stats, &moment) {
+            let context = PruneTarget::context(self.goal, k, context);
+            let stats = self.stats_for(pruner, &context)?;
+            match pruner.edit(&self.cloud, &stats, &context) {
                 Some(edit) => {
                     // If only columns change, the statistics remain valid.
-                    let same = edit.rows.iter().enumerate().all(|(i, row)| *row == Row::Kept(i))
+                    let same = edit.rows.iter().enumerate().all(|(i, row)| *row == RowOrigin::Kept(i))
                         && edit.rows.len() == self.cloud.len();
-                    let (cloud, mut beside) = self.rows();
-                    edit::replace(edit, cloud, &mut beside);
+                    let (cloud, mut per_gaussian) = self.rows();
+                    edit::replace(edit, cloud, &mut per_gaussian);
                     if same {
                         known[k] = Some(stats);
                     } else {
@@ -109,39 +109,39 @@ impl Trainer<'_> {
         }
         let known = known.into_iter().zip(pruners).enumerate();
         let of = |(k, (known, pruner)): (usize, (Option<CloudStats>, _))| {
-            known.map_or_else(|| self.stats_for(pruner, &Goal::moment(self.goal, k, moment)), Ok)
+            known.map_or_else(|| self.stats_for(pruner, &PruneTarget::context(self.goal, k, context)), Ok)
         };
         known.map(of).collect()
     }
 
     /// Keeps the rows with `true`.
-    pub(crate) fn take_away(&mut self, keep: &[bool]) {
-        let (cloud, mut beside) = self.rows();
-        edit::keep(keep, cloud, &mut beside);
+    pub(crate) fn retain_rows(&mut self, keep: &[bool]) {
+        let (cloud, mut per_gaussian) = self.rows();
+        edit::keep(keep, cloud, &mut per_gaussian);
     }
 
     /// Returns the statistics of the Gaussians, including those that the pruner requests.
-    fn stats_for(&self, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
-        let needs = pruner.needs(&self.cloud, moment).settled(self.stages.method.traits().blends);
+    fn stats_for(&self, pruner: &Plugin<dyn Pruner>, context: &StepContext) -> Result<CloudStats> {
+        let needs = pruner.needs(&self.cloud, context).settled(self.stages.method.traits().blends);
         let mut stats = self.stats.clone();
-        if !needs.is_nothing() && moment.round > 0 {
-            let gate = open_gates(&self.cloud, &self.plan.pruners, moment);
+        if !needs.is_nothing() && context.round > 0 {
+            let gate = open_gates(&self.cloud, &self.plan.pruners, context);
             let stages_of = |part: u64| {
                 let mut stages = Stages::clone(&self.stages);
-                let place = (moment.step, part);
-                stages.frame.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), place);
+                let place = (context.step, part);
+                stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), place);
                 stages
             };
-            let batches = self.batches().sample(&needs, moment, self.data, stages_of);
-            let scene = Scene { stages: &self.stages, weights: &self.weights, objective: &*self.objective };
-            stats.asked = survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;
+            let batches = self.batches().sample(&needs, context, self.data, stages_of);
+            let scene = PassContext { stages: &self.stages, weights: &self.weights, objective: &*self.objective };
+            stats.requested = survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;
         }
         Ok(stats)
     }
 }
 
 /// Constants of a pass.
-pub(crate) struct Scene<'a> {
+pub(crate) struct PassContext<'a> {
     pub(crate) stages: &'a Stages,
     pub(crate) weights: &'a [Real],
     pub(crate) objective: &'a dyn Objective,
@@ -149,35 +149,35 @@ pub(crate) struct Scene<'a> {
 
 /// Computes the statistics in `needs` over all `batches`. Gaussians with a `gate` of 0 are skipped and have zeros.
 pub(crate) fn survey(
-    scene: &Scene<'_>,
+    scene: &PassContext<'_>,
     cloud: &GaussianCloud,
     gate: Option<&[Real]>,
     needs: &Needs,
     batches: impl Iterator<Item = Result<(Stages, Batch)>>,
-) -> Result<Statistics> {
-    let mut sums = Statistics::zeros(needs, cloud.len());
+) -> Result<PassStatistics> {
+    let mut sums = PassStatistics::zeros(needs, cloud.len());
     let rows = scene.stages.drawable(cloud, gate);
     let open = cloud.select(&rows);
     let gate: Option<Vec<Real>> = gate.map(|gate| rows.iter().map(|&i| gate[i]).collect());
-    let parameters = Parameters { cloud: &open, gate: gate.as_deref(), presence: None, weights: scene.weights };
+    let parameters = Parameters { cloud: &open, gate: gate.as_deref(), existence: None, weights: scene.weights };
     let most = needs.statistics.iter().find_map(|statistic| match statistic {
         Statistic::Elimination { most } if cloud.len() <= *most => Some(*most),
         _ => None,
     });
-    let draws = needs.statistics.iter().any(|statistic| statistic.wants_blending());
-    let mut seen = Vec::new();
+    let draws = needs.statistics.iter().any(|statistic| statistic.requires_blending());
+    let mut surveyed = Vec::new();
     for batch in batches {
         let (stages, batch) = batch?;
         if draws {
-            let Stages { method, frame } = &stages;
-            sums.add(&rows, &method.survey(frame, &parameters, &batch.asked(), &batch.truths, needs));
+            let Stages { method, setup } = &stages;
+            sums.add(&rows, &method.survey(setup, &parameters, &batch.request(), &batch.truths, needs));
         }
         if most.is_some() {
-            seen.push((stages, batch));
+            surveyed.push((stages, batch));
         }
     }
     if most.is_some() {
-        sums.elimination = elimination(scene, &parameters, &rows, cloud.len(), &seen);
+        sums.elimination = elimination(scene, &parameters, &rows, cloud.len(), &surveyed);
     }
     sums.finish();
     Ok(sums)
@@ -186,7 +186,7 @@ pub(crate) fn survey(
 /// Returns the order of elimination of `n` Gaussians. Undrawn Gaussians come first. Each next one is that whose removal
 /// gives the smallest loss of `batches`; ties take the last.
 fn elimination(
-    scene: &Scene<'_>,
+    scene: &PassContext<'_>,
     p: &Parameters<'_>,
     rows: &[usize],
     n: usize,
@@ -216,13 +216,13 @@ fn elimination(
 }
 
 /// Returns the mean loss with the Gaussians `some` only.
-fn loss_of(scene: &Scene<'_>, p: &Parameters<'_>, some: &[usize], batches: &[(Stages, Batch)]) -> Real {
+fn loss_of(scene: &PassContext<'_>, p: &Parameters<'_>, some: &[usize], batches: &[(Stages, Batch)]) -> Real {
     let cloud = p.cloud.select(some);
     let gate: Option<Vec<Real>> = p.gate.map(|gate| some.iter().map(|&i| gate[i]).collect());
     let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
-    let loss = |(Stages { method, frame }, batch): &(Stages, Batch)| {
-        let size = (frame.plane.width, frame.plane.height);
-        let numbers = method.forward(frame, &parameters, &batch.asked()).numbers;
+    let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
+        let size = (setup.plane.width, setup.plane.height);
+        let numbers = method.forward(setup, &parameters, &batch.request()).numbers;
         scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.links.len() as Real
     };
     let links: usize = batches.iter().map(|(_, batch)| batch.links.len()).sum();

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// Pixel or power loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub enum Errors {
+pub enum PixelLoss {
     /// Absolute error |Δ|; robust to outliers.
     #[default]
     Absolute,
@@ -122,9 +122,9 @@ settings! {
         /// Weight w of 1-SSIM, eq. (9), between 0 and 1. Only for spectra; must be 0 if `rays` is not `All`.
         ssim_weight: Real = 0.2,
         /// Loss of a pixel of a spectrum, in addition to SSIM.
-        pixel: Errors = Errors::Absolute,
+        pixel: PixelLoss = PixelLoss::Absolute,
         /// Loss of a received power.
-        power: Errors = Errors::Absolute,
+        power: PixelLoss = PixelLoss::Absolute,
     }
 }
 
@@ -205,7 +205,7 @@ settings! {
         prune_every: u64 = 1_000,
         /// Number of Gaussians at the end of pruning, reached by the first pruner that supports a target; 0 leaves the
         /// number to the pruners.
-        target: usize = 0,
+        target_count: usize = 0,
         /// Training uses every `stride`-th row and column of the spectra; must divide both sides. Spectra of a small
         /// array are smooth: with 3, a step is nine times cheaper and learns as much. The projector's filter and the
         /// window of SSIM stay those of the whole image. Scores always use whole images.

@@ -2,12 +2,15 @@
 
 use crate::adam::Adam;
 use crate::batches::{Batches, check_stride, plane_of_step};
-use crate::edit::Births;
+use crate::edit::GaussianIds;
 use crate::loss::objective;
-use crate::plan::{Goal, TrainingPlan, check_available, check_inputs, check_rays, specs_of, target_fault, too_many};
+use crate::plan::{
+    PruneTarget, TrainingPlan, check_available, check_inputs, check_rays, specs_of, target_fault, too_many,
+};
 use crate::trainer::Trainer;
 use pwrfgs_core::{
-    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, Partition, Progress, Real, Result, Seen, rng, rng::Rng,
+    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Partition, Progress, Real, Result, rng,
+    rng::Rng,
 };
 use pwrfgs_model::Stages;
 use std::sync::atomic::AtomicBool;
@@ -33,7 +36,7 @@ impl<'a> Trainer<'a> {
         progress: Progress<'_>,
         stop: &AtomicBool,
     ) -> Result<Self> {
-        let make = |seen: &Seen<'_>, random: &mut Rng| plan.initializer.search(seen, random);
+        let make = |input: &InitializerInput<'_>, random: &mut Rng| plan.initializer.search(input, random);
         Self::started((plan, data, partition), make, progress, stop)
     }
 
@@ -43,26 +46,28 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub fn sketch(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let make = |seen: &Seen<'_>, random: &mut Rng| plan.initializer.initialize(&data.scene, seen.plane, random);
+        let make = |input: &InitializerInput<'_>, random: &mut Rng| {
+            plan.initializer.initialize(&data.scene, input.plane, random)
+        };
         Self::started((plan, data, partition), make, &|_, _| {}, &AtomicBool::new(false))
     }
 
     /// Initialises with the Gaussians of `make` if the method has Gaussians.
     fn started(
         (plan, data, partition): (&TrainingPlan, &'a Dataset, &Partition),
-        make: impl FnOnce(&Seen<'_>, &mut Rng) -> Result<GaussianCloud>,
+        make: impl FnOnce(&InitializerInput<'_>, &mut Rng) -> Result<GaussianCloud>,
         progress: Progress<'_>,
         stop: &AtomicBool,
     ) -> Result<Self> {
         let mut blank = Self::blank(plan, data, partition)?;
         let method = &*blank.stages.method;
-        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
+        let input = InitializerInput { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
         let cloud = if method.traits().has_gaussians() {
-            make(&seen, &mut rng::stream(plan.seed, "init", 0))?
+            make(&input, &mut rng::stream(plan.seed, "init", 0))?
         } else {
             GaussianCloud::zeros(0)
         };
-        let weights = plan.initializer.weights(&seen)?;
+        let weights = plan.initializer.weights(&input)?;
         blank.fill(cloud, weights)?;
         Ok(blank)
     }
@@ -90,31 +95,31 @@ impl<'a> Trainer<'a> {
         let plane = whole.plane.clone();
         check_stride(&plane, &plan, data.task())?;
         let mut stages = whole.clone();
-        stages.frame.plane = plane_of_step(&plane, &plan, data.task(), 1);
+        stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
         check_rays(plan.training.rays, &stages)?;
-        stages.method.layout(&stages.frame).map_err(Error::Config)?;
+        stages.method.layout(&stages.setup).map_err(Error::Config)?;
         whole.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
         let blank = Self {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
-            births: Births::default(),
+            gaussian_ids: GaussianIds::default(),
             data,
             objective: objective(&plan.training, data, &partition.train),
             batches,
             stages: Arc::new(stages),
             plane,
             specs: specs_of(&plan),
-            goal: Goal::of(&plan),
+            goal: PruneTarget::of(&plan),
             plan,
             cloud,
             weights: Arc::default(),
             done: 0,
             fingerprint: OnceLock::new(),
         };
-        if blank.is_exact() && blank.moment(1).rounds == 0 {
+        if blank.is_exact() && blank.context(1).rounds == 0 {
             return Err(Error::Config(
-                "training.target needs a prune step, but there is none; set training.prune_until above densify_until, \
+                "training.target_count needs a prune step, but there is none; set training.prune_until above densify_until, \
                  or a larger scale"
                     .into(),
             ));
@@ -130,7 +135,7 @@ impl<'a> Trainer<'a> {
         if let Some(what) = too_many(&self.plan, cloud.len()) {
             return Err(Error::Config(format!("pruners: {what}")));
         }
-        let Stages { method, frame } = &*self.stages;
+        let Stages { method, setup } = &*self.stages;
         cloud.complete(&method.traits().columns).map_err(Error::Config)?;
         for spec in &self.specs {
             let values = vec![spec.init; cloud.len() * spec.width];
@@ -143,11 +148,11 @@ impl<'a> Trainer<'a> {
                 let (has, wants) = (trained.len(), weights.len());
                 return Err(Error::Config(format!("initializer: {has} weights, expected {wants}")));
             }
-            None => method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights),
+            None => method.start(setup, self.data, self.batches.train(), &mut cloud, &mut weights),
         }
         self.adam = Adam::new(&cloud, &weights);
         self.stats = CloudStats::zeros(cloud.len());
-        self.births = Births::of(cloud.len());
+        self.gaussian_ids = GaussianIds::of(cloud.len());
         (self.cloud, self.weights) = (cloud, Arc::new(weights));
         Ok(())
     }

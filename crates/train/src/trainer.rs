@@ -3,13 +3,13 @@
 use crate::adam::Adam;
 use crate::batches::{Batches, plane_of_step};
 use crate::densify;
-use crate::edit::{self, Beside, Births};
+use crate::edit::{self, GaussianIds, PerGaussianState};
 use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::Objective;
-use crate::plan::Goal;
+use crate::plan::PruneTarget;
 use crate::plan::TrainingPlan;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Moment, Phase, Real, Result, rng,
+    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Phase, Real, Result, StepContext, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::{Arc, OnceLock};
@@ -28,16 +28,16 @@ pub struct StepReport {
     /// Number of Gaussians N after the step.
     pub gaussians: usize,
     /// Gaussians removed by pruners, if any.
-    pub pruned: Option<Pruned>,
+    pub pruned: Option<PruneStepState>,
 }
 
 /// Snapshot of a step at which pruners removed Gaussians.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pruned {
+pub struct PruneStepState {
     /// Gaussians before the removal.
     pub cloud: GaussianCloud,
     /// Persistent ID per Gaussian, `[N]`.
-    pub births: Vec<u32>,
+    pub gaussian_ids: Vec<u32>,
     /// Gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
     pub gates: Option<Vec<Real>>,
     /// Number of this prune step, from 1, and number of all prune steps; 0 if densification prunes.
@@ -45,14 +45,14 @@ pub struct Pruned {
 }
 
 /// Gaussians before a removal, and their IDs.
-pub(crate) type Before = (GaussianCloud, Vec<u32>);
+pub(crate) type StepStart = (GaussianCloud, Vec<u32>);
 
 /// Training in progress. The same plan and data give bit-identical results for any number of threads, interrupted or
 /// not.
 #[derive(Debug)]
 pub struct Trainer<'a> {
     pub(crate) plan: TrainingPlan,
-    pub(crate) goal: Option<Goal>,
+    pub(crate) goal: Option<PruneTarget>,
     pub(crate) data: &'a Dataset,
     pub(crate) batches: Batches,
     pub(crate) objective: Box<dyn Objective>,
@@ -65,7 +65,7 @@ pub struct Trainer<'a> {
     pub(crate) weights: Arc<Vec<Real>>,
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
-    pub(crate) births: Births,
+    pub(crate) gaussian_ids: GaussianIds,
     pub(crate) done: u64,
     /// Fingerprint (see `checkpoint.rs`), computed when the first checkpoint is written or read.
     pub(crate) fingerprint: OnceLock<String>,
@@ -97,28 +97,29 @@ impl Trainer<'_> {
     }
 
     /// Returns the persistent ID per Gaussian, `[N]`. A copy has a new ID.
-    pub fn births(&self) -> &[u32] {
-        &self.births.of
+    pub fn gaussian_ids(&self) -> &[u32] {
+        &self.gaussian_ids.of
     }
 
     /// Returns the current gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
     pub fn gates(&self) -> Option<Vec<Real>> {
-        self.gates_of(&self.cloud, &self.moment(self.done.max(1)))
+        self.gates_of(&self.cloud, &self.context(self.done.max(1)))
     }
 
-    fn gates_of(&self, cloud: &GaussianCloud, moment: &Moment) -> Option<Vec<Real>> {
+    fn gates_of(&self, cloud: &GaussianCloud, context: &StepContext) -> Option<Vec<Real>> {
         let has_state = cloud.extra.len() > self.stages.method.traits().columns.len();
-        has_state.then(|| open_gates(cloud, &self.plan.pruners, moment)).flatten()
+        has_state.then(|| open_gates(cloud, &self.plan.pruners, context)).flatten()
     }
 
     /// Returns the cloud and all other per-Gaussian state.
-    pub(crate) fn rows(&mut self) -> (&mut GaussianCloud, Beside<'_>) {
-        let beside = Beside { adam: &mut self.adam, stats: &mut self.stats, births: &mut self.births };
-        (&mut self.cloud, beside)
+    pub(crate) fn rows(&mut self) -> (&mut GaussianCloud, PerGaussianState<'_>) {
+        let per_gaussian =
+            PerGaussianState { adam: &mut self.adam, stats: &mut self.stats, gaussian_ids: &mut self.gaussian_ids };
+        (&mut self.cloud, per_gaussian)
     }
 
-    pub(crate) fn before(&self) -> Before {
-        (self.cloud.clone(), self.births.of.clone())
+    pub(crate) fn before(&self) -> StepStart {
+        (self.cloud.clone(), self.gaussian_ids.of.clone())
     }
 
     /// Returns the statistics of the Gaussians since the last densification.
@@ -138,7 +139,7 @@ impl Trainer<'_> {
         if !keep.contains(&true) {
             return Err(Error::Config("keep: all Gaussians would be removed; keep at least one".into()));
         }
-        self.take_away(keep);
+        self.retain_rows(keep);
         Ok(())
     }
 
@@ -165,22 +166,22 @@ impl Trainer<'_> {
 
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
-        let moment = self.moment(step);
+        let context = self.context(step);
         self.set_plane(step);
         let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
-        let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
+        let pruners = if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
         let dropout = self.dropout(step);
         let weights = match &dropout {
             Some(factors) => Arc::new(times(factors, &self.weights)),
             None => Arc::clone(&self.weights),
         };
         let mut found =
-            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
+            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &context)?;
         drop(weights); // the optimiser then updates them in place
         if let Some(factors) = &dropout {
             found.d_weights = times(factors, &found.d_weights);
         }
-        self.stats.add(&found.seen);
+        self.stats.add(&found.stats);
         self.adam
             .step(
                 &self.plan.training,
@@ -191,36 +192,36 @@ impl Trainer<'_> {
             )
             .map_err(|what| Error::NonFinite { what, step })?;
         for (k, pruner) in pruners.iter().enumerate() {
-            pruner.update(&mut self.cloud, &self.stats, &Goal::moment(self.goal, k, &moment));
+            pruner.update(&mut self.cloud, &self.stats, &PruneTarget::context(self.goal, k, &context));
         }
-        let pruned = self.edit(&moment)?.map(|(cloud, births)| {
-            let gates = self.gates_of(&cloud, &moment);
-            Pruned { cloud, births, gates, round: (moment.round, moment.rounds) }
+        let pruned = self.edit(&context)?.map(|(cloud, gaussian_ids)| {
+            let gates = self.gates_of(&cloud, &context);
+            PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
         });
         self.done = step;
         let (loss, penalty, gaussians) = (found.loss as f64, found.penalty as f64, self.cloud.len());
-        Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, pruned })
+        Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })
     }
 
     /// Sets the image plane of `step`.
     fn set_plane(&mut self, step: u64) {
         let plane = plane_of_step(&self.plane, &self.plan, self.data.task(), step);
         if plane != self.stages.plane {
-            Arc::make_mut(&mut self.stages).frame.plane = plane;
+            Arc::make_mut(&mut self.stages).setup.plane = plane;
         }
     }
 
     /// Returns the current model, without closed Gaussians and masks.
     pub fn model(&self) -> Model {
-        let moment = self.moment(self.done.max(1));
+        let context = self.context(self.done.max(1));
         let mut cloud = self.cloud.clone();
-        if let Some(open) = self.has_state().then(|| drawn_gates(&self.cloud, &self.plan.pruners, &moment)).flatten() {
+        if let Some(open) = self.has_state().then(|| drawn_gates(&self.cloud, &self.plan.pruners, &context)).flatten() {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
             cloud = cloud.select(&rows);
         }
         edit::drop_state(&mut cloud, &self.stages.method.traits().columns);
         let mut stages = Stages::clone(&self.stages);
-        stages.frame.plane = self.plane.clone();
+        stages.setup.plane = self.plane.clone();
         Model { stages, cloud, weights: self.weights.to_vec() }
     }
 
@@ -232,33 +233,33 @@ impl Trainer<'_> {
     }
 
     /// Changes N as algorithm 1 prescribes; returns the Gaussians before a removal by pruners.
-    fn edit(&mut self, moment: &Moment) -> Result<Option<Before>> {
+    fn edit(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let training = self.plan.training.clone();
-        let (step, mut unpruned) = (moment.step, None);
-        match moment.phase {
+        let (step, mut unpruned) = (context.step, None);
+        match context.phase {
             // Gaussians of methods that do not draw have no radius; size limits do not apply to them.
             Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => {
                 let settings = &training.densify;
                 if densify::due(settings, step) {
                     let (extent, seed) = (self.extent(), self.plan.seed);
-                    let (cloud, mut beside) = self.rows();
-                    let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut beside);
+                    let (cloud, mut per_gaussian) = self.rows();
+                    let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut per_gaussian);
                     self.report_removal(step, before, &rules)?;
                 }
                 if densify::reset_due(settings, step) && step < training.densify_until {
                     densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
                 }
             }
-            Phase::Prune if moment.round > 0 => unpruned = self.prune(moment)?,
+            Phase::Prune if context.round > 0 => unpruned = self.prune(context)?,
             _ => {}
         }
         if step == training.prune_until {
             // Fine-tuning starts with M = 1 everywhere: closed Gaussians are removed, except those that an exact target
             // needs, and then the masks.
-            if let Some(mut open) = self.open_gates(moment).filter(|_| !self.is_exact()) {
+            if let Some(mut open) = self.open_gates(context).filter(|_| !self.is_exact()) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
-                self.take_away(&open);
+                self.retain_rows(&open);
                 self.report_removal(step, open.len(), &[("closed gates".into(), open.len() - self.cloud.len())])?;
                 unpruned = unpruned.or(closed);
             }
@@ -280,11 +281,11 @@ impl Trainer<'_> {
     }
 
     /// Returns the open gates; `None` if no pruner has a gate any more.
-    fn open_gates(&self, moment: &Moment) -> Option<Vec<bool>> {
+    fn open_gates(&self, context: &StepContext) -> Option<Vec<bool>> {
         if !self.has_state() {
             return None;
         }
-        let open = open_gates(&self.cloud, &self.plan.pruners, moment)?;
+        let open = open_gates(&self.cloud, &self.plan.pruners, context)?;
         Some(open.into_iter().map(|m| m != 0.0).collect())
     }
 }

@@ -20,8 +20,8 @@ impl Trainer<'_> {
         let n = self.cloud.len();
         let target = idle_target(&self.plan, n)?;
         Some(format!(
-            "pruners: training.target is {target}, but training starts with {n} Gaussians, so pruning removes none; \
-             lower training.target or raise the initial count"
+            "pruners: training.target_count is {target}, but training starts with {n} Gaussians, so pruning removes none; \
+             lower training.target_count or raise the initial count"
         ))
     }
 
@@ -77,7 +77,7 @@ impl Trainer<'_> {
             let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
             let takes_target = self.plan.pruners.iter().any(|pruner| pruner.traits().budget.is_some());
             let advice = if takes_target {
-                "relax that rule, or request one Gaussian with training.target: 1"
+                "relax that rule, or request one Gaussian with training.target_count: 1"
             } else {
                 "relax that rule, or start with one Gaussian"
             };
@@ -85,11 +85,11 @@ impl Trainer<'_> {
         }
         if 2 * left < before {
             let (name, removed) = (&self.plan.name, before - left);
-            let said = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
+            let message = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
             if self.is_exact() && step > self.plan.training.densify_until {
-                tracing::info!("{said}"); // as requested
+                tracing::info!("{message}"); // as requested
             } else {
-                tracing::warn!("{said}");
+                tracing::warn!("{message}");
             }
         }
         Ok(())
@@ -97,7 +97,7 @@ impl Trainer<'_> {
 
     /// Returns whether the pipeline requests a single Gaussian.
     fn wants_one(&self) -> bool {
-        self.plan.training.target == 1 || self.plan.initializer.count() == Some(1)
+        self.plan.training.target_count == 1 || self.plan.initializer.count() == Some(1)
     }
 }
 

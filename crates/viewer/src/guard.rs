@@ -79,7 +79,7 @@ fn same(a: &[u8], b: &[u8]) -> bool {
 mod tests {
     use super::*;
 
-    fn asked(guard: &Guard, path: &str, headers: &[(&'static str, &str)]) -> Result<String, u16> {
+    fn status_of(guard: &Guard, path: &str, headers: &[(&'static str, &str)]) -> Result<String, u16> {
         let mut all = HeaderMap::new();
         for (name, value) in headers {
             all.append(*name, value.parse().unwrap());
@@ -93,12 +93,12 @@ mod tests {
         let guard = Guard::new(4711).unwrap();
         let path = format!("/{}/predict?tx=1,2,3", guard.token);
         let host = ("host", "127.0.0.1:4711");
-        assert_eq!(asked(&guard, &path, &[host]).unwrap(), "predict");
+        assert_eq!(status_of(&guard, &path, &[host]).unwrap(), "predict");
         assert_eq!(
-            asked(&guard, &path, &[("host", "localhost:4711"), ("origin", "http://localhost:4711")]).unwrap(),
+            status_of(&guard, &path, &[("host", "localhost:4711"), ("origin", "http://localhost:4711")]).unwrap(),
             "predict"
         );
-        assert_eq!(asked(&guard, &path, &[host, ("sec-fetch-site", "same-origin")]).unwrap(), "predict");
+        assert_eq!(status_of(&guard, &path, &[host, ("sec-fetch-site", "same-origin")]).unwrap(), "predict");
         assert_ne!(Guard::new(4711).unwrap().token, guard.token, "tokens differ");
         assert_eq!(guard.token.len(), 32);
     }
@@ -130,7 +130,7 @@ mod tests {
             (&format!("{path}?{}", "x".repeat(3_000)), &[host], 414),
         ];
         for (path, headers, status) in cases {
-            assert_eq!(asked(&guard, path, headers), Err(*status), "{path} {headers:?}");
+            assert_eq!(status_of(&guard, path, headers), Err(*status), "{path} {headers:?}");
         }
         let uri: Uri = path.parse().unwrap();
         let mut headers = HeaderMap::new();

@@ -1,8 +1,8 @@
 //! Answers to the page: its files, arrays, and a stream of events.
 
-mod packs;
+mod bundles;
 
-use crate::side::{House, Watcher};
+use crate::side::{ServerState, WatcherGuard};
 use http_body_util::combinators::BoxBody;
 use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};
@@ -19,32 +19,36 @@ use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 
-pub(crate) type Body = BoxBody<Bytes, Infallible>;
+pub(crate) type ResponseBody = BoxBody<Bytes, Infallible>;
 
 /// Status and message of a rejected request.
-pub(crate) type Refusal = (StatusCode, String);
+pub(crate) type RequestError = (StatusCode, String);
 
 /// Content security policy: only own scripts, style and data; `blob:` and `data:` are images that the page makes.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: \
     blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Answers a request for `path`, the part after the token.
-pub(crate) async fn answer(path: &str, query: &str, house: &Arc<House>) -> Result<Response<Body>, Refusal> {
+pub(crate) async fn answer(
+    path: &str,
+    query: &str,
+    state: &Arc<ServerState>,
+) -> Result<Response<ResponseBody>, RequestError> {
     if let Some((_, text)) = FILES.iter().find(|(name, _)| *name == path) {
         return Ok(text_of("text/javascript", text));
     }
     match path {
-        "" => return Ok(text_of("text/html", &html(house))),
+        "" => return Ok(text_of("text/html", &html(state))),
         "stage.css" => return Ok(text_of("text/css", STYLE)),
         "view.css" => return Ok(text_of("text/css", PAGE_STYLE)),
-        "events" => return Ok(events(house)),
+        "events" => return Ok(events(state)),
         _ => {}
     }
-    let asked = Asked::parse(query).map_err(|why| (StatusCode::BAD_REQUEST, why))?;
-    let (path, house) = (path.to_owned(), Arc::clone(house));
-    let made = tokio::task::spawn_blocking(move || packs::pack(&path, &asked, &house)).await;
-    let pack = made.map_err(|e| internal(&e))??;
-    Ok(response(StatusCode::OK, "application/octet-stream", pack.to_bytes()))
+    let parameters = QueryParams::parse(query).map_err(|why| (StatusCode::BAD_REQUEST, why))?;
+    let (path, state) = (path.to_owned(), Arc::clone(state));
+    let made = tokio::task::spawn_blocking(move || bundles::bundle(&path, &parameters, &state)).await;
+    let bundle = made.map_err(|e| internal(&e))??;
+    Ok(response(StatusCode::OK, "application/octet-stream", bundle.to_bytes()))
 }
 
 /// Refusal for an internal error.
@@ -53,15 +57,15 @@ fn internal(why: &dyn std::fmt::Display) -> (StatusCode, String) {
 }
 
 /// Response of plain text.
-pub(crate) fn plain(status: StatusCode, text: &str) -> Response<Body> {
+pub(crate) fn plain(status: StatusCode, text: &str) -> Response<ResponseBody> {
     response(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
 }
 
-fn text_of(kind: &str, text: &str) -> Response<Body> {
+fn text_of(kind: &str, text: &str) -> Response<ResponseBody> {
     response(StatusCode::OK, &format!("{kind}; charset=utf-8"), text.as_bytes().to_vec())
 }
 
-fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<Body> {
+fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<ResponseBody> {
     let mut response = Response::new(Full::new(Bytes::from(bytes)).boxed());
     *response.status_mut() = status;
     if let Ok(kind) = HeaderValue::from_str(kind) {
@@ -71,7 +75,7 @@ fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<Body> {
 }
 
 /// Adds headers to a response: no other page may load, frame or store it.
-pub(crate) fn sealed(mut response: Response<Body>) -> Response<Body> {
+pub(crate) fn sealed(mut response: Response<ResponseBody>) -> Response<ResponseBody> {
     let all = [
         (CONTENT_SECURITY_POLICY, POLICY),
         (REFERRER_POLICY, "no-referrer"),
@@ -90,8 +94,8 @@ pub(crate) fn sealed(mut response: Response<Body>) -> Response<Body> {
 const PAGE_STYLE: &str = include_str!("view.css");
 
 /// HTML of the page: the stage and its scripts.
-fn html(house: &House) -> String {
-    let names: Vec<String> = house.sides.iter().map(|side| xml(&side.name)).collect();
+fn html(state: &ServerState) -> String {
+    let names: Vec<String> = state.sides.iter().map(|side| xml(&side.name)).collect();
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
@@ -104,7 +108,7 @@ fn html(house: &House) -> String {
 
 /// Query parameters of a request.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Asked {
+pub(super) struct QueryParams {
     pub(super) side: usize,
     pub(super) receiver: usize,
     /// Transmitter position in metres, world frame.
@@ -112,40 +116,40 @@ pub(super) struct Asked {
     /// Index of a link of the data.
     pub(super) link: Option<usize>,
     /// Index of a snapshot of the training.
-    pub(super) moment: Option<usize>,
+    pub(super) snapshot: Option<usize>,
     /// Height of the map plane in metres, world frame.
     pub(super) z: Option<f64>,
     /// Additional array, such as `contribution`.
     pub(super) with: String,
 }
 
-impl Asked {
+impl QueryParams {
     /// Parses `side=0&tx=1,2,3`.
     ///
     /// # Errors
     /// If a parameter is unknown or invalid; the message names it.
     pub(super) fn parse(query: &str) -> Result<Self, String> {
-        let mut asked = Self::default();
+        let mut parameters = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
             let (name, value) = pair.split_once('=').ok_or_else(|| format!("query parameter `{pair}`: no value"))?;
             let index = || value.parse::<usize>().map_err(|e| format!("query parameter `{name}`: {e}"));
             match name {
-                "side" => asked.side = index()?,
-                "receiver" => asked.receiver = index()?,
-                "link" => asked.link = Some(index()?),
-                "moment" => asked.moment = Some(index()?),
-                "z" => asked.z = Some(metres(name, value)?),
+                "side" => parameters.side = index()?,
+                "receiver" => parameters.receiver = index()?,
+                "link" => parameters.link = Some(index()?),
+                "snapshot" => parameters.snapshot = Some(index()?),
+                "z" => parameters.z = Some(metres(name, value)?),
                 "tx" => {
                     let all: Vec<f64> = value.split(',').map(|v| metres(name, v)).collect::<Result<_, _>>()?;
-                    asked.tx = Some(all.try_into().map_err(|all: Vec<f64>| {
+                    parameters.tx = Some(all.try_into().map_err(|all: Vec<f64>| {
                         format!("query parameter `tx`: expected x,y,z, found {} numbers", all.len())
                     })?);
                 }
-                "with" => value.clone_into(&mut asked.with),
+                "with" => value.clone_into(&mut parameters.with),
                 _ => return Err(format!("unknown query parameter `{name}`")),
             }
         }
-        Ok(asked)
+        Ok(parameters)
     }
 }
 
@@ -158,12 +162,12 @@ fn metres(name: &str, value: &str) -> Result<f64, String> {
 /// Interval of events; an empty event detects a closed page.
 const BEAT: Duration = Duration::from_secs(1);
 
-type Next = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
+type PendingEvent = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
 
 /// Stream of events.
 struct Stream {
-    next: Next,
-    _watcher: Watcher,
+    next: PendingEvent,
+    _watcher: WatcherGuard,
 }
 
 impl hyper::body::Body for Stream {
@@ -185,20 +189,20 @@ impl hyper::body::Body for Stream {
     }
 }
 
-fn next(mut receiver: Receiver<String>) -> Next {
+fn next(mut receiver: Receiver<String>) -> PendingEvent {
     Box::pin(async move {
-        let said = match tokio::time::timeout(BEAT, receiver.recv()).await {
+        let message = match tokio::time::timeout(BEAT, receiver.recv()).await {
             Ok(Ok(news)) => Some(format!("data: {news}\n\n")),
             Ok(Err(RecvError::Closed)) => None,
             Ok(Err(RecvError::Lagged(_))) | Err(_) => Some(":\n\n".into()),
         };
-        (said.map(Bytes::from), receiver)
+        (message.map(Bytes::from), receiver)
     })
 }
 
 /// Response with the event stream of an opened page.
-fn events(house: &Arc<House>) -> Response<Body> {
-    let (receiver, watcher) = house.watch();
+fn events(state: &Arc<ServerState>) -> Response<ResponseBody> {
+    let (receiver, watcher) = state.watch();
     let stream = Stream { next: next(receiver), _watcher: watcher };
     debug_assert!(!stream.is_end_stream());
     let mut answer = response(StatusCode::OK, "text/event-stream", Vec::new());
@@ -208,16 +212,16 @@ fn events(house: &Arc<House>) -> Response<Body> {
 
 #[cfg(test)]
 mod tests {
-    use super::Asked;
+    use super::QueryParams;
 
     #[test]
     fn parses_queries_and_rejects_invalid_ones() {
-        let asked = Asked::parse("side=1&tx=1,-2.5,3e0&with=strength").unwrap();
-        assert_eq!((asked.side, asked.tx, asked.with.as_str()), (1, Some([1.0, -2.5, 3.0]), "strength"));
-        assert_eq!(Asked::parse("").unwrap(), Asked::default());
+        let parameters = QueryParams::parse("side=1&tx=1,-2.5,3e0&with=strength").unwrap();
+        assert_eq!((parameters.side, parameters.tx, parameters.with.as_str()), (1, Some([1.0, -2.5, 3.0]), "strength"));
+        assert_eq!(QueryParams::parse("").unwrap(), QueryParams::default());
         for wrong in ["tx=1,2", "tx=1,2,nan", "tx=1,2,inf", "tx=1,2,1e30", "side=-1", "side", "link=x", "z=", "other=1"]
         {
-            assert!(Asked::parse(wrong).is_err(), "{wrong}");
+            assert!(QueryParams::parse(wrong).is_err(), "{wrong}");
         }
     }
 }

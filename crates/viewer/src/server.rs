@@ -1,8 +1,8 @@
 //! HTTP server of one page, on the loopback interface, until the last page is closed.
 
 use crate::guard::Guard;
-use crate::routes::{self, Body};
-use crate::side::House;
+use crate::routes::{self, ResponseBody};
+use crate::side::ServerState;
 use hyper::body::Incoming;
 use hyper::header::{CONNECTION, HeaderValue};
 use hyper::server::conn::http1;
@@ -40,7 +40,7 @@ const UNWATCHED: Duration = Duration::from_secs(4);
 ///
 /// # Errors
 /// If the system provides no port or no random numbers.
-pub(crate) fn serve(house: &Arc<House>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
+pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
     let failed = |what: &str, e: &dyn std::fmt::Display| Error::Config(format!("cannot {what}: {e}"));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -53,31 +53,31 @@ pub(crate) fn serve(house: &Arc<House>, ready: impl FnOnce(&str), stop: &AtomicB
         let port = listener.local_addr().map_err(|e| failed("listen on 127.0.0.1", &e))?.port();
         let guard = Guard::new(port).map_err(|e| failed("create a random token", &e))?;
         ready(&guard.address());
-        let accepting = tokio::task::spawn_local(accept(listener, Arc::new(guard), Arc::clone(house)));
-        wait(house, stop).await;
+        let accepting = tokio::task::spawn_local(accept(listener, Arc::new(guard), Arc::clone(state)));
+        wait(state, stop).await;
         accepting.abort();
         Ok(())
     })
 }
 
 /// Waits until `stop` is set or the last page is closed.
-async fn wait(house: &House, stop: &AtomicBool) {
+async fn wait(state: &ServerState, stop: &AtomicBool) {
     let mut unwatched = Duration::ZERO;
     while !stop.load(Ordering::Relaxed) && unwatched < UNWATCHED {
         tokio::time::sleep(TICK).await;
-        let (watched, watchers) = house.watchers();
+        let (watched, watchers) = state.watchers();
         let left = watched && watchers == 0;
         unwatched = if left { unwatched + TICK } else { Duration::ZERO };
     }
 }
 
 /// Slot among the admitted connections, acquired by the first request with the token.
-struct Entry {
+struct ConnectionSlot {
     places: Arc<Semaphore>,
     place: RefCell<Option<OwnedSemaphorePermit>>,
 }
 
-impl Entry {
+impl ConnectionSlot {
     fn is_admitted(&self) -> bool {
         self.place.borrow().is_some()
     }
@@ -96,9 +96,9 @@ impl Entry {
     }
 }
 
-async fn accept(listener: TcpListener, guard: Arc<Guard>, house: Arc<House>) {
+async fn accept(listener: TcpListener, guard: Arc<Guard>, state: Arc<ServerState>) {
     let places = Arc::new(Semaphore::new(ADMITTED));
-    let mut strangers: VecDeque<(Rc<Entry>, AbortHandle)> = VecDeque::new();
+    let mut strangers: VecDeque<(Rc<ConnectionSlot>, AbortHandle)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Such as no free file descriptors: other connections release theirs.
@@ -111,26 +111,31 @@ async fn accept(listener: TcpListener, guard: Arc<Guard>, house: Arc<House>) {
         {
             oldest.abort();
         }
-        let entry = Rc::new(Entry { places: Arc::clone(&places), place: RefCell::default() });
-        let (own, guard, house) = (Rc::clone(&entry), Arc::clone(&guard), Arc::clone(&house));
-        let task = tokio::task::spawn_local(async move { talk(stream, &own, &guard, &house).await });
+        let entry = Rc::new(ConnectionSlot { places: Arc::clone(&places), place: RefCell::default() });
+        let (own, guard, state) = (Rc::clone(&entry), Arc::clone(&guard), Arc::clone(&state));
+        let task = tokio::task::spawn_local(async move { serve_connection(stream, &own, &guard, &state).await });
         strangers.push_back((entry, task.abort_handle()));
     }
 }
 
 /// Serves all requests of one connection. An error ends only this connection.
-async fn talk(stream: TcpStream, entry: &Entry, guard: &Guard, house: &Arc<House>) {
+async fn serve_connection(stream: TcpStream, entry: &ConnectionSlot, guard: &Guard, state: &Arc<ServerState>) {
     _ = stream.set_nodelay(true);
-    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, entry, guard, house).await));
+    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, entry, guard, state).await));
     let mut server = http1::Builder::new();
     server.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(HEAD).max_headers(64);
     _ = server.serve_connection(TokioIo::new(stream), service).await;
 }
 
-async fn answer(request: Request<Incoming>, entry: &Entry, guard: &Guard, house: &Arc<House>) -> Response<Body> {
+async fn answer(
+    request: Request<Incoming>,
+    entry: &ConnectionSlot,
+    guard: &Guard,
+    state: &Arc<ServerState>,
+) -> Response<ResponseBody> {
     let admitted = guard.admit(request.method(), request.uri(), request.headers());
     let answer = match admitted.and_then(|path| entry.admit().map(|()| path)) {
-        Ok(path) => routes::answer(path, request.uri().query().unwrap_or(""), house).await,
+        Ok(path) => routes::answer(path, request.uri().query().unwrap_or(""), state).await,
         Err(status) => {
             let mut refusal = routes::plain(status, status.canonical_reason().unwrap_or("refused"));
             refusal.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));

@@ -1,6 +1,8 @@
-//! `Side`: one half of the page, with a model, a run in progress or a baseline; `House`: state of the server.
+//! `ViewPane`: one half of the page, with a model, a run in progress or a baseline; `ServerState`: state of the server.
 
-use pwrfgs_core::{Baseline, Dataset, Error, Frame, Image, Partition, Plugin, Predict, Query, Result, files};
+use pwrfgs_core::{
+    Baseline, Dataset, Error, Image, MeasurementSetup, Partition, Plugin, Predict, Query, Result, files,
+};
 use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::record::read_series;
 use pwrfgs_experiment::scores::MODEL;
@@ -18,34 +20,34 @@ use tokio::sync::broadcast;
 
 self_cell!(
     /// Models with values that are computed once.
-    pub(crate) struct Ready {
+    pub(crate) struct PreparedEnsemble {
         owner: Arc<Ensemble>,
         #[covariant]
         dependent: Prepared,
     }
 );
 
-type Learned<'a> = Box<dyn Predict + 'a>;
+type BoxedBaseline<'a> = Box<dyn Predict + 'a>;
 
 self_cell!(
     /// Baseline with the data that it was fitted to.
-    pub(crate) struct Fitted {
+    pub(crate) struct FittedBaseline {
         owner: Arc<Dataset>,
         #[covariant]
-        dependent: Learned,
+        dependent: BoxedBaseline,
     }
 );
 
 /// Model or baseline that predicts.
 pub(crate) enum Predictor {
     /// Model or ensemble.
-    Model(Ready),
+    Model(PreparedEnsemble),
     /// Fitted baseline.
-    Floor(Fitted),
+    Floor(FittedBaseline),
 }
 
 /// Prediction.
-pub(crate) struct Predicted {
+pub(crate) struct PredictedImage {
     pub(crate) image: Image,
     /// Standard deviation over the members of an ensemble.
     pub(crate) deviation: Option<Image>,
@@ -69,25 +71,25 @@ impl Predictor {
 
     /// Whether it is a baseline fitted to training and validation samples, which it may store.
     pub(crate) fn is_fitted(&self) -> bool {
-        matches!(self, Self::Floor(floor) if !floor.borrow_dependent().knows_scene())
+        matches!(self, Self::Floor(floor) if !floor.borrow_dependent().is_oracle())
     }
 
     /// Predicts the observation of a link.
-    pub(crate) fn predict(&self, query: Query<'_>) -> Predicted {
+    pub(crate) fn predict(&self, query: Query<'_>) -> PredictedImage {
         let begun = Instant::now();
         let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
         match self {
             Self::Floor(floor) => {
                 let image = floor.borrow_dependent().predict(query);
-                Predicted { image, deviation: None, ms: ms(begun) }
+                PredictedImage { image, deviation: None, ms: ms(begun) }
             }
             Self::Model(ready) if ready.borrow_owner().members().len() == 1 => {
                 let (image, _) = ready.borrow_dependent().predict_timed(query);
-                Predicted { image, deviation: None, ms: ms(begun) }
+                PredictedImage { image, deviation: None, ms: ms(begun) }
             }
             Self::Model(ready) => {
                 let (image, deviation, _) = ready.borrow_dependent().predict_with_deviation(query);
-                Predicted { image, deviation: Some(deviation), ms: ms(begun) }
+                PredictedImage { image, deviation: Some(deviation), ms: ms(begun) }
             }
         }
     }
@@ -102,7 +104,7 @@ impl Predictor {
 }
 
 /// Data of a run, with their split and the scores per link.
-pub(crate) struct Known {
+pub(crate) struct LoadedData {
     pub(crate) pipeline: Pipeline,
     pub(crate) data: Arc<Dataset>,
     pub(crate) partition: Partition,
@@ -111,20 +113,20 @@ pub(crate) struct Known {
 }
 
 /// One half of the page.
-pub struct Side {
+pub struct ViewPane {
     pub(crate) name: String,
     /// Run folder, if there is one.
     pub(crate) folder: Option<PathBuf>,
     /// Data of the run, if its pipeline is next to the model.
-    pub(crate) known: Option<Arc<Known>>,
+    pub(crate) known: Option<Arc<LoadedData>>,
     /// Measurement setup of the predictions.
-    pub(crate) frame: Frame,
+    pub(crate) setup: MeasurementSetup,
     /// Corners of surfaces `[T,3,3]`, metres, world frame.
     pub(crate) surfaces: Vec<[[f64; 3]; 3]>,
     predictor: RwLock<Option<Arc<Predictor>>>,
 }
 
-impl Side {
+impl ViewPane {
     /// Opens a model file or a run folder; the run may be in progress.
     ///
     /// # Errors
@@ -138,14 +140,15 @@ impl Side {
         let pipeline = folder.join(PIPELINE);
         let finished = model.is_file() || !path.is_dir();
         let ensemble = finished.then(|| file::read_ensemble(&model)).transpose()?;
-        let known = pipeline.is_file().then(|| Known::load(&pipeline, &folder, observer)).transpose()?.map(Arc::new);
+        let known =
+            pipeline.is_file().then(|| LoadedData::load(&pipeline, &folder, observer)).transpose()?.map(Arc::new);
         if let (Some(ensemble), Some(known)) = (&ensemble, &known) {
             check_alike(&ensemble.prepare(), &known.data)?;
         }
-        let (frame, predictor) = match (ensemble, &known) {
-            (Some(ensemble), _) => (ensemble.members()[0].stages.frame.clone(), Some(ready(ensemble))),
+        let (setup, predictor) = match (ensemble, &known) {
+            (Some(ensemble), _) => (ensemble.members()[0].stages.setup.clone(), Some(ready(ensemble))),
             (None, Some(known)) => {
-                (Frame::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
+                (MeasurementSetup::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
             }
             (None, None) => {
                 let what = format!("not a run folder: neither {MODEL_FILE} nor {PIPELINE} found");
@@ -159,7 +162,7 @@ impl Side {
             name,
             folder: is_run.then_some(folder),
             known,
-            frame,
+            setup,
             surfaces: Vec::new(),
             predictor: RwLock::new(predictor.map(Arc::new)),
         })
@@ -189,12 +192,13 @@ impl Side {
         if !baseline.supports(task) {
             return Err(Error::Config(format!("baseline {name}: not available for {}", task.plural)));
         }
-        let fitted = Fitted::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
+        let fitted =
+            FittedBaseline::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
         Ok(Self {
             name,
             folder: None,
             known: Some(Arc::clone(known)),
-            frame: beside.frame.clone(),
+            setup: beside.setup.clone(),
             surfaces: Vec::new(),
             predictor: RwLock::new(Some(Arc::new(Predictor::Floor(fitted)))),
         })
@@ -217,9 +221,9 @@ impl Side {
 
     /// Checks that this side predicts the same quantity, for the same receivers, as `other`.
     pub(crate) fn check_beside(&self, other: &Self) -> Result<()> {
-        let (a, b) = (&self.frame, &other.frame);
-        let places = |frame: &Frame| -> Vec<_> {
-            frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect()
+        let (a, b) = (&self.setup, &other.setup);
+        let places = |setup: &MeasurementSetup| -> Vec<_> {
+            setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose)).collect()
         };
         if a.task != b.task
             || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
@@ -233,10 +237,10 @@ impl Side {
 }
 
 fn ready(ensemble: Ensemble) -> Predictor {
-    Predictor::Model(Ready::new(Arc::new(ensemble), |own| own.prepare()))
+    Predictor::Model(PreparedEnsemble::new(Arc::new(ensemble), |own| own.prepare()))
 }
 
-impl Known {
+impl LoadedData {
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
         let (data, partition) = load(&pipeline, Path::new(""), observer)?;
@@ -271,41 +275,41 @@ pub(crate) fn facts(folder: &Path) -> Option<Facts> {
 const LOOK: Duration = Duration::from_millis(500);
 
 /// State of the server.
-pub(crate) struct House {
-    pub(crate) sides: Vec<Side>,
+pub(crate) struct ServerState {
+    pub(crate) sides: Vec<ViewPane>,
     watched: AtomicBool,
     watchers: AtomicUsize,
     news: broadcast::Sender<String>,
 }
 
-impl House {
-    pub(crate) fn new(sides: Vec<Side>) -> Arc<Self> {
+impl ServerState {
+    pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
         let (news, _) = broadcast::channel(64);
-        let house = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
-        for side in 0..house.sides.len() {
-            let behind = house.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
+        let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
+        for side in 0..state.sides.len() {
+            let behind = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
             if let Some(folder) = behind {
-                let house = Arc::downgrade(&house);
+                let state = Arc::downgrade(&state);
                 std::thread::spawn(move || {
-                    let mut seen = [None; 2];
-                    while let Some(house) = house.upgrade() {
-                        if house.follow(side, &folder, &mut seen) {
+                    let mut times = [None; 2];
+                    while let Some(state) = state.upgrade() {
+                        if state.follow(side, &folder, &mut times) {
                             break;
                         }
-                        drop(house);
+                        drop(state);
                         std::thread::sleep(LOOK);
                     }
                 });
             }
         }
-        house
+        state
     }
 
     /// Registers an open page, until the returned watcher is dropped.
-    pub(crate) fn watch(self: &Arc<Self>) -> (broadcast::Receiver<String>, Watcher) {
+    pub(crate) fn watch(self: &Arc<Self>) -> (broadcast::Receiver<String>, WatcherGuard) {
         self.watched.store(true, Ordering::Relaxed);
         self.watchers.fetch_add(1, Ordering::Relaxed);
-        (self.news.subscribe(), Watcher(Arc::clone(self)))
+        (self.news.subscribe(), WatcherGuard(Arc::clone(self)))
     }
 
     /// Whether a page was ever opened, and the number of open pages.
@@ -314,14 +318,14 @@ impl House {
     }
 
     /// Sends an event if the folder of a run in progress changed; returns whether the run is finished.
-    fn follow(&self, side: usize, folder: &Path, seen: &mut [Option<SystemTime>; 2]) -> bool {
+    fn follow(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
         let changed = |name: &str| std::fs::metadata(folder.join(name)).and_then(|file| file.modified()).ok();
         let now = [changed(CURVE), changed(MODEL_FILE).or_else(|| changed(CHECKPOINT))];
-        if *seen == now {
+        if *times == now {
             return false;
         }
-        let reload = seen[1] != now[1];
-        *seen = now;
+        let reload = times[1] != now[1];
+        *times = now;
         let ended = reload && self.sides[side].reload().unwrap_or(false);
         let known = self.sides[side].known.as_ref();
         let rows = read_series(&folder.join(CURVE));
@@ -337,9 +341,9 @@ impl House {
 }
 
 /// Registration of an open page.
-pub(crate) struct Watcher(Arc<House>);
+pub(crate) struct WatcherGuard(Arc<ServerState>);
 
-impl Drop for Watcher {
+impl Drop for WatcherGuard {
     fn drop(&mut self) {
         self.0.watchers.fetch_sub(1, Ordering::Relaxed);
     }

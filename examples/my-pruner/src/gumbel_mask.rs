@@ -48,7 +48,7 @@ impl Default for GumbelMask {
 
 #[typetag::serde]
 impl Pruner for GumbelMask {
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
         cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(|m| *m >= 0.0).collect())
     }
 
@@ -57,12 +57,12 @@ impl Pruner for GumbelMask {
         PrunerTraits { columns, ..PrunerTraits::default() }
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        if moment.phase == Phase::Finetune {
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
+        if context.phase == Phase::Finetune {
             return None;
         }
         // One random stream per step and pruner: a resumed run draws the same samples.
-        let mut random = rng::stream(moment.seed, "pruner GumbelMask", moment.step);
+        let mut random = rng::stream(context.seed, "pruner GumbelMask", context.step);
         let noise = (0..cloud.len()).map(|_| logistic(rng::uniform(&mut random))).collect();
         let y = ((cloud.column(COLUMN) + cloud.constant(noise)) / self.temperature).sigmoid();
         let logits = cloud.leaf(COLUMN).as_vec();
@@ -70,12 +70,12 @@ impl Pruner for GumbelMask {
         Some((y * cloud.constant(open)).into())
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        (moment.phase != Phase::Finetune && !cloud.is_empty())
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        (context.phase != Phase::Finetune && !cloud.is_empty())
             .then(|| cloud.column(COLUMN).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
     }
 

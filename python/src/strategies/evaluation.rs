@@ -5,8 +5,8 @@ use super::objects::{generator, links_object};
 use crate::arrays::{Gain, array, axes, numbers, observations};
 use crate::border::{throw, wrong};
 use pwrfgs_core::{
-    Baseline, Dataset, Error, Evaluation, Goal, Image, Known, Measurement, Metric, Partition, Predict, Query, Real,
-    Result, Split, Task, Values, rng, rows_of,
+    Baseline, Dataset, Error, Evaluation, FittingSet, Goal, Image, Measurement, Metric, Partition, Predict, Query,
+    Real, Result, Split, Task, Values, rng, rows_of,
 };
 use pyo3::prelude::*;
 impl Split for Strategy {
@@ -67,11 +67,11 @@ impl Baseline for Strategy {
         })
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         let own = self.try_with(|py, own| {
             let links = known.all();
-            let seen = crate::data::observed(py, data, &links)?;
-            let predictor = own.call_method1("fit", (links_object(py, data, &links)?, seen))?;
+            let observations = crate::data::observed(py, data, &links)?;
+            let predictor = own.call_method1("fit", (links_object(py, data, &links)?, observations))?;
             Ok(if predictor.is_none() { own.clone().unbind() } else { predictor.unbind() })
         })?;
         Ok(Box::new(Predictor { own, task: data.task(), size: (data.width, data.height) }))
@@ -88,7 +88,7 @@ struct Predictor {
 impl Predict for Predictor {
     fn predict(&self, query: Query<'_>) -> Image {
         let (width, height) = self.size;
-        let asked = |py: Python<'_>| {
+        let call = |py: Python<'_>| {
             let tx = array(py, query.tx.to_vec(), &[3])?;
             let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
             let what = "the result of predict";
@@ -103,7 +103,7 @@ impl Predict for Predictor {
             };
             Ok(Image { width, height, pixels })
         };
-        Python::attach(asked).unwrap_or_else(|error: PyErr| throw(error))
+        Python::attach(call).unwrap_or_else(|error: PyErr| throw(error))
     }
 }
 

@@ -51,19 +51,19 @@ fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     }
     let opacities = match found.get_item("opacities")? {
         None => vec![0.1; n],
-        Some(given) if axes(&given)? == 0 => vec![given.extract()?; n],
-        Some(given) => numbers::<Real>("opacities", &given, &[Some(n)])?,
+        Some(value) if axes(&value)? == 0 => vec![value.extract()?; n],
+        Some(value) => numbers::<Real>("opacities", &value, &[Some(n)])?,
     };
     if !opacities.iter().all(|o| *o > 0.0 && *o < 1.0) {
         return Err(wrong(py, "opacities: give numbers between 0 and 1"));
     }
     let quats = match found.get_item("quats")? {
         None => vec![[1.0, 0.0, 0.0, 0.0]; n],
-        Some(given) => numbers::<Real>("quats", &given, &[Some(n), Some(4)])?.as_chunks().0.to_vec(),
+        Some(value) => numbers::<Real>("quats", &value, &[Some(n), Some(4)])?.as_chunks().0.to_vec(),
     };
     let signals = match found.get_item("signals")? {
         None => vec![[0.0; 2]; n],
-        Some(given) => numbers::<Gain>("signals", &given, &[Some(n)])?.iter().map(|s| [s.re, s.im]).collect(),
+        Some(value) => numbers::<Gain>("signals", &value, &[Some(n)])?.iter().map(|s| [s.re, s.im]).collect(),
     };
     Ok(GaussianCloud {
         means: means.iter().map(|mean| scene.origin.local(*mean)).collect(),

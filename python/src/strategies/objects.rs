@@ -1,9 +1,9 @@
 //! Arguments of strategies: columns of the toolkit as records of `pwrfgs._types`.
 
-use crate::arrays::{array, axes, given};
+use crate::arrays::{array, axes, input_array};
 use crate::border::wrong;
-use pwrfgs_core::tape::Traced;
-use pwrfgs_core::{CloudStats, Dataset, GaussianCloud, Moment, Real, rng};
+use pwrfgs_core::tape::TracedCloud;
+use pwrfgs_core::{CloudStats, Dataset, GaussianCloud, Real, StepContext, rng};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -14,7 +14,7 @@ pub(crate) fn cloud_object<'py>(py: Python<'py>, cloud: &GaussianCloud, writable
 }
 
 /// Same as `cloud_object`, for Gaussians on the tape.
-pub(super) fn traced_object<'py>(py: Python<'py>, cloud: &Traced) -> PyResult<Bound<'py, PyAny>> {
+pub(super) fn traced_object<'py>(py: Python<'py>, cloud: &TracedCloud) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.names().map(|name| (name, pwrfgs_core::tape::values(cloud.leaf(name))));
     columns_object(py, cloud.len(), columns, false)
 }
@@ -43,36 +43,36 @@ pub(super) fn columns_object<'py, 'a>(
 pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult<Bound<'py, PyAny>> {
     let column = |values: &[Real]| array(py, values.to_vec(), &[values.len()]);
     let found = PyDict::new(py);
-    let asked = &stats.asked;
+    let requested = &stats.requested;
     for (name, values) in [
-        ("weight", &asked.weight),
-        ("largest_weight", &asked.largest_weight),
-        ("weight_per_area", &asked.weight_per_area),
-        ("signal_mean", &asked.signal_mean),
-        ("signal_max", &asked.signal_max),
-        ("error", &asked.error),
-        ("high_error", &asked.high_error),
-        ("sensitivity", &asked.sensitivity),
-        ("elimination", &asked.elimination),
+        ("weight", &requested.weight),
+        ("largest_weight", &requested.largest_weight),
+        ("weight_per_area", &requested.weight_per_area),
+        ("signal_mean", &requested.signal_mean),
+        ("signal_max", &requested.signal_max),
+        ("error", &requested.error),
+        ("high_error", &requested.high_error),
+        ("sensitivity", &requested.sensitivity),
+        ("elimination", &requested.elimination),
     ] {
         if !values.is_empty() {
             found.set_item(name, column(values)?)?;
         }
     }
-    if !asked.top.is_empty() {
-        found.set_item("top", array(py, asked.top.clone(), &[asked.top.len()])?)?;
+    if !requested.top.is_empty() {
+        found.set_item("top", array(py, requested.top.clone(), &[requested.top.len()])?)?;
     }
-    if !asked.fisher.is_empty() {
-        let all: Vec<Real> = asked.fisher.as_flattened().to_vec();
-        found.set_item("fisher", array(py, all, &[asked.fisher.len(), 21])?)?;
+    if !requested.fisher.is_empty() {
+        let all: Vec<Real> = requested.fisher.as_flattened().to_vec();
+        found.set_item("fisher", array(py, all, &[requested.fisher.len(), 21])?)?;
     }
     let fields =
         (column(&stats.visible)?, column(&stats.gradient)?, column(&stats.radius)?, column(&stats.weight)?, found);
     py.import("pwrfgs._types")?.getattr("Stats")?.call1(fields)
 }
 
-pub(super) fn moment_object<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
-    let Moment { step, phase, seed, round, rounds, target } = *moment;
+pub(super) fn context_object<'py>(py: Python<'py>, context: &StepContext) -> PyResult<Bound<'py, PyAny>> {
+    let StepContext { step, phase, seed, round, rounds, target } = *context;
     py.import("pwrfgs._types")?.getattr("Moment")?.call1((step, phase.name(), seed, round, rounds, target))
 }
 
@@ -94,7 +94,7 @@ pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult
 
 /// Reads `length` finite numbers of any shape.
 pub(super) fn given_flat(what: &str, values: &Bound<'_, PyAny>, length: usize) -> PyResult<Vec<Real>> {
-    let array = given::<Real>(what, values, &vec![None; axes(values)?.max(1)])?; // a number becomes an array of one
+    let array = input_array::<Real>(what, values, &vec![None; axes(values)?.max(1)])?; // a number becomes an array of one
     let all = array.as_slice().map_err(|e| wrong(values.py(), &e.to_string()))?;
     if all.len() != length {
         return Err(wrong(values.py(), &format!("{what} has {} numbers, expected {length}", all.len())));

@@ -1,12 +1,12 @@
 //! Python classes as pruners.
 
 use super::Strategy;
-use super::objects::{cloud_object, given_flat, moment_object, stats_object, traced_object};
+use super::objects::{cloud_object, context_object, given_flat, stats_object, traced_object};
 use crate::arrays::numbers;
 use crate::border::wrong;
 use dfdx::tensor_ops::SumTo as _;
-use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op};
-use pwrfgs_core::{CloudStats, Gate, GaussianCloud, Moment, Needs, Pruner, PrunerTraits, Real, Statistic};
+use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op};
+use pwrfgs_core::{CloudStats, Gate, GaussianCloud, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -38,14 +38,14 @@ impl Strategy {
         &self,
         method: &'static str,
         form: &str,
-        (cloud, moment): (&Traced, &Moment),
+        (cloud, context): (&TracedCloud, &StepContext),
         then: impl FnOnce(Curve<'_>) -> PyResult<T>,
     ) -> Option<T> {
         if !self.object.has(method) {
             return None;
         }
         self.with(|py, own| {
-            let found = own.call_method1(method, (traced_object(py, cloud)?, moment_object(py, moment)?))?;
+            let found = own.call_method1(method, (traced_object(py, cloud)?, context_object(py, context)?))?;
             if found.is_none() {
                 return Ok(None);
             }
@@ -67,14 +67,14 @@ impl Strategy {
     /// Columns in a dict, with their values.
     fn slopes(
         &self,
-        given: &Bound<'_, PyDict>,
-        cloud: &Traced,
+        derivatives: &Bound<'_, PyDict>,
+        cloud: &TracedCloud,
         method: &str,
     ) -> PyResult<(Vec<Trace>, Vec<Vec<Real>>)> {
         let (mut columns, mut slopes) = (Vec::new(), Vec::new());
-        for (name, values) in given {
+        for (name, values) in derivatives {
             let name: String = name.extract()?;
-            let refuse = |what: &str| Err(wrong(given.py(), &format!("{method}: {what}")));
+            let refuse = |what: &str| Err(wrong(derivatives.py(), &format!("{method}: {what}")));
             if !cloud.names().any(|own| own == name) {
                 let hint = pwrfgs_core::did_you_mean(&name, cloud.names());
                 return refuse(&format!("unknown column `{name}`{hint}"));
@@ -87,7 +87,7 @@ impl Strategy {
             columns.push(cloud.column(&name));
         }
         if columns.is_empty() {
-            return Err(wrong(given.py(), &format!("{method}: expected the derivative in at least one column")));
+            return Err(wrong(derivatives.py(), &format!("{method}: expected the derivative in at least one column")));
         }
         Ok((columns, slopes))
     }
@@ -101,22 +101,23 @@ fn kind_of(value: &Bound<'_, PyAny>) -> String {
 impl Pruner for Strategy {
     named_python!();
 
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
         self.with(|py, own| {
-            let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, moment_object(py, moment)?);
+            let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
             let keep = own.call_method1("keep", arguments)?;
             numbers::<bool>("the result of keep", &keep, &[Some(cloud.len())])
         })
     }
 
-    fn needs(&self, cloud: &GaussianCloud, moment: &Moment) -> Needs {
+    fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
         if !self.object.has("needs") {
             return Needs::nothing();
         }
         self.with(|py, own| {
-            let asked = own.call_method1("needs", (cloud_object(py, cloud, false)?, moment_object(py, moment)?))?;
+            let requested =
+                own.call_method1("needs", (cloud_object(py, cloud, false)?, context_object(py, context)?))?;
             let mut needs = Needs::nothing();
-            for name in asked.try_iter()? {
+            for name in requested.try_iter()? {
                 let name: String = name?.extract()?;
                 let Some((_, statistic)) = STATISTICS.iter().find(|(own, _)| *own == name) else {
                     let names = STATISTICS.map(|(own, _)| own);
@@ -135,9 +136,9 @@ impl Pruner for Strategy {
         PrunerTraits { columns: self.object.columns.clone(), ..PrunerTraits::default() }
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
+    fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
         let n = cloud.len();
-        self.curve("gate", "(factor [N], {column: derivative})", (cloud, moment), |found| {
+        self.curve("gate", "(factor [N], {column: derivative})", (cloud, context), |found| {
             let Curve { value, columns, slopes, word } = found;
             let factor = given_flat("gate: the factor", &value, n)?;
             if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
@@ -153,16 +154,16 @@ impl Pruner for Strategy {
             let gate = op(columns, vec![factor], vjp).remove(0);
             match word.as_deref() {
                 None => Ok(Gate::Whole(gate)),
-                Some("presence") => Ok(Gate::Presence(gate)),
+                Some("existence") => Ok(Gate::Existence(gate)),
                 Some(other) => {
-                    Err(wrong(value.py(), &format!("gate: unknown third entry {other:?} (expected \"presence\")")))
+                    Err(wrong(value.py(), &format!("gate: unknown third entry {other:?} (expected \"existence\")")))
                 }
             }
         })
     }
 
-    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        self.curve("penalty", "(number, {column: derivative})", (cloud, moment), |found| {
+    fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
+        self.curve("penalty", "(number, {column: derivative})", (cloud, context), |found| {
             let Curve { value, columns, slopes, .. } = found;
             let number = given_flat("penalty: the value", &value, 1)?;
             let vjp = move |cotangents: Vec<Vec<Real>>| {
@@ -172,13 +173,13 @@ impl Pruner for Strategy {
         })
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, moment: &Moment) {
+    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {
         if !self.object.has("update") {
             return;
         }
         self.with(|py, own| {
             let object = cloud_object(py, cloud, true)?;
-            own.call_method1("update", (&object, stats_object(py, stats)?, moment_object(py, moment)?))?;
+            own.call_method1("update", (&object, stats_object(py, stats)?, context_object(py, context)?))?;
             let columns = object.getattr("columns")?;
             for (name, _, values) in cloud.columns_mut() {
                 let column = columns.get_item(name)?;
@@ -188,12 +189,12 @@ impl Pruner for Strategy {
         });
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
         if !self.object.has("score") {
             return cloud.opacity_logits.clone();
         }
         self.with(|py, own| {
-            let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, moment_object(py, moment)?);
+            let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
             given_flat("the score", &own.call_method1("score", arguments)?, cloud.len())
         })
     }

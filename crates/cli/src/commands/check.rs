@@ -2,9 +2,9 @@
 //! training.
 
 use super::init::name_of;
-use super::options::{Changes, named};
+use super::options::{ChangeOptions, named};
 use crate::output::{self, Verbosity};
-use crate::progress::{Progress, memory, pace};
+use crate::progress::{RunProgress, memory, pace};
 use clap::Args;
 use pwrfgs::experiment::inspect::{inspect as summary, length};
 use pwrfgs::experiment::text::{aligned, duration, grouped};
@@ -30,14 +30,14 @@ pub(crate) struct Check {
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
-    pub(crate) changes: Changes,
+    pub(crate) changes: ChangeOptions,
 }
 
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
     let (file, _) = named(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
-    let found = Progress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
-    found.warnings.iter().for_each(|warning| Progress::new(verbosity).on_warning(warning));
+    let found = RunProgress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
+    found.warnings.iter().for_each(|warning| RunProgress::new(verbosity).on_warning(warning));
     output::result(&text(&found))
 }
 
@@ -109,7 +109,7 @@ pub(crate) struct Inspect {
 
 pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     let pipeline = pipeline(&arguments.data, &arguments.set)?;
-    let text = Progress::during(verbosity, |progress| {
+    let text = RunProgress::during(verbosity, |progress| {
         let data = staged(progress, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
         data_warnings(&data, partition.as_ref()).iter().for_each(|warning| progress.on_warning(warning));

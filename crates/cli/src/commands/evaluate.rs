@@ -2,7 +2,7 @@
 
 use super::options::read_models;
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
@@ -10,7 +10,7 @@ use pwrfgs::experiment::text::number;
 use pwrfgs::experiment::{Facts, Machine, Session, evaluate as score, load as load_data, read_pipeline, write_results};
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
-use pwrfgs_core::words::clean;
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Error, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -54,7 +54,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     if let Some(out) = &arguments.out {
         refuse_foreign(out, "a new folder")?;
     }
-    let mut progress = Progress::new(verbosity);
+    let mut progress = RunProgress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
@@ -107,10 +107,10 @@ fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
 
 /// Warns of receivers whose name or pose differs from those of the model.
 fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
-    let frame = &ensemble.members()[0].stages.frame;
-    let (known, listening) = (&frame.receivers, &data.scene.receivers);
+    let setup = &ensemble.members()[0].stages.setup;
+    let (known, listening) = (&setup.receivers, &data.scene.receivers);
     if let ([one], [other]) = (&known[..], &listening[..]) {
-        if frame.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
+        if setup.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
             output::note("warning: the receiver pose of the data differs from that of the model");
         }
         return;
@@ -119,9 +119,9 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
         return; // reported as an error elsewhere
     }
     let moved = known.iter().zip(listening).filter(|(own, other)| {
-        own.name != other.name || frame.origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose)
+        own.name != other.name || setup.origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose)
     });
-    let names: Vec<String> = moved.map(|(_, other)| clean(&other.name)).collect();
+    let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
         let (shown, more) =
             (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));

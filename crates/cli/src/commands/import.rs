@@ -2,7 +2,7 @@
 
 use super::options::{numbers, position};
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::import::Import as Work;
 use pwrfgs::experiment::{equality_warning, position_warning, staged};
@@ -70,7 +70,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         scale: arguments.scale,
         simulated: arguments.simulated,
     };
-    let imported = Progress::during(verbosity, |progress| {
+    let imported = RunProgress::during(verbosity, |progress| {
         staged(progress, "spectra", |progress| work.write(&arguments.out, progress))
     })?;
     if verbosity != Verbosity::Quiet {

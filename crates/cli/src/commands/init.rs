@@ -1,8 +1,8 @@
 //! `pwrfgs init`: writes a commented pipeline for the data in a folder.
 
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
-use crate::reference::commented::{Style, Value};
+use crate::progress::RunProgress;
+use crate::reference::commented::{CommentStyle, Value};
 use crate::reference::example;
 use clap::Args;
 use pwrfgs::data::{Nerf2Spectrum, read_points};
@@ -68,7 +68,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     check_place(&out)?;
-    let survey = Progress::during(verbosity, |progress| Survey::of(&arguments.folder, progress))?;
+    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
     let pipeline = pipeline(&survey, &arguments.folder, &out)?;
     let text = written(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
@@ -81,7 +81,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Suggests a pipeline for the data.
-fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
+fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> {
     // Paths in a pipeline are relative to its file.
     let beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
     let root =
@@ -141,7 +141,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
 }
 
 /// Writes the text of the file.
-fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
+fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
     let default = example().map_err(Error::Config)?;
     let value = Value::new(to_ron(pipeline)).map_err(Error::Config)?;
     let differs = |path: &[&str]| value.at(path) != default.at(path);
@@ -152,7 +152,7 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
         "Loss" | "Optimizer" | "Densify" => differs(&["training", &owner.to_lowercase(), field]),
         _ => true,
     };
-    let style = Style { opens: &|field| field != "receiver", shows: &shows };
+    let style = CommentStyle { opens: &|field| field != "receiver", shows: &shows };
     let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
     for line in survey.notes() {
@@ -173,7 +173,7 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
 }
 
 /// Content of a data folder, with a suitable split.
-struct Survey {
+struct DataSurvey {
     /// Plugin that reads the folder.
     source: Plugin<dyn DataSource>,
     data: Dataset,
@@ -186,7 +186,7 @@ struct Survey {
     clouds: Vec<(PathBuf, usize)>,
 }
 
-impl Survey {
+impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
     fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         // For an unknown folder, the reader of spectra reports the expected files.

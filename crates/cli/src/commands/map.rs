@@ -5,14 +5,14 @@ mod plane;
 
 use super::options::{check_positions, chosen, read_models};
 use crate::output::Verbosity;
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
-use layers::{Layer, Of, layers, quantities};
-use plane::{Bounds, Grid, Plane};
+use layers::{MapLayer, MapQuantity, layers, quantities};
+use plane::{MapPlane, PlaneBounds, PlaneGrid};
 use pwrfgs::data::npy_header;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::{field, grouped};
-use pwrfgs::report::draw::plan::{Colours, Heat};
+use pwrfgs::report::draw::plan::{Heatmap, Palette};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
 use std::collections::BTreeSet;
@@ -66,15 +66,15 @@ pub(crate) struct Map {
         hide_possible_values = true,
         help = "Quantity: power, level, mean or direction; repeatable\n[default: power, or direction and level for spectra]"
     )]
-    pub(crate) of: Vec<Of>,
+    pub(crate) of: Vec<MapQuantity>,
     /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
 }
 
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
-    let plane = Plane::parse(&arguments.plane)?;
-    let bounds = arguments.bounds.as_ref().map(|text| Bounds::parse(text, plane.names())).transpose()?;
+    let plane = MapPlane::parse(&arguments.plane)?;
+    let bounds = arguments.bounds.as_ref().map(|text| PlaneBounds::parse(text, plane.names())).transpose()?;
     let ensemble = read_models(&arguments.models)?;
     check_positions(&ensemble)?;
     let model = ensemble.prepare();
@@ -91,13 +91,13 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
             ensemble.members().iter().flat_map(|own| own.cloud.means.iter().map(|mean| own.stages.origin.world(*mean)));
         let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
         let bounds =
-            Bounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
-        verbosity.note(&said(plane, bounds));
+            PlaneBounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
+        verbosity.note(&message(plane, bounds));
         bounds
     });
-    let grid = Grid::new(plane, bounds, arguments.step, receivers.len())?;
+    let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let layers = Progress::during(verbosity, |progress| {
+    let layers = RunProgress::during(verbosity, |progress| {
         layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()))
     });
     write(folder.path(), &grid, &layers, model.receivers(), &poses, &receivers)?;
@@ -116,7 +116,7 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Describes the default bounds.
-fn said(plane: Plane, Bounds([across, up]): Bounds) -> String {
+fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds) -> String {
     let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
         "{a} from {} to {} m, {b} from {} to {} m (central 90 % of the Gaussians, and all receivers); set --bounds to change this",
@@ -130,8 +130,8 @@ fn said(plane: Plane, Bounds([across, up]): Bounds) -> String {
 /// Writes all files into `folder`; `poses` are those of the receivers in the world frame.
 fn write(
     folder: &Path,
-    grid: &Grid,
-    layers: &[Layer],
+    grid: &PlaneGrid,
+    layers: &[MapLayer],
     receivers: &[Receiver],
     poses: &[Pose],
     mapped: &[usize],
@@ -164,15 +164,20 @@ fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) 
 }
 
 /// NPY bytes of `values`, float32 `[rows, columns]`, lowest row first.
-fn array(grid: &Grid, values: &[f32]) -> Vec<u8> {
+fn array(grid: &PlaneGrid, values: &[f32]) -> Vec<u8> {
     let mut npy = npy_header(Number::F32, &[grid.rows, grid.columns]);
     npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
     npy
 }
 
-fn picture(grid: &Grid, layer: &Layer, receiver: Option<&str>, places: impl Iterator<Item = [f64; 3]>) -> Vec<u8> {
+fn picture(
+    grid: &PlaneGrid,
+    layer: &MapLayer,
+    receiver: Option<&str>,
+    places: impl Iterator<Item = [f64; 3]>,
+) -> Vec<u8> {
     let at = receiver.map_or_else(String::new, |name| format!(" at {name}"));
-    let heat = Heat {
+    let heat = Heatmap {
         title: format!("{}{at}, {}", layer.words, grid.plane.words()),
         unit: layer.unit.into(),
         names: grid.plane.names(),
@@ -180,14 +185,14 @@ fn picture(grid: &Grid, layer: &Layer, receiver: Option<&str>, places: impl Iter
         step: grid.step,
         columns: grid.columns,
         values: &layer.values,
-        colours: if layer.name == "azimuth" { Colours::Cyclic } else { Colours::Sequential },
+        colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
         receivers: places.map(|place| grid.plane.flat(place)).collect(),
         arrows: &layer.arrows,
     };
     heat.draw().png(WIDTH_MM)
 }
 
-fn line(grid: &Grid, layer: &Layer, name: &str, receiver: &str) -> String {
+fn line(grid: &PlaneGrid, layer: &MapLayer, name: &str, receiver: &str) -> String {
     let [across, up] = grid.plane.names();
     let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
     let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];

@@ -4,8 +4,8 @@ use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::model::{Ensemble, file};
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::threads::COUNTS;
-use pwrfgs_core::words::clean;
 use pwrfgs_core::{Error, Receiver, Result, did_you_mean, files};
 use pwrfgs_core::{coordinate_fault, place_fault};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 const LISTED: usize = 12;
 
 #[derive(Debug, Args)]
-pub(crate) struct Changes {
+pub(crate) struct ChangeOptions {
     /// Change a setting, such as training.batch=16 or 'split=Random(test: 0.3)'.
     #[arg(
         long = "set",
@@ -31,7 +31,7 @@ pub(crate) struct Changes {
     scale: Option<f64>,
 }
 
-impl Changes {
+impl ChangeOptions {
     /// All changes in the form of `--set`.
     pub(super) fn all(&self) -> Vec<String> {
         let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
@@ -146,10 +146,13 @@ pub(super) fn chosen(known: &[Receiver], names: &[String]) -> Result<Vec<usize>>
 
 fn unknown(known: &[Receiver], name: &str) -> Error {
     let near = did_you_mean(name, known.iter().map(|receiver| receiver.name.as_str()));
-    let list = known.iter().take(LISTED).map(|r| clean(&r.name)).collect::<Vec<_>>().join(", ");
+    let list = known.iter().take(LISTED).map(|r| strip_control(&r.name)).collect::<Vec<_>>().join(", ");
     let more = known.len().saturating_sub(LISTED);
     let list = if more > 0 { format!("{list} and {more} more") } else { list };
-    Error::Config(format!("--receiver {}: no such receiver in the model{near} (receivers: {list})", clean(name)))
+    Error::Config(format!(
+        "--receiver {}: no such receiver in the model{near} (receivers: {list})",
+        strip_control(name)
+    ))
 }
 
 /// Rejects models whose input is not a position.
@@ -183,7 +186,7 @@ mod tests {
         assert_eq!(chosen(&["g03", "g01", "g03"]).unwrap(), [0, 2]);
         assert_eq!(chosen(&[]).unwrap().len(), 21);
         assert_eq!(chosen(&["all"]).unwrap().len(), 21);
-        let said = chosen(&["g3"]).unwrap_err().to_string();
-        assert!(said.contains("did you mean `g03`?") && said.contains("and 9 more"), "{said}");
+        let message = chosen(&["g3"]).unwrap_err().to_string();
+        assert!(message.contains("did you mean `g03`?") && message.contains("and 9 more"), "{message}");
     }
 }

@@ -1,13 +1,13 @@
 //! `pwrfgs plugins`: lists and describes plugins and settings, in the notation of a pipeline.
 
 use crate::output;
-use crate::reference::commented::{Style, takes};
-use crate::reference::{Chapter, Topic, chapters, markdown, prose};
+use crate::reference::commented::{CommentStyle, takes};
+use crate::reference::{DocChapter, DocItem, chapters, markdown, prose};
 use clap::Args;
 use pwrfgs::experiment::sweep::Experiment;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs_core::docs::{Body, Docs};
+use pwrfgs_core::docs::{DocBody, Docs};
 use pwrfgs_core::schemars::{self, JsonSchema, schema_for};
 use pwrfgs_core::{Error, Result, did_you_mean};
 use serde_json::Value;
@@ -54,7 +54,7 @@ pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
 }
 
 /// Names of all kinds, plugins, settings and types.
-fn all_names(chapters: &[Chapter]) -> String {
+fn all_names(chapters: &[DocChapter]) -> String {
     let heads: Vec<String> = chapters
         .iter()
         .map(|chapter| {
@@ -64,7 +64,7 @@ fn all_names(chapters: &[Chapter]) -> String {
     let column = heads.iter().map(|head| head.chars().count() + 2).max().unwrap_or(0);
     let mut out = format!("{:column$}{}\n", "kind (field)", "plugins; settings and types");
     for (chapter, head) in chapters.iter().zip(&heads) {
-        let is_type = |topic: &&Topic| chapter.field.is_some() && !topic.fields.is_empty();
+        let is_type = |topic: &&DocItem| chapter.field.is_some() && !topic.fields.is_empty();
         let names = |types: bool| {
             let topics = chapter.topics.iter().filter(|topic| is_type(topic) == types);
             topics.map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ")
@@ -77,45 +77,45 @@ fn all_names(chapters: &[Chapter]) -> String {
 }
 
 /// The list of a kind, or everything about a plugin, settings or a type.
-fn described(name: &str, chapters: &[Chapter]) -> Result<String> {
-    let wanted = name.to_lowercase();
+fn described(name: &str, chapters: &[DocChapter]) -> Result<String> {
+    let requested = name.to_lowercase();
     let mut out = String::new();
     for chapter in chapters {
-        let topics = || chapter.topics.iter().filter(|topic| topic.is_called(&wanted));
-        let is_kind = chapter.is_called(&wanted);
+        let topics = || chapter.topics.iter().filter(|topic| topic.is_called(&requested));
+        let is_kind = chapter.is_called(&requested);
         if is_kind || topics().next().is_some() {
             let field = chapter.field.map_or_else(String::new, |field| format!(" (field `{field}`)"));
             _ = writeln!(out, "{}{field}: {}", chapter.name, chapter.about);
         }
         topics().for_each(|topic| write_topic(&mut out, topic));
-        let others = chapter.topics.iter().filter(|topic| is_kind && !topic.is_called(&wanted));
+        let others = chapter.topics.iter().filter(|topic| is_kind && !topic.is_called(&requested));
         others.for_each(|topic| write_summary(&mut out, topic));
     }
     if out.is_empty() { Err(unknown(name, chapters)) } else { Ok(out) }
 }
 
 /// The name of a topic and the first sentence of its comment.
-fn write_summary(out: &mut String, topic: &Topic) {
+fn write_summary(out: &mut String, topic: &DocItem) {
     let summary = topic.docs.map_or_else(String::new, |docs| prose::summary(docs.text));
     let colon = if summary.is_empty() { "" } else { ": " };
     out.push_str(&wrapped(&format!("{}{colon}{summary}", markdown::title(topic)), ["  ", "      "], WIDTH));
 }
 
 /// A topic with its whole comment and all of its fields.
-fn write_topic(out: &mut String, topic: &Topic) {
+fn write_topic(out: &mut String, topic: &DocItem) {
     _ = writeln!(out, "  {}", markdown::title(topic));
     for paragraph in topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text)) {
         out.push_str(&wrapped(&paragraph, ["      "; 2], WIDTH));
     }
     match (topic.docs, &topic.value) {
-        (Some(Docs { body: Body::Variants(variants), .. }), _) => {
+        (Some(Docs { body: DocBody::Variants(variants), .. }), _) => {
             for variant in *variants {
                 let words = format!("{}: {}", markdown::form(variant), markdown::meaning(variant));
                 out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
         (docs, Ok(value)) => {
-            let text = Style::FLAT.write(value, docs, "      ");
+            let text = CommentStyle::FLAT.write(value, docs, "      ");
             _ = writeln!(out, "      {text}");
         }
         (Some(docs), Err(_)) => {
@@ -129,7 +129,7 @@ fn write_topic(out: &mut String, topic: &Topic) {
 }
 
 /// The error for an unknown name, with the nearest one.
-fn unknown(name: &str, chapters: &[Chapter]) -> Error {
+fn unknown(name: &str, chapters: &[DocChapter]) -> Error {
     let names = chapters.iter().flat_map(|c| {
         let topics = c.topics.iter().flat_map(|t| t.fields.iter().copied().chain([t.name.as_str()]));
         topics.chain(c.field).chain([c.name.as_str()])

@@ -4,7 +4,7 @@ mod writers;
 
 use super::options::{check_positions, chosen, position, positions, read_models};
 use crate::output::Verbosity;
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
@@ -12,7 +12,7 @@ use pwrfgs::model::Prepared;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Query, Result, Task};
 use std::path::PathBuf;
-use writers::{Drawn, Folder, Row, writer};
+use writers::{OutputFolder, PredictionImage, PredictionRow, writer};
 
 /// Number of predictions in memory at a time.
 const CHUNK: usize = 64;
@@ -76,18 +76,18 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         return Err(Error::Config(why.into()));
     }
     let made = NewFolder::begin(&arguments.out)?;
-    let folder = Folder { path: made.path(), has_png: !arguments.no_png };
+    let folder = OutputFolder { path: made.path(), has_png: !arguments.no_png };
     let mut writer = writer(&folder, &model, count, arguments.stacked)?;
-    let mut progress = Progress::new(verbosity);
+    let mut progress = RunProgress::new(verbosity);
     let mut list = writer.header();
     let is_named = !task.has_pixels || model.receivers().len() > 1;
     let row = |k: usize| {
         let (tx, receiver) = (txs[k / listening.len()], listening[k % listening.len()]);
-        Row { number: k + 1, tx, receiver, name: is_named.then(|| model.receivers()[receiver].name.as_str()) }
+        PredictionRow { number: k + 1, tx, receiver, name: is_named.then(|| model.receivers()[receiver].name.as_str()) }
     };
     for first in (0..count).step_by(CHUNK) {
         progress.on_stage("predicting", first, count);
-        let rows: Vec<Row<'_>> = (first..(first + CHUNK).min(count)).map(row).collect();
+        let rows: Vec<PredictionRow<'_>> = (first..(first + CHUNK).min(count)).map(row).collect();
         let drawn = draw(&model, &rows)?;
         writer.take(&folder, &rows, &drawn, &mut list)?;
     }
@@ -100,9 +100,9 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Predicts one row after another, so that each latency is measured without other load.
-fn draw(model: &Prepared<'_>, rows: &[Row<'_>]) -> Result<Vec<Drawn>> {
+fn draw(model: &Prepared<'_>, rows: &[PredictionRow<'_>]) -> Result<Vec<PredictionImage>> {
     let alone = model.models().count() == 1;
-    let one = |row: &Row<'_>| {
+    let one = |row: &PredictionRow<'_>| {
         let query = Query::at(row.tx, row.receiver);
         let (image, spread, times) = if alone {
             let (image, times) = model.predict_timed(query);
@@ -111,16 +111,16 @@ fn draw(model: &Prepared<'_>, rows: &[Row<'_>]) -> Result<Vec<Drawn>> {
             let (image, spread, times) = model.predict_with_deviation(query);
             (image, Some(spread), times)
         };
-        Drawn { image, spread, milliseconds: 1e3 * times.total }
+        PredictionImage { image, spread, milliseconds: 1e3 * times.total }
     };
-    let drawn: Vec<Drawn> = rows.iter().map(one).collect();
+    let drawn: Vec<PredictionImage> = rows.iter().map(one).collect();
     match drawn.iter().position(|drawn| !drawn.image.pixels.iter().all(|p| p.is_finite())) {
         None => Ok(drawn),
         Some(i) => Err(not_finite(model.task(), &rows[i])),
     }
 }
 
-fn not_finite(task: Task, row: &Row<'_>) -> Error {
+fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
     let what = task.singular;
     Error::Config(format!(
         "row {}: the {what} of a transmitter at {:?} is not finite: the model overflows there; remove the position if it \

@@ -1,7 +1,7 @@
 //! `pwrfgs report`: compares finished runs in tables and figures.
 
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::rebuild_page;
@@ -59,7 +59,7 @@ pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
 
 /// Rebuilds the page of a run; without its data, it warns and keeps the old page.
 fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
-    match Progress::during(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
+    match RunProgress::during(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
         Err(error) if error.is_input() => {
             output::note(&format!("warning: {} is not rebuilt: {error}", run.join(REPORT).display()));
             Ok(())
@@ -69,6 +69,6 @@ fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
 }
 
 fn compare(study: &Study, reference: Option<&str>, out: &Path, verbosity: Verbosity) -> Result<()> {
-    let written = Progress::during(verbosity, |progress| write(study, reference, out, progress))?;
+    let written = RunProgress::during(verbosity, |progress| write(study, reference, out, progress))?;
     output::result(&format!("{written}\nreport: {}\n", out.join("report.html").display()))
 }

@@ -1,12 +1,12 @@
 //! `pwrfgs run`: runs a pipeline.
 
-use super::options::{Changes, named};
+use super::options::{ChangeOptions, named};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::{Outcome, read_pipeline};
+use pwrfgs::experiment::{RunOutcome, read_pipeline};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -29,7 +29,7 @@ pub(crate) struct Run {
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
-    pub(crate) changes: Changes,
+    pub(crate) changes: ChangeOptions,
     /// Run folder [default: runs/NAME, from the name of the pipeline]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
@@ -40,20 +40,21 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();
-    let outcome = Progress::during(verbosity, |progress| pwrfgs::run(&pipeline, Path::new(""), &out, progress, &stop));
+    let outcome =
+        RunProgress::during(verbosity, |progress| pwrfgs::run(&pipeline, Path::new(""), &out, progress, &stop));
     match outcome? {
-        Outcome::Unscored => {
+        RunOutcome::Unscored => {
             output::note(&format!(
                 "stopped before scoring was complete; the trained model is in {}; repeat the command to score it",
                 out.display()
             ));
             Ok(ExitCode::from(INTERRUPTED))
         }
-        Outcome::Interrupted { step: 0 } => {
+        RunOutcome::Interrupted { step: 0 } => {
             output::note("stopped before the first step; repeat the command to start again");
             Ok(ExitCode::from(INTERRUPTED))
         }
-        Outcome::Interrupted { step } => {
+        RunOutcome::Interrupted { step } => {
             output::note(&format!(
                 "stopped after step {step} of {}; the checkpoint is in {}; repeat the command to resume",
                 pipeline.training.steps,
@@ -61,7 +62,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
             ));
             Ok(ExitCode::from(INTERRUPTED))
         }
-        Outcome::Finished { scores, already } => {
+        RunOutcome::Finished { scores, already } => {
             if already {
                 verbosity.note(&format!("{}: this run is already finished; nothing to do", out.display()));
             }

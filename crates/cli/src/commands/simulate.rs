@@ -2,11 +2,11 @@
 
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
 use pwrfgs::experiment::staged;
-use pwrfgs::raytrace::output::{self as folder, Layout};
-use pwrfgs::raytrace::{Observe, Recipe};
+use pwrfgs::raytrace::output::{self as folder, OutputLayout};
+use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -38,8 +38,8 @@ pub(crate) struct Simulate {
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Layout: spectra, rssi, channels or csi
-    #[arg(long, value_enum, hide_possible_values = true, default_value_t = Kind::Spectra)]
-    pub(crate) layout: Kind,
+    #[arg(long, value_enum, hide_possible_values = true, default_value_t = SimulateFormat::Spectra)]
+    pub(crate) layout: SimulateFormat,
     /// SNR of channels in dB, for channels and csi [default: from the scene]
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub(crate) snr_db: Option<f64>,
@@ -65,7 +65,7 @@ pub(crate) struct Simulate {
 
 /// Layout of the simulated data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Kind {
+pub(crate) enum SimulateFormat {
     /// Spatial spectra
     Spectra,
     /// Received powers in NeRF2's BLE layout
@@ -78,10 +78,10 @@ pub(crate) enum Kind {
 
 impl Simulate {
     /// Observation and layout of the files.
-    fn wanted(&self) -> Result<(Observe, Layout)> {
+    fn output_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
         let refuse = |what: &str| Err(Error::Config(what.into()));
-        let is_channel = matches!(self.layout, Kind::Channels | Kind::Csi);
-        if self.npy && self.layout != Kind::Spectra {
+        let is_channel = matches!(self.layout, SimulateFormat::Channels | SimulateFormat::Csi);
+        if self.npy && self.layout != SimulateFormat::Spectra {
             return refuse("--npy: supported only for spectra; remove --npy or --layout");
         }
         if self.snr_db.is_some() && !is_channel {
@@ -89,16 +89,18 @@ impl Simulate {
                 "--snr-db: supported only for channels; add --layout channels, or set `noise` in the scene for spectra",
             );
         }
-        if self.noise_db.is_some() && self.layout != Kind::Rssi {
+        if self.noise_db.is_some() && self.layout != SimulateFormat::Rssi {
             return refuse("--noise-db: supported only for received powers; add --layout rssi");
         }
-        let channel = Observe::Channel { snr_db: self.snr_db };
+        let channel = ObservationKind::Channel { snr_db: self.snr_db };
         Ok(match self.layout {
-            Kind::Spectra if self.npy => (Observe::Spectrum, Layout::Array),
-            Kind::Spectra => (Observe::Spectrum, Layout::Pictures),
-            Kind::Rssi => (Observe::Power { noise_db: self.noise_db.unwrap_or(0.0) }, Layout::Rssi),
-            Kind::Channels => (channel, Layout::Channels),
-            Kind::Csi => (channel, Layout::Csi),
+            SimulateFormat::Spectra if self.npy => (ObservationKind::Spectrum, OutputLayout::Array),
+            SimulateFormat::Spectra => (ObservationKind::Spectrum, OutputLayout::Pictures),
+            SimulateFormat::Rssi => {
+                (ObservationKind::Power { noise_db: self.noise_db.unwrap_or(0.0) }, OutputLayout::Rssi)
+            }
+            SimulateFormat::Channels => (channel, OutputLayout::Channels),
+            SimulateFormat::Csi => (channel, OutputLayout::Csi),
         })
     }
 }
@@ -106,10 +108,10 @@ impl Simulate {
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<ExitCode> {
     let begun = Instant::now();
     let stop = stop_flag();
-    let (observe, layout) = arguments.wanted()?;
-    let recipe =
-        Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?.observing(observe)?;
-    let written = Progress::during(verbosity, |progress| {
+    let (observe, layout) = arguments.output_layout()?;
+    let recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?
+        .observing(observe)?;
+    let written = RunProgress::during(verbosity, |progress| {
         staged(progress, "simulating", |progress| {
             folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
         })
@@ -119,32 +121,32 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
         return Ok(ExitCode::from(INTERRUPTED));
     }
     written?;
-    verbosity.note(&told(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
+    verbosity.note(&summary(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
     Ok(ExitCode::SUCCESS)
 }
 
 /// Describes the data set and the setting to train on it.
-fn told(arguments: &Simulate, recipe: &Recipe, layout: Layout, seconds: f64) -> String {
+fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
     let (scene, out) = (&recipe.scene, arguments.out.display());
     let receivers = scene.receivers().count();
     let (things, source) = match layout {
-        Layout::Pictures => ("spectra", "Nerf2Spectrum"),
-        Layout::Array => ("spectra", "Arrays"),
-        Layout::Rssi => ("powers", "Nerf2Rssi"),
-        Layout::Channels => ("channels", "Channels"),
-        Layout::Csi => ("channels", "Nerf2Csi"),
+        OutputLayout::Pictures => ("spectra", "Nerf2Spectrum"),
+        OutputLayout::Array => ("spectra", "Arrays"),
+        OutputLayout::Rssi => ("powers", "Nerf2Rssi"),
+        OutputLayout::Channels => ("channels", "Channels"),
+        OutputLayout::Csi => ("channels", "Nerf2Csi"),
     };
-    let one = receivers == 1 || layout == Layout::Rssi;
+    let one = receivers == 1 || layout == OutputLayout::Rssi;
     // Several receivers have a folder each; the first is shown.
     let root = if one { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
     let count = recipe.samples * receivers;
     let at = if receivers == 1 { String::new() } else { format!(" at {receivers} receivers") };
     let how = match layout {
-        Layout::Pictures | Layout::Array => {
+        OutputLayout::Pictures | OutputLayout::Array => {
             let points = root.join(folder::POINTS);
             format!("{source}(root: \"{}\", points: \"{}\")", root.display(), points.display())
         }
-        Layout::Csi => {
+        OutputLayout::Csi => {
             let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
             let (root, carrier) = (root.display(), scene.carrier_hz);
             format!("{source}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")

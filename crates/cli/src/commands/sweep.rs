@@ -2,20 +2,20 @@
 
 mod table;
 
-use super::options::{Changes, count};
+use super::options::{ChangeOptions, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{JOINED, Plan, State, SweepEnd, check, estimate, execute, pool, slurm};
-use pwrfgs::experiment::{Outcome, Session};
+use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate, execute, pool, slurm};
+use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
-use table::Table;
+use table::SweepTable;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -37,7 +37,7 @@ pub(crate) struct Sweep {
     #[arg(value_name = "EXPERIMENT")]
     pub(crate) experiment: PathBuf,
     #[command(flatten)]
-    pub(crate) changes: Changes,
+    pub(crate) changes: ChangeOptions,
     /// Sweep folder [default: runs/NAME, from the name of the experiment]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
@@ -85,7 +85,7 @@ fn shard(text: &str) -> Result<Shard, String> {
 }
 
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<ExitCode> {
-    let plan = Plan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
+    let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
     let runs = chosen(&plan, arguments)?;
     if arguments.status {
         output::result(&table::status(&plan, &runs, &queued_or_note(&plan)))?;
@@ -101,7 +101,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     if arguments.dry_run {
         return dry_run(&plan, &runs, arguments.jobs, verbosity);
     }
-    let open = Progress::during(verbosity, |progress| check(&plan, &runs, progress))?;
+    let open = RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
     match arguments.launcher {
         Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
         None => here(&plan, &runs, arguments.jobs, verbosity),
@@ -109,7 +109,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
 }
 
 /// Names of the runs in the Slurm queue, empty with a note if it cannot be read.
-fn queued_or_note(plan: &Plan) -> BTreeSet<String> {
+fn queued_or_note(plan: &SweepPlan) -> BTreeSet<String> {
     slurm::queued(plan).unwrap_or_else(|error| {
         output::note(&format!("note: {error}"));
         BTreeSet::new()
@@ -117,7 +117,7 @@ fn queued_or_note(plan: &Plan) -> BTreeSet<String> {
 }
 
 /// Indices of the runs that `--shard` or `--only` select; all without them.
-fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
+fn chosen(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
         return Ok(vec![plan.find(name)?]);
     }
@@ -126,23 +126,23 @@ fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
 }
 
 /// Runs all runs in this process.
-fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
+fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let stop = stop_flag();
-    let board = Table::new(plan, runs.len(), verbosity);
-    let end = Progress::during(verbosity, |progress| {
+    let board = SweepTable::new(plan, runs.len(), verbosity);
+    let end = RunProgress::during(verbosity, |progress| {
         let mut session = Session { observer: progress, stop: &stop, page: pwrfgs::PAGE };
         execute(plan, runs, jobs, &board, &mut session)
     });
     board.finish();
     let SweepEnd { runs: ends, joined } = end?;
     #[cfg(feature = "report")]
-    if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+    if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
         let _held = plan.claim()?; // if the last runs of two processes end together, one writes after the other
         super::report::of_sweep(&plan.folder, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
-    if let Some(Outcome::Finished { scores, .. }) = joined {
+    if let Some(RunOutcome::Finished { scores, .. }) = joined {
         let folder = plan.folder.join(JOINED);
         let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
         let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
@@ -164,19 +164,20 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
 }
 
 /// Lists all runs with estimated times.
-fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
+fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let pool = pool(jobs)?;
-    let seconds = Progress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
+    let seconds = RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
     output::result(&table::plan(plan, runs, &seconds, jobs))?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Submits to Slurm the runs that are not finished, running or queued.
-fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
+fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
     let queued = slurm::queued(plan)?;
-    let free =
-        |run: &usize| !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), State::Running { .. });
+    let free = |run: &usize| {
+        !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), RunStage::Running { .. })
+    };
     let runs: Vec<usize> = open.iter().copied().filter(free).collect();
     let waiting = open.len() - runs.len();
     if runs.is_empty() {
@@ -194,7 +195,7 @@ fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>
 }
 
 /// Command line of a task; the name of its run comes last.
-fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
+fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
     let text = |path: &std::path::Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };

@@ -2,11 +2,11 @@
 
 use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::viewer::{Side, view as show};
+use pwrfgs::viewer::{ViewPane, view as show};
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Error, Result};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -39,7 +39,7 @@ pub(crate) struct View {
 }
 
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
-    let sides = Progress::during(verbosity, |progress| open(&arguments.sides, progress))?;
+    let sides = RunProgress::during(verbosity, |progress| open(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
         // Only the address on stdout, for pipes.
@@ -52,29 +52,29 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     show(sides, ready, &stop)
 }
 
-fn open(named: &[String], progress: &mut Progress) -> Result<Vec<Side>> {
-    let mut first = Side::open(Path::new(&named[0]), progress)?;
+fn open(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
+    let mut first = ViewPane::open(Path::new(&named[0]), progress)?;
     show_walls(&mut first)?;
     let second = match named.get(1) {
         None => return Ok(vec![first]),
-        Some(path) if Path::new(path).exists() => Side::open(Path::new(path), progress)?,
-        Some(text) => Side::floor(&floor(text)?, &first)?,
+        Some(path) if Path::new(path).exists() => ViewPane::open(Path::new(path), progress)?,
+        Some(text) => ViewPane::floor(&floor(text)?, &first)?,
     };
     Ok(vec![first, second])
 }
 
 /// Adds the surfaces of the room to simulated data.
 #[cfg(feature = "raytrace")]
-fn show_walls(side: &mut Side) -> Result<()> {
+fn show_walls(side: &mut ViewPane) -> Result<()> {
     let Some(text) = side.scene() else { return Ok(()) };
-    let surfaces = pwrfgs::raytrace::Scene::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
+    let surfaces = pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
     side.set_surfaces(surfaces);
     Ok(())
 }
 
 #[cfg(not(feature = "raytrace"))]
 #[allow(clippy::unnecessary_wraps)] // same signature as above
-fn show_walls(_side: &mut Side) -> Result<()> {
+fn show_walls(_side: &mut ViewPane) -> Result<()> {
     Ok(())
 }
 
@@ -84,7 +84,7 @@ fn floor(text: &str) -> Result<Plugin<dyn Baseline>> {
     Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {
         Error::Config(format!(
             "{}: neither a file, a folder nor a baseline: {why}; write a baseline as NearestNeighbours(k: 5)",
-            clean(text)
+            strip_control(text)
         ))
     })
 }

@@ -2,9 +2,9 @@
 
 use super::prose;
 use pwrfgs::experiment::text::wrapped;
-use pwrfgs::pipeline::ron_tree::{Body, Tree};
-use pwrfgs_core::docs::{Body as Shape, Docs, Field, Kind};
-use pwrfgs_core::plugin::Family;
+use pwrfgs::pipeline::ron_tree::{RonBody, RonTree};
+use pwrfgs_core::docs::{DocBody as Shape, DocField, DocKind, Docs};
+use pwrfgs_core::plugin::PluginFamily;
 use std::fmt::Write as _;
 
 /// Characters per line.
@@ -14,13 +14,13 @@ const WIDTH: usize = 110;
 #[derive(Clone)]
 pub(crate) struct Value {
     pub(super) text: String,
-    tree: Tree,
+    tree: RonTree,
 }
 
 impl Value {
     /// Parses `text`, which a serialiser or parser has accepted.
     pub(crate) fn new(text: String) -> Result<Self, String> {
-        Ok(Self { tree: Tree::parse(&text)?, text })
+        Ok(Self { tree: RonTree::parse(&text)?, text })
     }
 
     /// RON text of the value at `path`.
@@ -30,7 +30,7 @@ impl Value {
     }
 
     /// RON text of a field, in one line.
-    pub(super) fn field(&self, field: &Field) -> Option<String> {
+    pub(super) fn field(&self, field: &DocField) -> Option<String> {
         self.tree.field(field.name).map(|tree| short(Some(&field.kind), tree, &self.text))
     }
 
@@ -41,16 +41,16 @@ impl Value {
 }
 
 /// Layout of a written value.
-pub(crate) struct Style<'a> {
+pub(crate) struct CommentStyle<'a> {
     /// Whether a field, by name, is expanded to one line per inner field.
     pub(crate) opens: &'a dyn Fn(&str) -> bool,
     /// Whether a field is shown, by the names of value and field.
     pub(crate) shows: &'a dyn Fn(&str, &str) -> bool,
 }
 
-impl Style<'_> {
+impl CommentStyle<'_> {
     /// All fields, nested values in one line.
-    pub(crate) const FLAT: Self = Style { opens: &|_| false, shows: &|_, _| true };
+    pub(crate) const FLAT: Self = CommentStyle { opens: &|_| false, shows: &|_, _| true };
 
     /// Writes the value with the comments of `docs`. Each line starts with `indent`, except the first.
     pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
@@ -59,8 +59,8 @@ impl Style<'_> {
         out
     }
 
-    fn tree(&self, tree: &Tree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
-        let Body::Fields(fields) = &tree.body else {
+    fn tree(&self, tree: &RonTree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
+        let RonBody::Fields(fields) = &tree.body else {
             out.push_str(&compact(tree, text));
             return;
         };
@@ -75,8 +75,8 @@ impl Style<'_> {
             _ = write!(out, "{inside}{name}: ");
             let kind = field.map(|f| &f.kind);
             match (&value.body, (self.opens)(name)) {
-                (Body::Fields(_), true) => self.tree(value, text, docs_at(kind, value), &inside, out),
-                (Body::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
+                (RonBody::Fields(_), true) => self.tree(value, text, docs_at(kind, value), &inside, out),
+                (RonBody::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");
@@ -95,28 +95,28 @@ impl Style<'_> {
 }
 
 /// Comment of a field, with its type.
-fn comment(field: &Field, indent: &str) -> String {
+fn comment(field: &DocField, indent: &str) -> String {
     let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
     wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
 }
 
 /// Comments on a value of this kind.
-fn docs_at(kind: Option<&Kind>, value: &Tree) -> Option<&'static Docs> {
+fn docs_at(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Docs> {
     match kind? {
-        Kind::Of(docs) => Some(docs),
-        Kind::Plugin(kind) => {
-            let members = (Family::find(kind)?.members)();
+        DocKind::Of(docs) => Some(docs),
+        DocKind::Plugin(kind) => {
+            let members = (PluginFamily::find(kind)?.members)();
             members.iter().find(|m| Some(m.name) == value.name.as_deref())?.docs
         }
-        Kind::Optional(inner) | Kind::List(inner) => docs_at(Some(inner), value),
+        DocKind::Optional(inner) | DocKind::List(inner) => docs_at(Some(inner), value),
         _ => None,
     }
 }
 
 /// Writes a value in one line; settings whose fields are all optional become `Name()`.
-fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
+fn short(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
     match kind {
-        Some(Kind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
+        Some(DocKind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
             format!("{}()", docs.name)
         }
         _ => compact(tree, text),
@@ -124,29 +124,29 @@ fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
 }
 
 /// Writes a value in one line, with all fields.
-fn compact(tree: &Tree, text: &str) -> String {
+fn compact(tree: &RonTree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
-    let list = |items: &[Tree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
+    let list = |items: &[RonTree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
-        Body::Plain => tree.of(text).to_owned(),
-        Body::Fields(fields) => {
+        RonBody::Plain => tree.of(text).to_owned(),
+        RonBody::Fields(fields) => {
             let fields: Vec<String> =
                 fields.iter().map(|(n, value)| format!("{n}: {}", compact(value, text))).collect();
             format!("{name}({})", fields.join(", "))
         }
-        Body::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
-        Body::Items(items) => format!("{name}({})", list(items)),
+        RonBody::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
+        RonBody::Items(items) => format!("{name}({})", list(items)),
     }
 }
 
 /// Type of a field in words; the variants of an enum.
-pub(crate) fn takes(kind: &Kind) -> String {
+pub(crate) fn takes(kind: &DocKind) -> String {
     match kind {
-        Kind::Of(Docs { name, body: Shape::Variants(variants), .. }) => {
+        DocKind::Of(Docs { name, body: Shape::Variants(variants), .. }) => {
             let names: Vec<&str> = variants.iter().map(|v| v.name).collect();
             format!("{name}: {}", names.join(", "))
         }
-        Kind::Optional(inner) => format!("{} or None", takes(inner)),
+        DocKind::Optional(inner) => format!("{} or None", takes(inner)),
         other => other.words(),
     }
 }

@@ -1,13 +1,13 @@
 //! The reference as one page of Markdown.
 
 use super::commented::{Value, takes};
-use super::{Chapter, Topic, prose};
+use super::{DocChapter, DocItem, prose};
 use pwrfgs::prelude::Pipeline;
-use pwrfgs_core::docs::{Body, Docs, Field, Variant};
+use pwrfgs_core::docs::{DocBody, DocField, DocVariant, Docs};
 use std::fmt::Write as _;
 
 /// The complete reference.
-pub(crate) fn page(chapters: &[Chapter]) -> String {
+pub(crate) fn page(chapters: &[DocChapter]) -> String {
     let mut out = String::from(
         "# Reference\n\nThis page lists all plugins, settings and types of pipelines and experiments, with defaults.\n`pwrfgs \
          plugins --markdown` generates it from the comments in the source; `pwrfgs plugins NAME` prints one entry.\n\n",
@@ -25,7 +25,7 @@ pub(crate) fn page(chapters: &[Chapter]) -> String {
     out
 }
 
-fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
+fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
     if chapter.name != topic.name {
         _ = writeln!(out, "\n### {}", title(topic));
     }
@@ -51,7 +51,7 @@ fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
 }
 
 /// Name of a topic, with the fields of this type.
-pub(crate) fn title(topic: &Topic) -> String {
+pub(crate) fn title(topic: &DocItem) -> String {
     match &topic.fields[..] {
         [] => topic.name.clone(),
         [field] => format!("{} (field `{field}`)", topic.name),
@@ -61,8 +61,8 @@ pub(crate) fn title(topic: &Topic) -> String {
 
 fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
     match docs.body {
-        Body::Fields([]) => _ = writeln!(out, "\nNo fields."),
-        Body::Fields(fields) => {
+        DocBody::Fields([]) => _ = writeln!(out, "\nNo fields."),
+        DocBody::Fields(fields) => {
             _ = writeln!(out, "\n| field | type | default | description |\n|---|---|---|---|");
             for field in fields {
                 let default =
@@ -74,7 +74,7 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
                 row(out, &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)]);
             }
         }
-        Body::Variants(variants) => {
+        DocBody::Variants(variants) => {
             _ = writeln!(out, "\n| variant | description |\n|---|---|");
             for variant in variants {
                 row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
@@ -84,7 +84,7 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
 }
 
 /// Default of a field, in words if it has none.
-fn default(field: &Field, value: Option<&Value>) -> String {
+fn default(field: &DocField, value: Option<&Value>) -> String {
     match value.and_then(|v| v.field(field)) {
         Some(text) => format!("`{text}`"),
         None if field.optional => "optional".into(),
@@ -93,8 +93,8 @@ fn default(field: &Field, value: Option<&Value>) -> String {
 }
 
 /// Notation of a variant: `LogLinear(first: number, last: number, steps: whole number)`.
-pub(crate) fn form(variant: &Variant) -> String {
-    let field = |f: &Field| {
+pub(crate) fn form(variant: &DocVariant) -> String {
+    let field = |f: &DocField| {
         let words = f.kind.words();
         if variant.named { format!("{}: {words}", f.name) } else { words }
     };
@@ -103,8 +103,8 @@ pub(crate) fn form(variant: &Variant) -> String {
 }
 
 /// Comment of a variant and of its fields.
-pub(crate) fn meaning(variant: &Variant) -> String {
-    let field = |f: &Field| {
+pub(crate) fn meaning(variant: &DocVariant) -> String {
+    let field = |f: &DocField| {
         let optional = if f.optional { " (optional)" } else { "" };
         format!(" `{}`{optional}: {}", f.name, prose::line(f.text))
     };

@@ -21,7 +21,7 @@ pub(crate) struct Browser {
 
 struct State {
     stdin: ChildStdin,
-    heard: Receiver<Value>,
+    events: Receiver<Value>,
     last: u64,
     session: Option<String>,
     console: Vec<String>,
@@ -46,15 +46,15 @@ impl Browser {
             .spawn()
             .unwrap();
         let (stdin, stdout) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
-        let (said, heard) = channel();
+        let (sender, events) = channel();
         std::thread::spawn(move || {
             for message in BufReader::new(stdout).split(0).map_while(Result::ok) {
-                if said.send(serde_json::from_slice(&message).unwrap_or(Value::Null)).is_err() {
+                if sender.send(serde_json::from_slice(&message).unwrap_or(Value::Null)).is_err() {
                     break;
                 }
             }
         });
-        let state = State { stdin, heard, last: 0, session: None, console: Vec::new() };
+        let state = State { stdin, events, last: 0, session: None, console: Vec::new() };
         let browser = Self { child, state: RefCell::new(state), _profile: profile };
         let target = browser.ask("Target.createTarget", &json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
@@ -86,7 +86,7 @@ impl Browser {
         }
         state.stdin.write_all(format!("{request}\0").as_bytes()).unwrap();
         loop {
-            let message = state.heard.recv_timeout(PATIENCE).unwrap_or_else(|e| panic!("{method}: no answer ({e})"));
+            let message = state.events.recv_timeout(PATIENCE).unwrap_or_else(|e| panic!("{method}: no answer ({e})"));
             if message["id"] == id {
                 assert!(message["error"].is_null(), "{method}: {}", message["error"]);
                 return message["result"].clone();
@@ -97,8 +97,8 @@ impl Browser {
 
     /// The value of an expression; a promise is waited for.
     pub(crate) fn eval(&self, expression: &str) -> Value {
-        let asked = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
-        let answer = self.ask("Runtime.evaluate", &asked);
+        let call = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let answer = self.ask("Runtime.evaluate", &call);
         assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
         answer["result"]["value"].clone()
     }
@@ -149,8 +149,8 @@ impl Browser {
 
     /// The window, or the whole page, as PNG.
     pub(crate) fn screenshot(&self, whole: bool) -> Vec<u8> {
-        let asked = json!({ "format": "png", "captureBeyondViewport": whole });
-        unbase64(self.ask("Page.captureScreenshot", &asked)["data"].as_str().unwrap())
+        let call = json!({ "format": "png", "captureBeyondViewport": whole });
+        unbase64(self.ask("Page.captureScreenshot", &call)["data"].as_str().unwrap())
     }
 }
 
@@ -158,7 +158,7 @@ impl State {
     fn note(&mut self, message: &Value) {
         let (method, parameters) = (message["method"].as_str().unwrap_or_default(), &message["params"]);
         let loud = |level: &Value| ["warning", "error"].contains(&level.as_str().unwrap_or_default());
-        let told = match method {
+        let is_reported = match method {
             "Runtime.exceptionThrown" => true,
             "Runtime.consoleAPICalled" => loud(&parameters["type"]),
             "Log.entryAdded" => loud(&parameters["entry"]["level"]),
@@ -167,7 +167,7 @@ impl State {
         };
         // Software rendering says that reading a picture back is slow.
         let text = parameters.to_string();
-        if told && !text.contains("GPU stall due to ReadPixels") {
+        if is_reported && !text.contains("GPU stall due to ReadPixels") {
             self.console.push(text);
         }
     }

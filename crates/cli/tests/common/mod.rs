@@ -54,12 +54,12 @@ pub(crate) fn succeed(folder: &Path, arguments: &[&str]) -> Output {
 /// Runs it and insists on exit code `code` and one message that holds all of `words`.
 pub(crate) fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str]) {
     let output = call(folder, arguments);
-    let said = stderr(&output);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
-    assert_eq!(said.matches("error: ").count(), 1, "{arguments:?}: {said}");
-    assert!(!said.contains("panicked"), "{said}");
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    assert_eq!(message.matches("error: ").count(), 1, "{arguments:?}: {message}");
+    assert!(!message.contains("panicked"), "{message}");
     for word in words {
-        assert!(said.contains(word), "{arguments:?}: `{word}` is not in: {said}");
+        assert!(message.contains(word), "{arguments:?}: `{word}` is not in: {message}");
     }
 }
 

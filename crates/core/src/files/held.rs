@@ -185,16 +185,16 @@ mod tests {
             (fs::read(moved.join("x")).unwrap(), fs::read(moved.join("y")).unwrap()),
             (b"1".into(), b"2".into())
         );
-        let said = held.check_name().unwrap_err().to_string();
-        assert!(said.contains(moved.to_str().unwrap()) && said.contains(name.to_str().unwrap()), "{said}");
+        let shown = held.check_name().unwrap_err().to_string();
+        assert!(shown.contains(moved.to_str().unwrap()) && shown.contains(name.to_str().unwrap()), "{shown}");
         let errors = [
             Error::write(&held.path().join("x"), io::Error::other("no")),
             Error::Busy(held.path().into()),
             Error::Config(format!("{} holds something else", held.path().display())),
         ];
         for error in errors {
-            let said = held.named(error).to_string();
-            assert!(said.contains(name.to_str().unwrap()) && !said.contains("/proc"), "{said}");
+            let shown = held.named(error).to_string();
+            assert!(shown.contains(name.to_str().unwrap()) && !shown.contains("/proc"), "{shown}");
         }
     }
 }

@@ -40,14 +40,14 @@ impl NewFolder {
             return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
         }
         refuse_occupied(out)?;
-        Self::beside(out)
+        Self::next_to(out)
     }
 
     /// Begins a temporary folder, whatever `out` contains.
     ///
     /// # Errors
     /// Writing fails.
-    pub fn beside(out: &Path) -> Result<Self> {
+    pub fn next_to(out: &Path) -> Result<Self> {
         static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may create the same folder twice concurrently
         let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = short_name(out);
@@ -67,7 +67,7 @@ impl NewFolder {
     /// # Errors
     /// Removal fails.
     pub fn remove(folder: &Path) -> Result<()> {
-        let grave = Self::beside(folder)?;
+        let grave = Self::next_to(folder)?;
         fs::rename(folder, grave.path.join(GRAVE)).map_err(|e| Error::write(folder, e))
     }
 
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_whole_or_not_there() {
+    fn new_folder_is_complete_or_absent() {
         let here = tempfile::tempdir().unwrap();
         let out = here.path().join("a/data");
         let folder = NewFolder::begin(&out).unwrap();
@@ -190,7 +190,7 @@ mod tests {
 
     /// Runs in a separate process, which no other test shares.
     #[test]
-    fn nothing_is_published_once_all_is_abandoned() {
+    fn abandoned_folders_are_not_published() {
         const OUT: &str = "PWRFGS_TEST_ABANDONED";
         if let Some(out) = std::env::var_os(OUT) {
             let folder = NewFolder::begin(Path::new(&out)).unwrap();
@@ -203,14 +203,14 @@ mod tests {
             std::process::exit(i32::from(Path::new(&out).exists()));
         }
         let here = tempfile::tempdir().unwrap();
-        let name = "files::new_folder::tests::nothing_is_published_once_all_is_abandoned";
+        let name = "files::new_folder::tests::abandoned_folders_are_not_published";
         let mut own = std::process::Command::new(std::env::current_exe().unwrap());
         let ended = own.args(["--exact", name]).env(OUT, here.path().join("data")).status().unwrap();
         assert!(ended.success(), "{ended}");
     }
 
     #[test]
-    fn what_a_killed_program_left_is_removed_and_nothing_else() {
+    fn removes_only_leftovers_of_killed_processes() {
         let here = tempfile::tempdir().unwrap();
         let left = |name: &str| {
             fs::create_dir(here.path().join(name)).unwrap();

@@ -1,4 +1,4 @@
-//! Adapter of `Name(field: value, …)` for typetag: a map with one entry, whose value is a plain struct.
+//! Adapter of `BareName(field: value, …)` for typetag: a map with one entry, whose value is a plain struct.
 
 use crate::did_you_mean;
 use serde::de::{self, DeserializeSeed, Deserializer, MapAccess, VariantAccess, Visitor};
@@ -6,17 +6,17 @@ use serde::{Deserialize, forward_to_deserialize_any};
 use std::fmt;
 
 /// Bare identifier, such as `LearnableMask` in `LearnableMask(lambda: 0.01)`.
-pub(super) struct Name(pub(super) String);
-impl<'de> Deserialize<'de> for Name {
+pub(super) struct BareName(pub(super) String);
+impl<'de> Deserialize<'de> for BareName {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
         struct Identifier;
         impl Visitor<'_> for Identifier {
-            type Value = Name;
+            type Value = BareName;
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("a plugin name")
             }
-            fn visit_str<E: de::Error>(self, name: &str) -> Result<Name, E> {
-                Ok(Name(name.to_owned()))
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<BareName, E> {
+                Ok(BareName(name.to_owned()))
             }
         }
         d.deserialize_identifier(Identifier)
@@ -98,7 +98,7 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<A> {
 impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
     type Value = K::Value;
     fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
-        let Name(name) = Name::deserialize(d)?;
+        let BareName(name) = BareName::deserialize(d)?;
         if !self.1.contains(&name.as_str()) {
             let hint = did_you_mean(&name, self.1.iter().copied());
             let known = self.1.join("`, `");

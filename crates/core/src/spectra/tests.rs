@@ -13,7 +13,7 @@ fn kinds() -> [(Number, Vec<u8>); 4] {
 }
 
 #[test]
-fn a_file_gives_what_memory_gives() {
+fn file_and_memory_give_equal_values() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("spectra");
     for (number, bytes) in kinds() {
@@ -71,26 +71,26 @@ fn a_coarse_picture_has_every_second_row_and_column() {
 }
 
 #[test]
-fn what_is_no_spectra_is_refused() {
+fn rejects_files_that_are_not_spectra() {
     for (size, count) in [((3, 2), 0), ((3, 2), 7), ((0, 2), 6), ((usize::MAX, 2), 6)] {
         assert!(Spectra::grey(size, vec![0; count]).is_err());
     }
     let mut values = [0.5; 12];
     values[10] = f32::NAN;
-    let said = Spectra::float((3, 2), &values).unwrap_err();
-    assert_eq!(said.to_string(), "spectra[1, 1, 1] is NaN; give numbers from 0 to 1");
+    let message = Spectra::float((3, 2), &values).unwrap_err();
+    assert_eq!(message.to_string(), "spectra[1, 1, 1] is NaN; give numbers from 0 to 1");
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("spectra");
     fs::write(&path, [0; 12]).unwrap();
     for shape in [[3, 2, 3], [1, 2, 3], [0, 2, 3], [usize::MAX; 3]] {
-        let said = Spectra::open(&path, 0, Number::U8, shape).unwrap_err();
-        assert!(said.is_input() && said.to_string().contains("do not fit its 12 bytes"), "{said}");
+        let message = Spectra::open(&path, 0, Number::U8, shape).unwrap_err();
+        assert!(message.is_input() && message.to_string().contains("do not fit its 12 bytes"), "{message}");
     }
     assert!(Spectra::open(&folder.path().join("none"), 0, Number::U8, [2, 2, 3]).unwrap_err().is_input());
 }
 
 #[test]
-fn a_file_cut_short_while_it_is_read_is_an_error() {
+fn reports_file_truncated_during_reading() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("spectra");
     fs::write(&path, [7; 12]).unwrap();
@@ -99,6 +99,6 @@ fn a_file_cut_short_while_it_is_read_is_an_error() {
     assert_eq!(spectra.raw(0)[0], 7);
     spectra.check().unwrap();
     assert_eq!(spectra.raw(1).as_ref(), [0; 6]);
-    let said = spectra.check().unwrap_err().to_string();
-    assert!(said.contains("file of spectra was changed or removed while open"), "{said}");
+    let message = spectra.check().unwrap_err().to_string();
+    assert!(message.contains("file of spectra was changed or removed while open"), "{message}");
 }

@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{Axis, Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
+use crate::{AngleAxis, Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
 pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -137,7 +137,7 @@ impl Description {
     /// Returns the grid of an observation of `size` (columns, rows): columns of pixels cover the full circle, rows are
     /// `elevation`.
     pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
-        let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
+        let azimuth = AngleAxis { first: 0.0, step: 360.0 / width as f64 };
         let angles = self.has_pixels.then(|| (azimuth, elevation.axis(height)));
         ImagePlane { width, height, wraps: self.has_pixels, angles, sampling: Sampling::WHOLE }
     }
@@ -283,9 +283,10 @@ impl Observations {
     ///
     /// # Errors
     /// [`Error::Config`] with `who` for other types.
-    pub fn pictures(&self, who: &str) -> Result<&Spectra> {
+    pub fn pictures(&self, subject: &str) -> Result<&Spectra> {
         let have = self.task().plural;
-        self.spectra().ok_or_else(|| Error::Config(format!("{who} needs spatial spectra, and these data are {have}")))
+        self.spectra()
+            .ok_or_else(|| Error::Config(format!("{subject} needs spatial spectra, and these data are {have}")))
     }
 }
 
@@ -312,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_told_with_its_place() {
+    fn reports_position_of_invalid_values() {
         assert!(Observations::Powers(vec![-3.0, Real::NAN]).fault().unwrap().starts_with("powers[1] is NaN"));
         let Observations::Channels(mut channels) = two() else { unreachable!() };
         channels.gains[10] = [0.0, Real::INFINITY];

@@ -21,7 +21,7 @@ pub(super) static POWER: Description = Description {
         note: "error of a perfect predictor of the mean reading: difference of two readings at one position over √2",
         share: std::f64::consts::FRAC_1_SQRT_2,
     },
-    method: "readout: Received(sky_deg: 10)",
+    method: "readout: ReceivedPower(sky_deg: 10)",
     level_name: ["received power", "dBm"],
     has_pixels: false,
     is_scalar: true,

@@ -69,7 +69,7 @@ fn a_good_folder_is_read() {
 }
 
 #[test]
-fn every_kind_of_number_is_read_as_it_is() {
+fn reads_every_number_format_unchanged() {
     let folder = Folder::new();
     folder.floats((0..24).map(|v| v as f32 / 23.0));
     assert_eq!(folder.try_load().unwrap().image(3).pixels[5], 1.0);
@@ -86,7 +86,7 @@ fn every_kind_of_number_is_read_as_it_is() {
 }
 
 #[test]
-fn mistakes_are_told() {
+fn reports_invalid_input() {
     let with = |change: &dyn Fn(&Folder)| {
         let folder = Folder::new();
         change(&folder);
@@ -123,17 +123,20 @@ fn mistakes_are_told() {
         (tx(Number::F64, &[1 << 60, 3], 96), "do not fit its length"),
         (tx(Number::U8, &[4, 3], 12), "holds numbers of type `|u1`; positions are float64"),
     ];
-    for (said, expected) in cases {
-        assert!(said.contains(expected), "{said}\n{expected}");
+    for (message, expected) in cases {
+        assert!(message.contains(expected), "{message}\n{expected}");
     }
     for name in ["gateway_info.yml", "tx.npy", "spectra.npy"] {
-        let said = with(&|folder: &Folder| fs::remove_file(folder.path("s").join(name)).unwrap());
-        assert!(said.starts_with(&format!("cannot read DIR/s/{name}: ")), "{said}");
+        let message = with(&|folder: &Folder| fs::remove_file(folder.path("s").join(name)).unwrap());
+        assert!(message.starts_with(&format!("cannot read DIR/s/{name}: ")), "{message}");
     }
-    let said = with(&|folder: &Folder| {
+    let message = with(&|folder: &Folder| {
         folder.write("train_index.txt", "1\n");
         folder.write("test_index.txt", "5\n");
     });
-    assert_eq!(said, "DIR/s/test_index.txt:1:1: id 5 has no row in tx.npy, which has 4; add the row or remove the id");
+    assert_eq!(
+        message,
+        "DIR/s/test_index.txt:1:1: id 5 has no row in tx.npy, which has 4; add the row or remove the id"
+    );
     assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "")"#).is_err());
 }

@@ -4,10 +4,10 @@ mod equations;
 mod likelihood;
 
 use super::neighbours::Nearest;
-use super::{ByReceiver, Fitted, all_of, choosing, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use equations::{Correlation, Trend, solve};
-use likelihood::Cases;
-use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
+use likelihood::HeldOutCases;
+use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
 
 /// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
@@ -62,16 +62,16 @@ impl Baseline for Kriging {
         Err(Error::Config(format!("{} {what}; use NearestNeighbours()", data.title)))
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         ByReceiver::fit(data, known, |known| {
             let all = all_of(known)?;
             let trend = Trend::of(data, &all);
             let cases = if trend.law.is_some() {
-                Cases::of_powers(&trend, &all)
+                HeldOutCases::of_powers(&trend, &all)
             } else {
                 let (train, validation) = choosing(known);
-                Cases::new(&trend, train, &validation)
+                HeldOutCases::new(&trend, train, &validation)
             };
             let correlation = likelihood::most_likely(&cases);
             data.observations.check()?;
@@ -115,7 +115,7 @@ impl Predict for Process<'_> {
     }
 }
 
-impl Fitted for Process<'_> {
+impl ReceiverPredictor for Process<'_> {
     fn notes(each: &[(&str, &Self)]) -> Option<String> {
         match each {
             [] => None,

@@ -1,9 +1,9 @@
 //! `LogDistance`: path-loss model, in which power falls by 10 gamma decibels per decade of distance.
 
 use super::all_of;
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::words::clean;
-use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task};
+use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// Links that a receiver needs for its own fit.
@@ -52,24 +52,24 @@ impl Baseline for LogDistance {
         Err(Error::Config(format!("{what}; remove it from `baselines`")))
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         let mut own = vec![Vec::new(); data.scene.receivers.len()];
         all_of(known)?.into_iter().for_each(|i| own[data.links[i].receiver].push(i));
         let own: Vec<Vec<(f64, f64)>> = own.iter().map(|links| points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = own.iter().map(Vec::as_slice).collect();
-        let (shared, levels) = Law::with_offsets(&groups);
-        let one = Law::fit(&groups.concat());
+        let (shared, levels) = PathLoss::with_offsets(&groups);
+        let one = PathLoss::fit(&groups.concat());
         let law = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
-            FEW.. if self.per_receiver => Law::fit(points),
-            _ if self.per_receiver || self.offset => Law { level, ..shared },
+            FEW.. if self.per_receiver => PathLoss::fit(points),
+            _ if self.per_receiver || self.offset => PathLoss { level, ..shared },
             _ => one,
         };
         let of_each = groups.iter().zip(levels).map(law).collect();
         let enough = if self.per_receiver { FEW } else { usize::from(self.offset) };
-        let names = data.scene.receivers.iter().map(|receiver| clean(&receiver.name));
+        let names = data.scene.receivers.iter().map(|receiver| strip_control(&receiver.name));
         let borrowed = names.zip(&groups).filter(|(_, own)| own.len() < enough).map(|(name, _)| name).collect();
-        Ok(Box::new(Laws { data, of_each, borrowed }))
+        Ok(Box::new(PathLosses { data, of_each, borrowed }))
     }
 
     fn supports(&self, task: Task) -> bool {
@@ -77,14 +77,14 @@ impl Baseline for LogDistance {
     }
 }
 
-struct Laws<'a> {
+struct PathLosses<'a> {
     data: &'a Dataset,
-    of_each: Vec<Law>,
+    of_each: Vec<PathLoss>,
     /// Receivers with too few links for their own fit.
     borrowed: Vec<String>,
 }
 
-impl Predict for Laws<'_> {
+impl Predict for PathLosses<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         let law = self.of_each.get(query.receiver).or(self.of_each.first()).expect("data have a receiver");
         let dbm = law.at(log_distance(self.data, query));
@@ -104,14 +104,14 @@ const NEAREST_M: f64 = 0.01;
 
 /// Path-loss model RSSI = level - slope log10(d / m).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Law {
+pub(super) struct PathLoss {
     /// T, dBm at 1 m.
     pub(super) level: f64,
     /// 10 gamma, dB per decade.
     pub(super) slope: f64,
 }
 
-impl Law {
+impl PathLoss {
     /// Fits (log10 of the distance, dBm) by least squares; a constant if all distances are equal.
     pub(super) fn fit(points: &[(f64, f64)]) -> Self {
         Self::with_offsets(&[points]).0
@@ -166,15 +166,15 @@ mod tests {
 
     #[test]
     fn laws_are_found_and_degenerate_ones_are_constants() {
-        let law = Law { level: -40.0, slope: 21.0 };
-        let on = |law: Law, xs: &[f64]| xs.iter().map(|x| (*x, law.at(*x))).collect::<Vec<_>>();
+        let law = PathLoss { level: -40.0, slope: 21.0 };
+        let on = |law: PathLoss, xs: &[f64]| xs.iter().map(|x| (*x, law.at(*x))).collect::<Vec<_>>();
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} instead of {b}");
-        let found = Law::fit(&on(law, &[0.1, 0.5, 1.3]));
+        let found = PathLoss::fit(&on(law, &[0.1, 0.5, 1.3]));
         close(found.level, -40.0);
         close(found.slope, 21.0);
-        assert_eq!(Law::fit(&[(0.5, -60.0), (0.5, -62.0)]), Law { level: -61.0, slope: 0.0 });
-        let other = on(Law { level: -50.0, ..law }, &[0.7, 0.9]);
-        let (shared, levels) = Law::with_offsets(&[&on(law, &[0.1, 1.0]), &other, &[]]);
+        assert_eq!(PathLoss::fit(&[(0.5, -60.0), (0.5, -62.0)]), PathLoss { level: -61.0, slope: 0.0 });
+        let other = on(PathLoss { level: -50.0, ..law }, &[0.7, 0.9]);
+        let (shared, levels) = PathLoss::with_offsets(&[&on(law, &[0.1, 1.0]), &other, &[]]);
         close(shared.slope, 21.0);
         close(levels[0], -40.0);
         close(levels[1], -50.0);

@@ -1,8 +1,8 @@
 //! `NearestNeighbours`: mean of the nearest training samples by exhaustive search; 80,000 take less than a millisecond.
 
-use super::{ByReceiver, Fitted, all_of, choosing, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::{
-    Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task, evenly, ssim,
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task, evenly, ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -100,7 +100,7 @@ impl Baseline for NearestNeighbours {
         Err(Error::Config(format!("{} {what}; remove it from `baselines`", data.title)))
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         ByReceiver::fit(data, known, |known| {
             let all = all_of(known)?;
@@ -207,7 +207,7 @@ impl Predict for Lookup<'_> {
     }
 }
 
-impl Fitted for Lookup<'_> {
+impl ReceiverPredictor for Lookup<'_> {
     fn notes(each: &[(&str, &Self)]) -> Option<String> {
         let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
         let what = format!("best on validation {}", first.data.task().plural.trim_start_matches("spatial "));

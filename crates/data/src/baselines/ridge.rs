@@ -1,7 +1,7 @@
 //! `Ridge`: linear regression from features to observations.
 
-use super::{ByReceiver, Fitted, all_of};
-use pwrfgs_core::{Baseline, Cholesky, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
+use super::{ByReceiver, ReceiverPredictor, all_of};
+use pwrfgs_core::{Baseline, Cholesky, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -44,9 +44,9 @@ impl Baseline for Ridge {
         Err(Error::Config(format!("{what}; use Kriging()")))
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        ByReceiver::fit(data, known, |known| Map::fit(data, &all_of(known)?, self.weight))
+        ByReceiver::fit(data, known, |known| LinearMap::fit(data, &all_of(known)?, self.weight))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -58,7 +58,7 @@ impl Baseline for Ridge {
 }
 
 /// Linear map of one receiver.
-struct Map {
+struct LinearMap {
     /// Means of features `[D]` and of observations `[M]`.
     means: [Vec<f64>; 2],
     /// Regression matrix `[M,D]`.
@@ -67,7 +67,7 @@ struct Map {
     size: [usize; 2],
 }
 
-impl Map {
+impl LinearMap {
     fn fit(data: &Dataset, links: &[usize], weight: f64) -> Result<Self> {
         let xs: Vec<&[Real]> = links.iter().map(|&i| data.query(i).features).collect();
         let ys: Vec<Vec<Real>> = links.iter().map(|&i| data.image(i).pixels).collect();
@@ -102,7 +102,7 @@ impl Map {
     }
 }
 
-impl Predict for Map {
+impl Predict for LinearMap {
     fn predict(&self, query: Query<'_>) -> Image {
         let [x_mean, y_mean] = &self.means;
         let x: Vec<f64> = query.features.iter().zip(x_mean).map(|(x, mean)| *x as f64 - mean).collect();
@@ -113,7 +113,7 @@ impl Predict for Map {
     }
 }
 
-impl Fitted for Map {
+impl ReceiverPredictor for LinearMap {
     fn notes(_: &[(&str, &Self)]) -> Option<String> {
         None
     }
@@ -138,18 +138,18 @@ mod tests {
         let samples: Vec<Sample> = (0..30).flat_map(|k| [at(k, 0), at(k, 1)]).collect();
         let powers = samples.iter().map(|s| power(s.id as usize, s.receiver)).collect();
         let data = Dataset::of_links("x", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
-        assert!(Ridge::default().fit(&data, Known::train(&[0])).err().unwrap().to_string().contains("has none"));
+        assert!(Ridge::default().fit(&data, FittingSet::train(&[0])).err().unwrap().to_string().contains("has none"));
         let values = samples.iter().flat_map(|s| x[s.id as usize]).collect();
         let features = Some(Features { width: 2, values });
         let data = Dataset { features, ..data };
         let train: Vec<usize> = (0..40).collect();
-        let fitted = Ridge { weight: 1e-9 }.fit(&data, Known::train(&train)).unwrap();
+        let fitted = Ridge { weight: 1e-9 }.fit(&data, FittingSet::train(&train)).unwrap();
         for i in 40..60 {
             let (found, truth) = (fitted.predict(data.query(i)).pixels[0], data.image(i).pixels[0]);
             assert!((found - truth).abs() < 1e-4, "{found} {truth}");
         }
         let first: Vec<usize> = (0..40).step_by(2).collect();
-        let one = Ridge { weight: 1e-9 }.fit(&data, Known::train(&first)).unwrap();
+        let one = Ridge { weight: 1e-9 }.fit(&data, FittingSet::train(&first)).unwrap();
         assert!(one.note().unwrap().starts_with("b has no training link"));
     }
 }

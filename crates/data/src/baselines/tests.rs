@@ -7,7 +7,7 @@ use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Pose, Sample, Spectra, rng, ssim};
 
 fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: f64) -> f64 {
-    let image = baseline.fit(data, Known::train(train)).unwrap().predict([x, 0.0, 0.0].into());
+    let image = baseline.fit(data, FittingSet::train(train)).unwrap().predict([x, 0.0, 0.0].into());
     assert_eq!((image.width, image.height, image.pixels.len()), (1, 1, 1));
     image.pixels[0] as f64 * 255.0
 }
@@ -37,7 +37,7 @@ fn neighbours_are_weighted_by_inverse_distance() {
 }
 
 #[test]
-fn an_exact_hit_returns_what_was_measured_there() {
+fn nearest_neighbour_at_sample_returns_its_observation() {
     let data = samples_at(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
     assert!(close(predict(&k_nearest(1), &data, &[0, 1, 2, 3], 1.0), 1.5));
     assert!(close(predict(&k_nearest(3), &data, &[0, 1, 3], 1.0), 1.0));
@@ -85,13 +85,13 @@ fn noisy_line(noise: f64) -> Dataset {
 #[test]
 fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
-    let chosen = |noise, known: Known<'_>| {
+    let chosen = |noise, known: FittingSet<'_>| {
         let data = noisy_line(noise);
         let note = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap().note().unwrap();
         let k = note.strip_prefix("k-NN uses k = ").and_then(|rest| rest.split(',').next()).unwrap();
         k.parse::<usize>().unwrap()
     };
-    for known in [Known { train: &train, validation: &validation }, Known::train(&train)] {
+    for known in [FittingSet { train: &train, validation: &validation }, FittingSet::train(&train)] {
         let [clean, noisy] = [0.0, 0.2].map(|noise| chosen(noise, known));
         assert!(clean <= 5 && noisy >= 20, "{clean} and {noisy}");
     }
@@ -103,17 +103,17 @@ fn auto_takes_the_best() {
     let data = noisy_line(0.1);
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
     let score = |k: usize| -> f64 {
-        let fitted = k_nearest(k).fit(&data, Known::train(&train)).unwrap();
+        let fitted = k_nearest(k).fit(&data, FittingSet::train(&train)).unwrap();
         let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.query(i)).clamped(), &data.image(i));
         validation.iter().map(of).sum()
     };
     let best =
         [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160].into_iter().max_by(|a, b| score(*a).total_cmp(&score(*b)));
-    let known = Known { train: &train, validation: &validation };
+    let known = FittingSet { train: &train, validation: &validation };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
     assert!(fitted.note().unwrap().starts_with(&format!("k-NN uses k = {},", best.unwrap())));
     // The prediction uses both training and validation samples.
-    let known = Known { train: &[0], validation: &[1] };
+    let known = FittingSet { train: &[0], validation: &[1] };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
     assert_eq!(fitted.predict([1.0, 0.0, 0.0].into()), data.image(1));
 }
@@ -126,8 +126,8 @@ fn k_is_a_number_or_auto() {
         assert!(["k-NN", "12-NN", "1000-NN"].contains(&name.as_str()), "{name}");
     }
     for text in ["NearestNeighbours(k: Many)", "NearestNeighbours(k: 2.5)", "NearestNeighbours(k: -1)"] {
-        let said = parse(text).unwrap_err();
-        assert!(said.contains("give a number of neighbours, such as 3, or Auto"), "{said}");
+        let shown = parse(text).unwrap_err();
+        assert!(shown.contains("give a number of neighbours, such as 3, or Auto"), "{shown}");
     }
 }
 
@@ -135,7 +135,7 @@ fn k_is_a_number_or_auto() {
 fn nothing_to_learn_from_is_an_error() {
     let data = line_of_samples(3);
     for baseline in [&MeanSpectrum {} as &dyn Baseline, &NearestNeighbours::default()] {
-        let message = baseline.fit(&data, Known::default()).err().unwrap().to_string();
+        let message = baseline.fit(&data, FittingSet::default()).err().unwrap().to_string();
         assert_eq!(message, "a baseline needs at least one training sample; change the split");
     }
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::npy_header_as;
 use crate::{NearestNeighbours, Zero};
 use pwrfgs_core::testing::shared;
-use pwrfgs_core::{Baseline, Known};
+use pwrfgs_core::{Baseline, FittingSet};
 use std::fs;
 
 fn source(root: PathBuf) -> Channels {
@@ -36,8 +36,11 @@ fn folder(shape: [usize; 3]) -> tempfile::TempDir {
 fn channels_are_read_with_their_antennas_and_frequencies() {
     let folder = folder([2, 2, 3]);
     let mut source = source(folder.path().into());
-    let said = source.load(".".as_ref(), &|_, _| {}).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("has 2 antennas, and `receiver.antennas` names 0"), "{said}");
+    let message = source.load(".".as_ref(), &|_, _| {}).unwrap_err();
+    assert!(
+        message.is_input() && message.to_string().contains("has 2 antennas, and `receiver.antennas` names 0"),
+        "{message}"
+    );
     source.receiver.as_mut().unwrap().antennas = vec![[0.0; 3], [0.1, 0.0, 0.0]];
     let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
     assert_eq!((data.len(), data.width, data.height), (2, 3, 4));
@@ -55,12 +58,12 @@ fn channels_are_read_with_their_antennas_and_frequencies() {
 }
 
 #[test]
-fn what_settings_leave_out_stands_in_a_file_beside() {
+fn reads_missing_settings_from_companion_file() {
     let folder = folder([2, 2, 3]);
     let bare = Channels { carrier_hz: None, spacing_hz: None, receiver: None, ..source(folder.path().into()) };
     let load = |source: &Channels| source.load(".".as_ref(), &|_, _| {});
-    let said = load(&bare).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("say all three, or give the file"), "{said}");
+    let message = load(&bare).unwrap_err();
+    assert!(message.is_input() && message.to_string().contains("say all three, or give the file"), "{message}");
     // Half a turn about z.
     let good = "name: tower\nposition: [1, 2, 3]\norientation: [0, 0, 1, 0]\ncarrier_hz: 2.0e9\nspacing_hz: 1.0e6\n\
                 antennas: [[1, 2, 3], [1.1, 2, 3]]\n";
@@ -87,18 +90,18 @@ fn what_settings_leave_out_stands_in_a_file_beside() {
         (", [1.1, 2, 3]", "", "`receiver.antennas` names 1"),
     ] {
         fs::write(folder.path().join("receiver.yml"), good.replace(from, to)).unwrap();
-        let said = load(&bare).unwrap_err();
-        assert!(said.is_input() && said.to_string().contains(word), "{word}: {said}");
+        let message = load(&bare).unwrap_err();
+        assert!(message.is_input() && message.to_string().contains(word), "{word}: {message}");
     }
 }
 
 #[test]
-fn what_does_not_fit_is_refused() {
+fn rejects_mismatched_files() {
     let three = folder([3, 1, 1]);
-    let said = source(three.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
+    let message = source(three.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
     assert!(
-        said.contains("holds channels of 3 transmitters") && said.contains("p.csv 2; give as many of each"),
-        "{said}"
+        message.contains("holds channels of 3 transmitters") && message.contains("p.csv 2; give as many of each"),
+        "{message}"
     );
     for wrong in [
         Channels { carrier_hz: Some(f64::NAN), ..Channels::default() },
@@ -137,7 +140,7 @@ fn neighbours_hardly_predict_the_channels_of_newrf() {
         let first_test = count - count / 5;
         let train: Vec<usize> = (0..first_test).collect();
         let snr = |baseline: &dyn Baseline| {
-            let fitted = baseline.fit(&data, Known::train(&train)).unwrap();
+            let fitted = baseline.fit(&data, FittingSet::train(&train)).unwrap();
             let (mut error, mut power) = (0.0, 0.0);
             for i in first_test..count {
                 for (p, t) in fitted.predict(data.query(i)).pixels.iter().zip(data.image(i).pixels) {

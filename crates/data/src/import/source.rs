@@ -132,15 +132,16 @@ fn in_archive<T>(
         let what = "holds two arrays of the same name (NumPy reads only the last); save each under its own name";
         return Err(Error::input(path, what));
     }
-    let wanted = match name {
+    let array_name = match name {
         Some(name) => name,
         None if names.iter().any(|n| n == usual) || names.len() != 1 => usual.to_owned(),
         None => names[0].clone(),
     };
-    let Some(known) = names.iter().find(|n| **n == wanted) else {
-        let hint = did_you_mean(&wanted, names.iter().map(String::as_str));
+    let Some(known) = names.iter().find(|n| **n == array_name) else {
+        let hint = did_you_mean(&array_name, names.iter().map(String::as_str));
         let file = path.file_name().unwrap_or_default().display();
-        let what = format!("holds no array `{wanted}`{hint}; it holds {}: name one as {file}:NAME", names.join(", "));
+        let what =
+            format!("holds no array `{array_name}`{hint}; it holds {}: name one as {file}:NAME", names.join(", "));
         return Err(Error::input(path, what));
     };
     let place = PathBuf::from(format!("{}:{known}", path.display()));

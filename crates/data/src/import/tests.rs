@@ -139,8 +139,11 @@ fn archives_are_read_stored_and_deflated() {
         assert_eq!(folder.import(&work).1.observations.raw(0)[0], 60);
         assert_eq!(folder.import(&folder.work("all.npz:other")).1.observations.raw(0)[0], 100);
         fs::remove_dir_all(folder.path("out")).unwrap();
-        let said = folder.fault(&folder.work("all.npz:others"));
-        assert!(said.contains("no array `others`; did you mean `other`?") && said.contains("all.npz:NAME"), "{said}");
+        let message = folder.fault(&folder.work("all.npz:others"));
+        assert!(
+            message.contains("no array `others`; did you mean `other`?") && message.contains("all.npz:NAME"),
+            "{message}"
+        );
     }
     let whole = fs::read(folder.path("all.npz")).unwrap();
     for end in [0, 10, whole.len() / 2, whole.len() - 5] {
@@ -150,7 +153,7 @@ fn archives_are_read_stored_and_deflated() {
 }
 
 #[test]
-fn two_arrays_of_one_name_are_refused() {
+fn rejects_duplicate_array_names() {
     let folder = Folder::new();
     let mut archive = ZipWriter::new(File::create(folder.path("all.npz")).unwrap());
     for name in ["spectra.npy", "SPECTRA.npy"] {
@@ -178,7 +181,7 @@ fn two_arrays_of_one_name_are_refused() {
 }
 
 #[test]
-fn what_cannot_be_meant_is_refused_with_what_to_do() {
+fn rejects_ambiguous_import_with_advice() {
     let folder = Folder::new();
     let mut cases = Vec::new();
     let mut case = |work: Import, expected: &str| cases.push((folder.fault(&work), expected.to_owned()));
@@ -235,8 +238,8 @@ fn what_cannot_be_meant_is_refused_with_what_to_do() {
     );
     folder.write("tx.npy", &array(Number::F64, &[0, 3], []));
     case(folder.work("s.npy"), "holds no position");
-    for (said, expected) in cases {
-        assert!(said.contains(&expected), "{said}\n{expected}");
+    for (message, expected) in cases {
+        assert!(message.contains(&expected), "{message}\n{expected}");
     }
 }
 

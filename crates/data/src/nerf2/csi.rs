@@ -6,7 +6,7 @@ mod tests;
 use super::{index, read_transmitters, receivers};
 use crate::channels::{check_frequencies, subcarriers};
 use crate::folder::{check_root, folder_name, open_root, simulation, source_in, title};
-use crate::npy::{Complex, read_complex};
+use crate::npy::{ComplexArray, read_complex};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
 };
@@ -110,7 +110,7 @@ impl DataSource for Nerf2Csi {
 }
 
 /// Reads channels `[N,A,2F]` of a base station with `antennas` antennas.
-fn read_all(path: &Path, antennas: usize) -> Result<Complex> {
+fn read_all(path: &Path, antennas: usize) -> Result<ComplexArray> {
     let all = read_complex(path, SHAPE)?;
     let [_, have, both] = all.shape;
     if have != antennas {
@@ -155,7 +155,7 @@ fn station(antennas: &[[f64; 3]]) -> Receiver {
 }
 
 /// Uplink of every link as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
-fn halves(all: &mut Complex) -> (Vec<Real>, Vec<[Real; 2]>) {
+fn halves(all: &mut ComplexArray) -> (Vec<Real>, Vec<[Real; 2]>) {
     let both = all.shape[2];
     let (mut uplinks, mut downlinks) = (Vec::with_capacity(all.values.len()), Vec::new());
     for link in std::mem::take(&mut all.values).chunks_exact(both) {

@@ -1,7 +1,7 @@
 //! `train_index.txt` and `test_index.txt`: sample ids of each set, one per line, zero-padded or not.
 
 use crate::text::{lines, read_text, split_blanks};
-use pwrfgs_core::{Error, Result, files::MAX_TEXT, words::quoted};
+use pwrfgs_core::{Error, Result, files::MAX_TEXT, messages::quoted};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -11,7 +11,7 @@ use std::{
 pub(crate) type Find<'a> = dyn Fn(&str) -> Result<(u32, usize), String> + 'a;
 
 /// Ids of spectra, which count from 1.
-pub(crate) struct Known<'a> {
+pub(crate) struct SpectrumIds<'a> {
     /// File of the transmitters.
     pub(crate) table: &'a str,
     /// Number of its rows; valid ids are 1 to this.
@@ -22,7 +22,7 @@ pub(crate) struct Known<'a> {
     pub(crate) samples: &'a [u32],
 }
 
-impl Known<'_> {
+impl SpectrumIds<'_> {
     pub(crate) fn find(&self, word: &str) -> Result<(u32, usize), String> {
         let table = self.table;
         let id = match word.parse() {

@@ -3,7 +3,7 @@
 use crate::checks::name_fault;
 use crate::text::{at, read_yaml};
 use pwrfgs_core::place_fault;
-use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, words::clean};
+use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, messages::strip_control};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_saphyr::Spanned;
@@ -29,7 +29,7 @@ pub(crate) struct Gateway {
 /// Value in `gateway_info.yml`.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Value {
+enum GatewayValue {
     Pose(Pose),
     /// Gateway with an invalid pose.
     Gateway {
@@ -42,7 +42,7 @@ enum Value {
     Other(IgnoredAny),
 }
 
-impl Value {
+impl GatewayValue {
     fn text(&self) -> Option<String> {
         match self {
             Self::Text(text) => Some(text.clone()).filter(|text| !text.trim().is_empty()),
@@ -54,35 +54,36 @@ impl Value {
 
 impl Gateway {
     /// Reads the file; `wanted` is the gateway that the user selected, else `gateway1`.
-    pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Self> {
-        let file: BTreeMap<String, Spanned<Value>> = read_yaml(path, advice, GATEWAY)?;
-        let name = wanted.unwrap_or("gateway1");
-        let is_other = |key: &str, value: &Value| {
-            let has_position = matches!(value, Value::Pose(_) | Value::Gateway { .. });
+    pub(crate) fn read(path: &Path, requested: Option<&str>, advice: &str) -> Result<Self> {
+        let file: BTreeMap<String, Spanned<GatewayValue>> = read_yaml(path, advice, GATEWAY)?;
+        let name = requested.unwrap_or("gateway1");
+        let is_other = |key: &str, value: &GatewayValue| {
+            let has_position = matches!(value, GatewayValue::Pose(_) | GatewayValue::Gateway { .. });
             key != name && (has_position || key.to_lowercase().starts_with("gateway"))
         };
         let others = in_order(file.iter().filter(|(key, value)| is_other(key, &value.value)));
-        let listed = others.iter().map(|(other, _)| format!("`{}`", clean(other))).collect::<Vec<_>>().join(", ");
+        let listed =
+            others.iter().map(|(other, _)| format!("`{}`", strip_control(other))).collect::<Vec<_>>().join(", ");
         let Some(value) = file.get(name) else {
             let advice = others.first().map_or_else(String::new, |(one, _)| {
-                format!("select {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", clean(one))
+                format!("select {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", strip_control(one))
             });
-            return Err(Error::at(path, 1, 1, format!("missing field `{}`; {advice}{GATEWAY}", clean(name))));
+            return Err(Error::at(path, 1, 1, format!("missing field `{}`; {advice}{GATEWAY}", strip_control(name))));
         };
-        if let (None, Some((_, other))) = (wanted, others.first()) {
+        if let (None, Some((_, other))) = (requested, others.first()) {
             let what = format!(
                 "there are more receivers than one, `{name}` and {listed}, and a model hears at one; name it: \
                  Nerf2Spectrum(gateway: \"{name}\", ..)"
             );
             return Err(at(path, other, what));
         }
-        let Value::Pose(pose) = value.value else { return Err(at(path, value, GATEWAY)) };
+        let GatewayValue::Pose(pose) = value.value else { return Err(at(path, value, GATEWAY)) };
         if let Some((_, fault)) = pose.fault() {
             return Err(at(path, value, fault));
         }
         let mut elevation = None;
         if let Some(value) = file.get("elevation") {
-            let Value::Range(range) = value.value else {
+            let GatewayValue::Range(range) = value.value else {
                 return Err(at(path, value, "expected `elevation: [first, last]`, degrees"));
             };
             if let Some(fault) = range.fault() {
@@ -113,25 +114,25 @@ fn in_order<K, V: std::ops::Deref<Target = Spanned<T>>, T>(all: impl Iterator<It
 /// Gateway in `gateway_position.yml`.
 #[derive(Deserialize)]
 #[serde(untagged, expecting = "neither a position nor a pose")]
-enum Place {
+enum GatewayPosition {
     Position([f64; 3]),
     Pose(Pose),
 }
 
 /// Names and poses of the gateways in file order; without an orientation, the axes are those of the world frame.
 pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
-    let file: BTreeMap<String, Spanned<Place>> = read_yaml(path, advice, GATEWAYS)?;
+    let file: BTreeMap<String, Spanned<GatewayPosition>> = read_yaml(path, advice, GATEWAYS)?;
     if file.is_empty() {
         return Err(Error::input(path, format!("names no gateway; {GATEWAYS}")));
     }
-    let read = |(name, value): (&String, &Spanned<Place>)| {
+    let read = |(name, value): (&String, &Spanned<GatewayPosition>)| {
         let pose = match value.value {
-            Place::Position(position) => Pose { position, ..Pose::IDENTITY },
-            Place::Pose(pose) => pose,
+            GatewayPosition::Position(position) => Pose { position, ..Pose::IDENTITY },
+            GatewayPosition::Pose(pose) => pose,
         };
         let place = place_fault(pose.position);
         let fault = place.or_else(|| pose.fault().map(|(_, fault)| format!("has an invalid orientation: {fault}")));
-        let fault = fault.map(|fault| format!("`{}` {fault}", clean(name)));
+        let fault = fault.map(|fault| format!("`{}` {fault}", strip_control(name)));
         name_fault(name).or(fault).map_or_else(|| Ok((name.clone(), pose)), |fault| Err(at(path, value, fault)))
     };
     in_order(file.iter()).into_iter().map(read).collect()
@@ -180,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_told_with_their_place() {
+    fn reports_position_of_invalid_input() {
         let file = |orientation: &str| format!("gateway1:\n  position: [0, 0, 0]\n  orientation: {orientation}\n");
         let cases = [
             (
@@ -198,8 +199,8 @@ mod tests {
             ),
         ];
         for (text, message) in cases {
-            let said = read_str(&text).unwrap_err();
-            assert!(said.starts_with(message), "{said}");
+            let shown = read_str(&text).unwrap_err();
+            assert!(shown.starts_with(message), "{shown}");
         }
         assert!(read_str(&file("[0, 0, 0, 1.0009]")).is_ok());
     }
@@ -219,8 +220,8 @@ mod tests {
             ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: the file is larger than the limit of 1048576 bytes"),
         ];
         for (text, message) in cases {
-            let said = read_str(&text).unwrap_err();
-            assert!(said.starts_with(message), "{said}");
+            let shown = read_str(&text).unwrap_err();
+            assert!(shown.starts_with(message), "{shown}");
         }
         assert!(start.elapsed().as_secs() < 5, "{:?}", start.elapsed());
     }
@@ -240,13 +241,13 @@ mod tests {
     }
 
     #[test]
-    fn a_second_gateway_is_refused_unless_one_is_named() {
+    fn rejects_second_gateway_unless_named() {
         let pose = |x: u8| format!("{{position: [{x}, 0, 0], orientation: [0, 0, 0, 1]}}");
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("g.yml");
-        let read = |text: &str, wanted| {
+        let read = |text: &str, requested| {
             std::fs::write(&path, text).unwrap();
-            let read = Gateway::read(&path, wanted, "").map(|gateway| gateway.pose.position[0]);
+            let read = Gateway::read(&path, requested, "").map(|gateway| gateway.pose.position[0]);
             read.map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
         };
         let two = format!("gateway1: {}\ndataset_name: two\nroof: {}\ncarrier: 9e8\n", pose(1), pose(2));
@@ -256,9 +257,9 @@ mod tests {
              Nerf2Spectrum(gateway: \"gateway1\", ..)"
         );
         assert_eq!((read(&two, Some("gateway1")), read(&two, Some("roof"))), (Ok(1.0), Ok(2.0)));
-        let said = read(&two, Some("gateway3")).unwrap_err();
+        let shown = read(&two, Some("gateway3")).unwrap_err();
         assert_eq!(
-            said,
+            shown,
             format!(
                 "DIR/g.yml:1:1: missing field `gateway3`; select `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {GATEWAY}"
             )

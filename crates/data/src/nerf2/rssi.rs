@@ -5,11 +5,11 @@ mod tests;
 
 use super::receivers::gateways;
 use super::{index, read_transmitters};
-use crate::checks::{NOT_RECEIVED, Unheard, unheard};
+use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::text::{Field, lines, no_longer, power, read_text, split_commas};
+use crate::text::{TextField, lines, no_longer, power, read_text, split_commas};
 use pwrfgs_core::files::MAX_TEXT;
-use pwrfgs_core::words::{clean, quoted, text_of};
+use pwrfgs_core::messages::{quoted, strip_control, text_of};
 use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample, did_you_mean};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -72,14 +72,14 @@ impl DataSource for Nerf2Rssi {
         let gateways = gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
-        let heard = read_table(&root.join("gateway_rssi.csv"), &names, positions.len(), LAYOUT)?;
+        let received = read_table(&root.join("gateway_rssi.csv"), &names, positions.len(), LAYOUT)?;
         let rows = index::read(&root, &|word| index::row(word, "tx_pos.csv", positions.len()))?;
         let points = points_of(base, self.points.as_deref())?;
-        let samples: Vec<Sample> = heard
+        let samples: Vec<Sample> = received
             .iter()
             .map(|link| Sample { id: link.row as u32, tx: positions[link.row], receiver: link.gateway })
             .collect();
-        let powers: Vec<Real> = heard.iter().map(|link| link.dbm as Real).collect();
+        let powers: Vec<Real> = received.iter().map(|link| link.dbm as Real).collect();
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
@@ -100,7 +100,7 @@ impl DataSource for Nerf2Rssi {
 }
 
 /// Received power of one link.
-struct Heard {
+struct PowerRow {
     /// Index of the transmitter, counted from 0.
     row: usize,
     /// Index of the gateway.
@@ -110,7 +110,7 @@ struct Heard {
 
 /// Reads all received powers, by row, then gateway. Every gateway must have a column, each of the `rows` transmitters a
 /// row, and each of them at least one received power.
-fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<Heard>> {
+fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<PowerRow>> {
     let text = read_text(path, MAX_TEXT, advice)?;
     let mut contents = lines(&text);
     let Some((line, header)) = contents.next() else {
@@ -121,13 +121,13 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
     };
     let header = split_commas(header);
     let column_of = columns(path, line, &header, gateways)?;
-    let (mut heard, mut lines_of): (Vec<Heard>, Vec<usize>) = (Vec::new(), Vec::new());
+    let (mut received, mut lines_of): (Vec<PowerRow>, Vec<usize>) = (Vec::new(), Vec::new());
     for (row, (line, content)) in contents.enumerate() {
         let fields = split_commas(content);
         no_longer(path, line, &fields, header.len())?;
         for (gateway, &column) in column_of.iter().enumerate() {
             let dbm = power(path, line, &fields, (column, &gateways[gateway]))?;
-            heard.extend((dbm != NOT_RECEIVED).then_some(Heard { row, gateway, dbm }));
+            received.extend((dbm != NOT_RECEIVED).then_some(PowerRow { row, gateway, dbm }));
         }
         lines_of.push(line);
     }
@@ -136,23 +136,23 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
         let what = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters; give as many of each");
         return Err(Error::input(path, what));
     }
-    match unheard(rows, gateways.len(), heard.iter().map(|link| (link.row, link.gateway))) {
-        Some(Unheard::Transmitter(row)) => {
+    match unlinked_node(rows, gateways.len(), received.iter().map(|link| (link.row, link.gateway))) {
+        Some(UnlinkedNode::Transmitter(row)) => {
             let what = "no gateway heard this transmitter (-100 in all columns); remove the row here and in tx_pos.csv, \
                         and number the index files anew";
             Err(Error::at(path, lines_of[row], 1, what))
         }
-        Some(Unheard::Receiver(g)) => {
+        Some(UnlinkedNode::Receiver(g)) => {
             let what = format!("{} received no transmitter (-100 in all rows)", quoted(&gateways[g]));
             let what = format!("{what}; remove its column here and its line in gateway_position.yml");
             Err(Error::at(path, line, header[column_of[g]].column, what))
         }
-        None => Ok(heard),
+        None => Ok(received),
     }
 }
 
 /// Column index of each gateway.
-fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[String]) -> Result<Vec<usize>> {
+fn columns(path: &Path, line: usize, header: &[TextField<'_>], gateways: &[String]) -> Result<Vec<usize>> {
     let names = || gateways.iter().map(String::as_str);
     let known: BTreeSet<&str> = names().collect();
     let mut column_of = BTreeMap::new();
@@ -172,7 +172,12 @@ fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[String]) 
     let column = |name: &str| {
         column_of.get(name).copied().ok_or_else(|| {
             let what = "add one, or remove its line in gateway_position.yml";
-            Error::at(path, line, 1, format!("no column `{}`, a gateway that has a position; {what}", clean(name)))
+            Error::at(
+                path,
+                line,
+                1,
+                format!("no column `{}`, a gateway that has a position; {what}", strip_control(name)),
+            )
         })
     };
     names().map(column).collect()

@@ -109,29 +109,29 @@ fn index_files_may_be_absent_and_pictures_without_a_row_are_left_out() {
 }
 
 #[test]
-fn data_are_simulated_where_they_say_so() {
+fn simulated_data_are_marked() {
     let folder = Folder::new();
     assert!(!folder.load().is_simulated());
-    let said = |manifest: &str| {
+    let shown = |manifest: &str| {
         folder.write("s/manifest.json", manifest);
         let data = folder.load();
         (data.simulation.map(|simulation| simulation.scene), data.title)
     };
     let (simulated, measured) = ("s (NeRF2 layout)".to_owned(), "s (measured, NeRF2 layout)".to_owned());
     assert_eq!(
-        said(r#"{"simulated": true, "scene": "(..)", "seed": 1}"#),
+        shown(r#"{"simulated": true, "scene": "(..)", "seed": 1}"#),
         (Some(Some("(..)".into())), simulated.clone())
     );
-    assert_eq!(said(r#"{"simulated": true}"#), (Some(None), simulated));
+    assert_eq!(shown(r#"{"simulated": true}"#), (Some(None), simulated));
     for other in [r#"{"simulated": false}"#, r#"{"name": "an app"}"#, "[]", "{"] {
-        assert_eq!(said(other), (None, measured.clone()), "{other}");
+        assert_eq!(shown(other), (None, measured.clone()), "{other}");
     }
     folder.write(
         "s/gateway_info.yml",
         "dataset_name: a (Simulated)\ngateway1: {position: [5, 0, 0], orientation: [0, 0, 0, 1]}\n",
     );
-    assert_eq!(said("{"), (Some(None), "a (Simulated) (NeRF2 layout)".into()));
-    assert_eq!(said(r#"{"simulated": false}"#).0, None);
+    assert_eq!(shown("{"), (Some(None), "a (Simulated) (NeRF2 layout)".into()));
+    assert_eq!(shown(r#"{"simulated": false}"#).0, None);
 }
 
 #[test]
@@ -144,9 +144,9 @@ fn pictures_must_suit_their_angles() {
         data.map_err(|e| e.to_string().replace(&folder.0.path().display().to_string(), "DIR"))
     };
     shape(36, 18);
-    let said = load(None).unwrap_err();
+    let shown = load(None).unwrap_err();
     assert_eq!(
-        said,
+        shown,
         "DIR/s/spectrum/00001.png: is 36 x 18 pixels: over azimuths 0 to 360 and elevations 0 to 90 degrees each would be \
          10.000 x 5.000 degrees; set the elevations of the top and bottom edge, such as \
          `elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml"
@@ -159,8 +159,8 @@ fn pictures_must_suit_their_angles() {
     assert_eq!(load(None), Ok((90.0, -90.0)));
     assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)), "the pipeline overrules the file");
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: [0, 91]\n"));
-    let said = load(None).unwrap_err();
-    assert!(said.starts_with("DIR/s/gateway_info.yml:4:12: `elevation` is (0, 91); give the elevations"), "{said}");
+    let shown = load(None).unwrap_err();
+    assert!(shown.starts_with("DIR/s/gateway_info.yml:4:12: `elevation` is (0, 91); give the elevations"), "{shown}");
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: 90\n"));
     assert!(load(None).unwrap_err().starts_with("DIR/s/gateway_info.yml:4:"));
     folder.write("s/gateway_info.yml", gateway);
@@ -212,11 +212,14 @@ fn a_missing_file_is_named() {
     );
     let folder = Folder::new();
     fs::rename(folder.path("s"), folder.path("t")).unwrap();
-    let said = folder.fault();
-    assert!(said.starts_with(&format!("DIR/s: no such folder ({LAYOUT}); set `root` of Nerf2Spectrum, or ")), "{said}");
+    let shown = folder.fault();
     assert!(
-        said.contains("https://github.com/XPengZhao/NeRF2") && said.ends_with("docs/data.md#get-measured-data"),
-        "{said}"
+        shown.starts_with(&format!("DIR/s: no such folder ({LAYOUT}); set `root` of Nerf2Spectrum, or ")),
+        "{shown}"
+    );
+    assert!(
+        shown.contains("https://github.com/XPengZhao/NeRF2") && shown.ends_with("docs/data.md#get-measured-data"),
+        "{shown}"
     );
     let folder = Folder::new();
     fs::rename(folder.path("s/spectrum"), folder.path("s/spectra")).unwrap();
@@ -224,7 +227,7 @@ fn a_missing_file_is_named() {
 }
 
 #[test]
-fn a_file_that_cannot_be_read_is_named() {
+fn names_unreadable_file() {
     for name in ["gateway_info.yml", "tx_pos.csv", "train_index.txt", "spectrum/00002.png"] {
         let folder = Folder::new();
         folder.remove(&format!("s/{name}"));
@@ -235,7 +238,7 @@ fn a_file_that_cannot_be_read_is_named() {
 }
 
 #[test]
-fn mistakes_in_tx_pos_are_told_with_line_and_column() {
+fn reports_line_and_column_in_tx_pos() {
     let advice = "give every row x, y and z in metres";
     let cases: [(&str, String); 9] = [
         ("", ": is empty; write a header x,y,z and one row a sample, in metres".into()),
@@ -256,7 +259,7 @@ fn mistakes_in_tx_pos_are_told_with_line_and_column() {
 }
 
 #[test]
-fn mistakes_in_index_files_are_told_with_line_and_column() {
+fn reports_line_and_column_in_index_files() {
     let cases = [
         ("00001\n0\n", "train_index.txt:2:1: invalid id 0; ids count from 1, the first row of tx_pos.csv"),
         ("1\n\n 5\n", "train_index.txt:3:2: id 5 has no row in tx_pos.csv, which has 4; add the row or remove the id"),

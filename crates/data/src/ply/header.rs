@@ -1,11 +1,11 @@
 //! The header of a PLY file: encoding, elements and their properties.
 
-use crate::text::{Field, split_blanks};
-use pwrfgs_core::{Error, Result, words::quoted};
+use crate::text::{TextField, split_blanks};
+use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub(super) enum PlyEncoding {
     Ascii,
     Little,
     Big,
@@ -24,7 +24,7 @@ pub(super) enum Scalar {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Kind {
+pub(super) enum PropertyKind {
     Scalar(Scalar),
     List { length: Scalar, item: Scalar },
 }
@@ -32,11 +32,11 @@ pub(super) enum Kind {
 #[derive(Debug)]
 pub(super) struct Property {
     pub(super) name: String,
-    pub(super) kind: Kind,
+    pub(super) kind: PropertyKind,
 }
 
 #[derive(Debug)]
-pub(super) struct Element {
+pub(super) struct PlyElement {
     pub(super) name: String,
     pub(super) count: usize,
     pub(super) properties: Vec<Property>,
@@ -44,9 +44,9 @@ pub(super) struct Element {
 }
 
 #[derive(Debug)]
-pub(super) struct Header {
-    pub(super) encoding: Encoding,
-    pub(super) elements: Vec<Element>,
+pub(super) struct PlyHeader {
+    pub(super) encoding: PlyEncoding,
+    pub(super) elements: Vec<PlyElement>,
     /// Index of the element `vertex`, and of its properties x, y and z.
     pub(super) vertex: usize,
     pub(super) xyz: [usize; 3],
@@ -115,7 +115,7 @@ impl Scalar {
     }
 }
 
-impl Header {
+impl PlyHeader {
     /// Reads up to and including `end_header`.
     pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
         let (mut encoding, mut elements) = (None, Vec::new());
@@ -138,17 +138,17 @@ impl Header {
                     return Err(fault(0, "is repeated; keep one"));
                 }
                 (_, ["format", name, ..]) => {
-                    encoding = Some(Encoding::named(name).ok_or_else(|| fault(1, FORMATS))?);
+                    encoding = Some(PlyEncoding::named(name).ok_or_else(|| fault(1, FORMATS))?);
                 }
                 (_, ["element", name, count]) => {
                     let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
-                    if elements.iter().any(|e: &Element| e.name == *name) {
+                    if elements.iter().any(|e: &PlyElement| e.name == *name) {
                         return Err(fault(1, "is a repeated element; give each element a unique name"));
                     }
-                    elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new(), line });
+                    elements.push(PlyElement { name: (*name).to_owned(), count, properties: Vec::new(), line });
                 }
                 (_, ["property", ..]) => {
-                    let element: &mut Element = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
+                    let element: &mut PlyElement = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
                     let property = property(path, line, &fields)?;
                     if element.properties.iter().any(|p| p.name == property.name) {
                         let twice = "is a repeated property; give each property a unique name";
@@ -171,7 +171,7 @@ impl Header {
             return Err(Error::input(path, "has no element `face`; export a mesh, not a point cloud"));
         };
         let is_it = |p: &Property| {
-            ["vertex_indices", "vertex_index"].contains(&p.name.as_str()) && matches!(p.kind, Kind::List { .. })
+            ["vertex_indices", "vertex_index"].contains(&p.name.as_str()) && matches!(p.kind, PropertyKind::List { .. })
         };
         let list = self.elements[face].properties.iter().position(is_it).ok_or_else(|| {
             let what = "element `face` has no list `vertex_indices`; export faces by their vertices";
@@ -188,7 +188,7 @@ const NOT_PLY: &str = "is not a PLY file, which begins with the line `ply`; chec
 const FORMATS: &str = "is not a format; use ascii, binary_little_endian or binary_big_endian";
 const TYPES: &str = "is not a type; use char, uchar, short, ushort, int, uint, float or double";
 
-impl Encoding {
+impl PlyEncoding {
     fn named(name: &str) -> Option<Self> {
         match name {
             "ascii" => Some(Self::Ascii),
@@ -200,29 +200,29 @@ impl Encoding {
 }
 
 /// Error at one word of the header.
-fn fault(path: &Path, line: usize, field: Field<'_>, what: &str) -> Error {
+fn fault(path: &Path, line: usize, field: TextField<'_>, what: &str) -> Error {
     Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
 }
 
 /// Parses `property TYPE NAME` or `property list TYPE TYPE NAME`.
-fn property(path: &Path, line: usize, fields: &[Field<'_>]) -> Result<Property> {
+fn property(path: &Path, line: usize, fields: &[TextField<'_>]) -> Result<Property> {
     let scalar = |i: usize| Scalar::named(fields[i].text).ok_or_else(|| fault(path, line, fields[i], TYPES));
     let (kind, name) = match fields.len() {
-        3 => (Kind::Scalar(scalar(1)?), fields[2]),
-        5 if fields[1].text == "list" => (Kind::List { length: scalar(2)?, item: scalar(3)? }, fields[4]),
+        3 => (PropertyKind::Scalar(scalar(1)?), fields[2]),
+        5 if fields[1].text == "list" => (PropertyKind::List { length: scalar(2)?, item: scalar(3)? }, fields[4]),
         _ => return Err(fault(path, line, fields[0], "needs a type and a name; write `property float x`")),
     };
     Ok(Property { name: name.text.to_owned(), kind })
 }
 
 /// Index of the element `vertex`, and of its x, y and z.
-fn vertex(path: &Path, elements: &[Element]) -> Result<(usize, [usize; 3])> {
+fn vertex(path: &Path, elements: &[PlyElement]) -> Result<(usize, [usize; 3])> {
     let Some(vertex) = elements.iter().position(|e| e.name == "vertex") else {
         return Err(Error::input(path, "has no element `vertex`; export the cloud with its points"));
     };
     let mut xyz = [0; 3];
     for (place, name) in xyz.iter_mut().zip(["x", "y", "z"]) {
-        let is_it = |p: &Property| p.name == name && matches!(p.kind, Kind::Scalar(_));
+        let is_it = |p: &Property| p.name == name && matches!(p.kind, PropertyKind::Scalar(_));
         *place = elements[vertex].properties.iter().position(is_it).ok_or_else(|| {
             let what = format!("element `vertex` has no property `{name}`; export x, y and z as float or double");
             Error::at(path, elements[vertex].line, 1, what)

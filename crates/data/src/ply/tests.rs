@@ -70,7 +70,7 @@ fn every_truncation_is_an_error() {
 }
 
 #[test]
-fn mistakes_are_told() {
+fn reports_invalid_input() {
     let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replace(from, to);
     let cases = [
         (edit(".5 1", "nan 1"), format!("a.ply:16:5: `nan` is not finite; {POINT_ADVICE}")),
@@ -120,7 +120,7 @@ fn mistakes_are_told() {
 }
 
 #[test]
-fn a_binary_vertex_that_is_not_finite_is_an_error() {
+fn rejects_non_finite_binary_vertex() {
     let mut bytes = header("binary_little_endian");
     bytes.extend([0, 0]);
     bytes.extend(f64::NAN.to_le_bytes());
@@ -186,7 +186,7 @@ fn every_truncation_of_a_mesh_is_an_error() {
 }
 
 #[test]
-fn mistakes_in_faces_are_told() {
+fn reports_invalid_faces() {
     let read = |bytes: &[u8]| parse_mesh(Path::new("a.ply"), bytes).unwrap_err().to_string();
     let edit = |from: &str, to: &str| String::from_utf8(square("ascii")).unwrap().replace(from, to).into_bytes();
     let index = "a uint, a whole number of 32 bits, as property `vertex_index` is; correct the row or the header";
@@ -221,7 +221,7 @@ fn mistakes_in_faces_are_told() {
 }
 
 #[test]
-fn what_the_header_does_not_count_is_refused() {
+fn rejects_bytes_beyond_header_counts() {
     let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replacen(from, to, 1);
     let advice = "correct the row or the header";
     let twice = |what: &str| format!("is a repeated {what}; give each {what} a unique name");

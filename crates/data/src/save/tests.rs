@@ -38,7 +38,7 @@ fn same(data: &Dataset, again: &Dataset) {
 }
 
 #[test]
-fn what_is_saved_is_read_again() {
+fn reads_saved_data_back() {
     let pose = Pose { position: [0.25, 1.0, 2.0], ..Pose::IDENTITY };
     let samples: Vec<Sample> = (1..=3).map(|i| Sample::new(i, [f64::from(i) / 3.0, 0.5, 1.0])).collect();
     let spectra = Spectra::float((30, 8), &(0..720).map(|v| v as f32 / 720.0).collect::<Vec<_>>()).unwrap();
@@ -110,7 +110,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn what_passes_the_checks_is_read_back_as_it_was(
+    fn valid_data_round_trip_unchanged(
         kind in 0..3usize, odd in 0..8usize, names in prop::collection::vec("[ab,\"\\[: é\u{2028}-]{1,4}", 1..4),
         title in "[a-z\\[{ :-]{0,9}", numbers in prop::collection::vec(-1.01..1.01f64, 3..90),
     ) {
@@ -119,8 +119,8 @@ proptest! {
             Ok(()) => same(&data, &again(&data)),
             Err(refused) => {
                 let folder = tempfile::tempdir().unwrap();
-                let said = save(&data, &folder.path().join("saved")).unwrap_err();
-                prop_assert!(said.is_input() && said.to_string() == refused.to_string(), "{said}\n{refused}");
+                let message = save(&data, &folder.path().join("saved")).unwrap_err();
+                prop_assert!(message.is_input() && message.to_string() == refused.to_string(), "{message}\n{refused}");
                 prop_assert_eq!(folder.path().read_dir().unwrap().count(), 0);
             }
         }
@@ -131,7 +131,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn a_folder_of_powers_that_is_read_is_saved_and_read_back(
+    fn power_folder_round_trips(
         names in prop::collection::vec("['=\"]?[=ab é]{1,2}", 1..4),
         cells in prop::collection::vec(prop::sample::select(vec!["-60", "-100", "-100.0000001", "-99.9", "2e-50"]), 3),
     ) {
@@ -152,7 +152,7 @@ proptest! {
 }
 
 #[test]
-fn a_receiver_whose_name_cannot_be_saved_is_not_read() {
+fn rejects_receiver_name_that_cannot_be_saved() {
     let at = |name: &str| Receiver::new(name, Pose::IDENTITY);
     let samples: Vec<Sample> = (1..3).map(|i| Sample::new(i, [f64::from(i), 0.5, 1.0])).collect();
     let spectra = Spectra::grey((12, 3), vec![7; 72]).unwrap();
@@ -166,16 +166,16 @@ fn a_receiver_whose_name_cannot_be_saved_is_not_read() {
         let path = folder.path().join("saved").join(place.split(':').next().unwrap());
         let text = fs::read_to_string(&path).unwrap();
         fs::write(&path, text.replacen("\"receiver\"", "'a\"b'", 1)).unwrap();
-        let said = source.load(Path::new(""), &|_, _| {}).unwrap_err();
+        let message = source.load(Path::new(""), &|_, _| {}).unwrap_err();
         assert!(
-            said.is_input() && said.to_string().contains(&format!("{place}: receiver name `a\"b` is invalid")),
-            "{said}"
+            message.is_input() && message.to_string().contains(&format!("{place}: receiver name `a\"b` is invalid")),
+            "{message}"
         );
     }
 }
 
 #[test]
-fn what_no_folder_can_hold_is_refused_with_what_to_do() {
+fn rejects_unsavable_data_with_advice() {
     let named = |names: &[&str], powers: &[Real]| {
         let receivers: Vec<Receiver> = names.iter().map(|name| Receiver::new(*name, Pose::IDENTITY)).collect();
         let samples: Vec<Sample> = (0..powers.len()).map(|i| Sample::new(i as u32, [i as f64, 0.0, 0.0])).collect();
@@ -186,7 +186,7 @@ fn what_no_folder_can_hold_is_refused_with_what_to_do() {
         let spectra = Spectra::float(size, &vec![value; size.0 * size.1]).unwrap();
         check(&Dataset::new("d", Pose::IDENTITY, vec![], vec![Sample::new(1, [0.0; 3])], spectra).unwrap())
     };
-    for (said, words) in [
+    for (message, words) in [
         (named(&["a", "b"], &[-60.0]), "receiver `b` received no transmitter; leave it out"),
         (named(&["a"], &[-60.0, -100.0]), "powers[1] is -100 dBm, which marks a missing link"),
         (named(&["a"], &[-301.0]), "powers[0] is -301, no power in dBm"),
@@ -194,7 +194,7 @@ fn what_no_folder_can_hold_is_refused_with_what_to_do() {
         (spectra((12, 36), 0.5).unwrap_err().to_string(), "save s.transpose(0, 2, 1)"),
         (spectra((36, 12), 1.5).unwrap_err().to_string(), "spectra[0, 0, 0] is 1.5; spectra are linear, from 0 to 1"),
     ] {
-        assert!(said.starts_with("data set `d`: ") && said.contains(words), "{said}");
+        assert!(message.starts_with("data set `d`: ") && message.contains(words), "{message}");
     }
     assert!(spectra((36, 12), 0.5).is_ok());
 }

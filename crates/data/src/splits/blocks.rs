@@ -170,9 +170,9 @@ impl Split for Voxel {
 }
 
 /// Draws cells until they hold `wanted` samples; one cell remains.
-fn draw(cells: &mut Vec<Vec<usize>>, wanted: usize) -> Vec<usize> {
+fn draw(cells: &mut Vec<Vec<usize>>, target: usize) -> Vec<usize> {
     let mut drawn = Vec::new();
-    while drawn.len() < wanted && cells.len() > 1 {
+    while drawn.len() < target && cells.len() > 1 {
         drawn.extend(cells.pop().expect("more than one cell is left"));
     }
     drawn

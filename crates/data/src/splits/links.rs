@@ -1,8 +1,8 @@
 //! `LeaveReceiverOut` and `RandomLinks`: split links instead of transmitters.
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out, part, transmitters};
+use pwrfgs_core::messages::quoted;
 use pwrfgs_core::rng::{self, Rng};
-use pwrfgs_core::words::quoted;
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, did_you_mean};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

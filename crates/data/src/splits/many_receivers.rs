@@ -3,14 +3,14 @@
 use super::testing::line_of_samples;
 use super::*;
 use crate::{NearestNeighbours, Neighbours};
-use pwrfgs_core::{Baseline, Features, Known, Observations, Plugin, Pose, Receiver, Sample, Split};
+use pwrfgs_core::{Baseline, Features, FittingSet, Observations, Plugin, Pose, Receiver, Sample, Split};
 
 /// `count` transmitters a metre apart; receivers `a`, `b` and `c` receive each, except `c` for odd transmitters.
 fn three_receivers(count: u32) -> Dataset {
     let at = |(name, x): (&str, f64)| Receiver::new(name, Pose { position: [x, 3.0, 0.0], ..Pose::IDENTITY });
-    let heard = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
+    let links_of = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
     let samples: Vec<Sample> = (0..count)
-        .flat_map(heard)
+        .flat_map(links_of)
         .map(|(id, receiver)| Sample { id, tx: [f64::from(id), 0.0, 0.0], receiver })
         .collect();
     let powers =
@@ -71,8 +71,8 @@ fn a_receiver_left_out_is_the_test() {
         ),
     ];
     for (text, message) in refused {
-        let said = split(text, &data).unwrap_err();
-        assert!(said.contains(message), "{said}");
+        let shown = split(text, &data).unwrap_err();
+        assert!(shown.contains(message), "{shown}");
     }
     assert!(Plugin::<dyn Split>::parse("RandomLinks(test: 1)").is_err());
     assert!(Plugin::<dyn Split>::parse("LeaveReceiverOut(validation: 1)").is_err());
@@ -101,38 +101,41 @@ fn validation_does_not_change_the_test_set() {
 fn baselines_learn_each_receiver_by_itself() {
     let data = three_receivers(40);
     let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-3, "{a} instead of {b}");
-    let predict = |text: &str, known: Known<'_>, i: usize| {
+    let predict = |text: &str, known: FittingSet<'_>, i: usize| {
         let fitted = Plugin::<dyn Baseline>::parse(text).unwrap().fit(&data, known).unwrap();
         (fitted.predict(data.query(i)).pixels[0] as f64, fitted.note())
     };
     let all: Vec<usize> = (0..data.len()).collect();
     let first_of = |receiver: usize| data.links.iter().position(|link| link.receiver == receiver).unwrap();
     for (receiver, mean) in [(0, -59.5), (1, -69.5), (2, -79.0)] {
-        close(predict("MeanSpectrum()", Known::train(&all), first_of(receiver)).0, mean);
+        close(predict("MeanSpectrum()", FittingSet::train(&all), first_of(receiver)).0, mean);
         close(
-            predict("NearestNeighbours(k: 1)", Known::train(&all), first_of(receiver)).0,
+            predict("NearestNeighbours(k: 1)", FittingSet::train(&all), first_of(receiver)).0,
             -40.0 - 10.0 * receiver as f64,
         );
-        assert!(predict("Kriging()", Known::train(&all), first_of(receiver)).0.is_finite());
+        assert!(predict("Kriging()", FittingSet::train(&all), first_of(receiver)).0.is_finite());
     }
     // A receiver without training links is predicted from all others.
     let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].receiver < 2).collect();
-    let (power, note) = predict("MeanSpectrum()", Known::train(&known), first_of(2));
+    let (power, note) = predict("MeanSpectrum()", FittingSet::train(&known), first_of(2));
     close(power, -64.5);
     assert_eq!(note.unwrap(), "c has no training link and is predicted from those of all receivers");
-    let (power, note) = predict("NearestNeighbours(k: Auto)", Known::train(&known), first_of(2));
+    let (power, note) = predict("NearestNeighbours(k: Auto)", FittingSet::train(&known), first_of(2));
     close(power, -45.0);
     let note = note.unwrap();
     assert!(
         note.starts_with("k-NN uses k = ") && note.contains("best on validation received powers; c has no"),
         "{note}"
     );
-    let note = predict("Kriging()", Known::train(&known), first_of(2)).1.unwrap();
+    let note = predict("Kriging()", FittingSet::train(&known), first_of(2)).1.unwrap();
     assert!(note.contains("of 2 receivers") && note.contains("a: ") && note.contains("; b: "), "{note}");
     assert!(
-        predict("LogDistance(offset: true)", Known::train(&known), first_of(2)).1.unwrap().starts_with("c has too few")
+        predict("LogDistance(offset: true)", FittingSet::train(&known), first_of(2))
+            .1
+            .unwrap()
+            .starts_with("c has too few")
     );
-    assert_eq!(predict("LogDistance()", Known::train(&known), first_of(2)).1, None);
+    assert_eq!(predict("LogDistance()", FittingSet::train(&known), first_of(2)).1, None);
     let mean = Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap();
     let names = [pwrfgs_core::Task::Spectrum, data.task()].map(|kind| mean.name_for(kind));
     assert_eq!(names, ["mean spectrum", "mean of the receiver"]);
@@ -144,8 +147,9 @@ fn features_stand_where_positions_do() {
     data.placed = false;
     let all: Vec<usize> = (0..data.len()).collect();
     let one = NearestNeighbours { k: Neighbours::Number(1) };
-    let fault =
-        |baseline: &dyn Baseline, data: &Dataset| baseline.fit(data, Known::train(&all)).err().unwrap().to_string();
+    let fault = |baseline: &dyn Baseline, data: &Dataset| {
+        baseline.fit(data, FittingSet::train(&all)).err().unwrap().to_string()
+    };
     assert!(fault(&one, &data).contains("has no transmitter positions"));
     // Similar features have distant ids: transmitter t is similar to 9 - t.
     let feature = |i: &usize| {
@@ -155,7 +159,7 @@ fn features_stand_where_positions_do() {
     let values = all.iter().flat_map(feature).collect();
     data.features = Some(Features { width: 2, values });
     let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].transmitter >= 5).collect();
-    let fitted = one.fit(&data, Known::train(&known)).unwrap();
+    let fitted = one.fit(&data, FittingSet::train(&known)).unwrap();
     assert_eq!(fitted.predict(data.query(0)).pixels, [-49.0]);
     assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));
     assert!(fault(&crate::LogDistance::default(), &data).contains("no transmitter positions"));

@@ -106,7 +106,7 @@ fn no_validation_gives_an_empty_list() {
 }
 
 #[test]
-fn a_time_block_is_where_it_was_asked_for() {
+fn time_block_starts_at_requested_share() {
     let partition = split(&TimeBlock::default(), &line_of_samples(100)).unwrap();
     assert_eq!(partition.test, (40..60).collect::<Vec<_>>());
     assert_eq!(partition.validation, (60..68).collect::<Vec<_>>());
@@ -142,7 +142,7 @@ fn voxel_reaches_its_share_with_small_cells() {
 }
 
 #[test]
-fn what_cannot_be_divided_is_refused_with_advice() {
+fn rejects_impossible_split_with_advice() {
     let mut plain = line_of_samples(30);
     plain.official = None;
     let cases: [(&dyn Split, &Dataset, &str); 5] = [
@@ -175,7 +175,7 @@ fn what_cannot_be_divided_is_refused_with_advice() {
 }
 
 #[test]
-fn settings_out_of_range_are_refused_when_read() {
+fn rejects_settings_out_of_range_when_read() {
     let texts = [
         "Official(validation: 1)",
         "Official(validation: -0.1)",

@@ -3,7 +3,7 @@
 use super::*;
 use crate::baselines::{MeanSpectrum, NearestNeighbours};
 use crate::splits::Official;
-use pwrfgs_core::{Baseline, Image, Known, Split, ssim};
+use pwrfgs_core::{Baseline, FittingSet, Image, Split, ssim};
 use pwrfgs_raster as _;
 
 fn small() -> Teacher {
@@ -15,7 +15,7 @@ fn load(teacher: &Teacher) -> Dataset {
 }
 
 #[test]
-fn what_it_makes_is_complete_and_says_that_it_is_simulated() {
+fn teacher_data_are_complete_and_marked_simulated() {
     let data = load(&small());
     assert_eq!(data.title, "20 simulated spectra of 12 Gaussians (Teacher, seed 0)");
     assert!(data.is_simulated());
@@ -43,7 +43,7 @@ fn the_same_seed_gives_the_same_bits_at_any_thread_count() {
 }
 
 #[test]
-fn the_answer_lies_where_it_is_said_to_lie() {
+fn teacher_gaussians_are_within_stated_distance_and_elevation() {
     let wall = Pose { position: [5.0, 0.26, 0.0], orientation: [0.5, -0.5, -0.5, 0.5] };
     for receiver in [Pose::IDENTITY, wall] {
         let teacher = Teacher { receiver, gaussians: 50, ..small() };
@@ -75,11 +75,11 @@ fn signals_vary_smoothly_with_the_transmitter() {
 }
 
 #[test]
-fn it_is_neither_trivial_nor_out_of_reach() {
+fn teacher_is_learnable_and_not_trivial() {
     let data = load(&Teacher::default());
     let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     let score = |baseline: &dyn Baseline| {
-        let fitted = baseline.fit(&data, Known::train(&partition.train)).unwrap();
+        let fitted = baseline.fit(&data, FittingSet::train(&partition.train)).unwrap();
         let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.query(i)), &data.image(i));
         partition.test.iter().map(of).sum::<f64>() / partition.test.len() as f64
     };
@@ -103,7 +103,7 @@ fn a_plugin_with_every_field_is_read_and_written() {
 }
 
 #[test]
-fn settings_out_of_range_are_refused_when_read() {
+fn rejects_settings_out_of_range_when_read() {
     let texts = [
         "gaussians: 0",
         "samples: 0",
@@ -125,7 +125,7 @@ fn settings_out_of_range_are_refused_when_read() {
 }
 
 #[test]
-fn what_draws_must_be_linked() {
+fn rejects_projector_that_is_not_linked() {
     let message = linked::<dyn Projector>("Gnomonic", "projector").unwrap_err().to_string();
     assert_eq!(
         message,

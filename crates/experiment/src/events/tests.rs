@@ -20,10 +20,10 @@ fn crc32c(bytes: &[u8]) -> u32 {
 }
 
 /// Step and numbers of an event; the version has none.
-type Seen = (u64, Vec<(String, f32)>);
+type EventNumbers = (u64, Vec<(String, f32)>);
 
 /// Every event of a whole file.
-fn read(path: &Path) -> Vec<Seen> {
+fn read(path: &Path) -> Vec<EventNumbers> {
     let mut file = std::io::Cursor::new(std::fs::read(path).unwrap());
     let mut take = |n: usize| {
         let mut out = vec![0; n];
@@ -71,7 +71,7 @@ impl Message {
     }
 }
 
-fn event(data: &[u8]) -> Seen {
+fn event(data: &[u8]) -> EventNumbers {
     let mut event = Message(data.iter().copied().collect());
     assert_eq!(event.byte(), 0x09, "wall time, double");
     let time = f64::from_le_bytes(event.array());
@@ -113,7 +113,7 @@ fn checksums_are_those_of_rfc_3720() {
 }
 
 #[test]
-fn events_come_back_as_they_were_written() {
+fn event_file_round_trips() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("events");
     std::fs::write(&path, "of an earlier start").unwrap();

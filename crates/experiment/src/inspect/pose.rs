@@ -4,11 +4,11 @@
 //! sight in the receiver's frame, up to one rotation: the error of the recorded orientation. The rotation that fits best
 //! is compared with one constant direction, which ignores the transmitter.
 
-use super::rotation::{Pair, angle, best, middle};
+use super::rotation::{DirectionPair, angle, best, middle};
 use super::spectra::SpectrumSummary;
 use crate::statistics::quantile;
 use glam::{DQuat, DVec3};
-use pwrfgs_core::{Axis, Dataset, ImagePlane, evenly};
+use pwrfgs_core::{AngleAxis, Dataset, ImagePlane, evenly};
 
 /// Largest number of compared pairs.
 const PAIRS: usize = 4_000;
@@ -37,7 +37,7 @@ pub struct PoseCheck {
     /// Spectra with reversed columns or rows, with the angle after the best rotation.
     flips: Vec<(Flip, f64)>,
     /// Conclusion.
-    pub verdict: Verdict,
+    pub verdict: PoseVerdict,
 }
 
 /// Checks the recorded pose; `None` if fewer than twenty spectra have a strongest direction.
@@ -52,13 +52,13 @@ pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         }
         Some((sight.try_normalize()?, spectrum.strongest?))
     };
-    let in_world: Vec<Pair> = evenly(&spectra.iter().filter_map(pair).collect::<Vec<_>>(), PAIRS);
+    let in_world: Vec<DirectionPair> = evenly(&spectra.iter().filter_map(pair).collect::<Vec<_>>(), PAIRS);
     if in_world.len() < FEWEST {
         return None;
     }
     let [x, y, z, w] = receiver.orientation;
     let recorded = DQuat::from_xyzw(x, y, z, w).normalize();
-    let with = |world_from_receiver: DQuat| -> Vec<Pair> {
+    let with = |world_from_receiver: DQuat| -> Vec<DirectionPair> {
         in_world.iter().map(|(sight, strongest)| (world_from_receiver.inverse() * *sight, *strongest)).collect()
     };
     let other_order = DQuat::from_xyzw(y, z, w, x).normalize();
@@ -84,17 +84,17 @@ pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         spread: spread(&sights),
         readings: readings.map(|(name, taken)| (name, median(&with(taken), DQuat::IDENTITY))).into(),
         flips: flips(&data.plane(), &pairs),
-        verdict: Verdict::Right,
+        verdict: PoseVerdict::Right,
     };
-    found.verdict = Verdict::of(&found);
+    found.verdict = PoseVerdict::of(&found);
     Some(found)
 }
 
 /// Reversed columns and rows, with the best orientation.
-fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<(Flip, f64)> {
+fn flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> {
     let Some((azimuth, elevation)) = plane.angles else { return Vec::new() };
     // The last pixel takes the position of the first.
-    let ends = |axis: Axis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
+    let ends = |axis: AngleAxis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
     let (across, up) = (ends(azimuth, plane.width), ends(elevation, plane.height));
     let flip = |d: DVec3, is_rows: bool| {
         let (a, e) = (d.y.atan2(d.x), d.z.atan2(d.x.hypot(d.y)));
@@ -102,14 +102,15 @@ fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<(Flip, f64)> {
         DVec3::new(e.cos() * a.cos(), e.cos() * a.sin(), e.sin())
     };
     let angle = |which: Flip, is_rows: bool| {
-        let pairs: Vec<Pair> = pairs.iter().map(|(sight, strongest)| (*sight, flip(*strongest, is_rows))).collect();
+        let pairs: Vec<DirectionPair> =
+            pairs.iter().map(|(sight, strongest)| (*sight, flip(*strongest, is_rows))).collect();
         (which, median(&pairs, best(&pairs)))
     };
     vec![angle(COLUMNS, false), angle(ROWS, true)]
 }
 
 /// Median angle of `pairs` after rotating the first direction of each, degrees.
-fn median(pairs: &[Pair], turn: DQuat) -> f64 {
+fn median(pairs: &[DirectionPair], turn: DQuat) -> f64 {
     median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
 
@@ -121,7 +122,7 @@ fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {
 
 /// Conclusion about the recorded pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum PoseVerdict {
     /// A rotation gives no improvement.
     Right,
     /// The strongest direction follows the line of sight, once the receiver is turned.
@@ -149,7 +150,7 @@ const ROWS: Flip = (
     "exchange the two numbers of `elevation`, or save the spectra as s[:, ::-1, :]",
 );
 
-impl Verdict {
+impl PoseVerdict {
     fn of(found: &PoseCheck) -> Self {
         if found.flip().is_some() {
             return Self::Flipped;
@@ -193,11 +194,11 @@ impl PoseCheck {
              rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters leaves {constant:.1}°."
         )];
         match self.verdict {
-            Verdict::Off => all.push(format!(
+            PoseVerdict::Off => all.push(format!(
                 "The recorded orientation is wrong or its numbers have another meaning. This orientation fits: [{x:.6}, \
                  {y:.6}, {z:.6}, {w:.6}] (x, y, z, w)."
             )),
-            Verdict::Right | Verdict::Unclear if !self.follows() => all.push(format!(
+            PoseVerdict::Right | PoseVerdict::Unclear if !self.follows() => all.push(format!(
                 "Transmitters are seen within {spread:.1}° of one direction (median), so a wrong orientation and a strongest \
                  path that is not direct look alike. Spectra of transmitters at known positions, 30° or more apart and in \
                  line of sight, would tell."

@@ -14,7 +14,7 @@ const ROUNDS: usize = 40;
 const SQUARINGS: usize = 36;
 
 /// Two directions that should coincide.
-pub(super) type Pair = (DVec3, DVec3);
+pub(super) type DirectionPair = (DVec3, DVec3);
 
 /// Angle between two unit vectors, radians; accurate for small angles, unlike the arc cosine.
 pub(super) fn angle(a: DVec3, b: DVec3) -> f64 {
@@ -22,14 +22,14 @@ pub(super) fn angle(a: DVec3, b: DVec3) -> f64 {
 }
 
 /// Rotation R with the smallest Σ angle(R a, b).
-pub(super) fn best(pairs: &[Pair]) -> DQuat {
+pub(super) fn best(pairs: &[DirectionPair]) -> DQuat {
     let cost = |r: &DQuat| pairs.iter().map(|(a, b)| angle(*r * *a, *b)).sum::<f64>();
     // Two starts: no rotation, and the least-squares rotation.
     let [a, b] = [DQuat::IDENTITY, wahba(pairs, &vec![1.0; pairs.len()])].map(|start| refined(start, pairs));
     if cost(&b) < cost(&a) { b } else { a }
 }
 
-fn refined(mut rotation: DQuat, pairs: &[Pair]) -> DQuat {
+fn refined(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
     for _ in 0..ROUNDS {
         let weights: Vec<f64> = pairs.iter().map(|(a, b)| 1.0 / angle(rotation * *a, *b).max(LEAST)).collect();
         let next = wahba(pairs, &weights);
@@ -43,7 +43,7 @@ fn refined(mut rotation: DQuat, pairs: &[Pair]) -> DQuat {
 }
 
 /// Rotation with the largest Σ w bᵀRa.
-fn wahba(pairs: &[Pair], weights: &[f64]) -> DQuat {
+fn wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
     let (mut m, mut z) = (DMat3::ZERO, DVec3::ZERO);
     for ((a, b), w) in pairs.iter().zip(weights) {
         m += DMat3::from_cols(*b * a.x, *b * a.y, *b * a.z) * *w;
@@ -93,7 +93,7 @@ mod tests {
                 // A third of the pairs are random.
                 (a, if i.is_multiple_of(3) { direction(random) } else { truth * a })
             };
-            let pairs: Vec<Pair> = (0..300).map(|i| pair(i, &mut random)).collect();
+            let pairs: Vec<DirectionPair> = (0..300).map(|i| pair(i, &mut random)).collect();
             let found = best(&pairs);
             assert!(found.angle_between(truth).to_degrees() < 0.1, "{k}: {found} is not {truth}");
         }
@@ -102,7 +102,7 @@ mod tests {
     #[test]
     fn without_wrong_pairs_the_least_squares_are_exact() {
         let truth = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -1.2, 2.5);
-        let pairs: Vec<Pair> = [DVec3::X, DVec3::Y].map(|a| (a, truth * a)).into();
+        let pairs: Vec<DirectionPair> = [DVec3::X, DVec3::Y].map(|a| (a, truth * a)).into();
         assert!(wahba(&pairs, &[1.0, 1.0]).angle_between(truth) < 1e-7);
     }
 

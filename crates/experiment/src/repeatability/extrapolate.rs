@@ -1,6 +1,6 @@
 //! Extrapolation of pairs at small distances to distance zero.
 
-use super::pairs::Pair;
+use super::pairs::SamplePair;
 use crate::statistics::Summary;
 use pwrfgs_core::Goal;
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ const DEVIATIONS: f64 = 1.96;
 
 /// Metric of pairs, extrapolated to distance zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AtZero {
+pub struct ZeroDistanceEstimate {
     /// Summary over pairs.
     pub summary: Summary,
     /// 95 % confidence interval of the mean.
@@ -22,7 +22,7 @@ pub struct AtZero {
 }
 
 /// Reference values of a metric.
-pub(super) struct Scale {
+pub(super) struct MetricScale {
     pub(super) goal: Goal,
     /// Score of a spectrum as a prediction of itself.
     pub(super) best: f64,
@@ -30,7 +30,7 @@ pub(super) struct Scale {
     pub(super) unrelated: f64,
 }
 
-impl Scale {
+impl MetricScale {
     /// Moves `value` of a pair from a mean of `there` to a mean of `here`: its deficit to the best value scales like
     /// that of the mean. With an infinite best value it is shifted by the change of the mean.
     fn moved(&self, value: f64, there: f64, here: f64) -> f64 {
@@ -44,13 +44,17 @@ impl Scale {
 
 /// Fits a straight line of `values` over distance, weighted towards near pairs, for the mean at zero; values moved
 /// along it to distance zero give median and bad tail. There is at least one pair.
-pub(super) fn at_zero(pairs: &[Pair], values: &[f64], scale: &Scale) -> Result<AtZero, String> {
+pub(super) fn at_zero(
+    pairs: &[SamplePair],
+    values: &[f64],
+    scale: &MetricScale,
+) -> Result<ZeroDistanceEstimate, String> {
     if values.iter().any(|value| !value.is_finite()) {
         return Err("some pairs have values that are not finite".into());
     }
     let reach = pairs.iter().fold(0.0, |reach: f64, pair| reach.max(pair.distance));
     let weights: Vec<f64> = pairs.iter().map(|pair| tricube(pair.distance / (1.01 * reach))).collect();
-    let line = Line::through(pairs, values, &weights)
+    let line = FittedLine::weighted_fit(pairs, values, &weights)
         .ok_or_else(|| format!("all pairs are {:.1} mm apart, none is closer", reach * 1e3))?;
     // A line extrapolated by more than half of the observed range towards unrelated spectra is unreliable.
     if (line.at_zero - line.mean).abs() > 0.5 * (line.mean - scale.unrelated).abs() {
@@ -62,7 +66,7 @@ pub(super) fn at_zero(pairs: &[Pair], values: &[f64], scale: &Scale) -> Result<A
         Goal::Lower => value.max(scale.best),
     };
     let mean = capped(line.at_zero);
-    let moved = |(pair, value): (&Pair, &f64)| {
+    let moved = |(pair, value): (&SamplePair, &f64)| {
         let there = line.at_zero + line.slope * pair.distance;
         scale.moved(*value, capped(there), mean)
     };
@@ -70,7 +74,7 @@ pub(super) fn at_zero(pairs: &[Pair], values: &[f64], scale: &Scale) -> Result<A
     let summary = Summary { mean, ..Summary::of(&moved, scale.goal == Goal::Higher) };
     let half = DEVIATIONS * line.deviation(pairs, values, &weights);
     let interval = [line.at_zero - half, line.at_zero + half].map(capped);
-    Ok(AtZero { summary, interval })
+    Ok(ZeroDistanceEstimate { summary, interval })
 }
 
 /// Tricube weight: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
@@ -79,7 +83,7 @@ fn tricube(part: f64) -> f64 {
 }
 
 /// Straight line by weighted least squares.
-struct Line {
+struct FittedLine {
     at_zero: f64,
     slope: f64,
     /// Weighted mean of the values and of the distances, and the variance of the distances.
@@ -88,9 +92,9 @@ struct Line {
     spread: f64,
 }
 
-impl Line {
+impl FittedLine {
     /// Fits the line; `None` if all distances are equal and not zero.
-    fn through(pairs: &[Pair], values: &[f64], weights: &[f64]) -> Option<Self> {
+    fn weighted_fit(pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> Option<Self> {
         let total: f64 = weights.iter().sum();
         let mean_of = |of: &dyn Fn(usize) -> f64| (0..pairs.len()).map(|k| weights[k] * of(k)).sum::<f64>() / total;
         let (mean, distance) = (mean_of(&|k| values[k]), mean_of(&|k| pairs[k].distance));
@@ -108,7 +112,7 @@ impl Line {
 
     /// Standard deviation of `at_zero`. Pairs that share a block of samples are dependent: the variance for dyads of
     /// Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring samples as nodes.
-    fn deviation(&self, pairs: &[Pair], values: &[f64], weights: &[f64]) -> f64 {
+    fn deviation(&self, pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> f64 {
         let samples = pairs.iter().fold(0, |most, pair| most.max(pair.later)) + 1;
         let length = (samples / BLOCKS).clamp(1, BLOCK);
         let total: f64 = weights.iter().sum();
@@ -138,20 +142,23 @@ impl Line {
 mod tests {
     use super::*;
 
-    const HIGHER: Scale = Scale { goal: Goal::Higher, best: 1.0, unrelated: 0.0 };
+    const HIGHER: MetricScale = MetricScale { goal: Goal::Higher, best: 1.0, unrelated: 0.0 };
 
-    fn pair(earlier: usize, later: usize, distance: f64) -> Pair {
-        Pair { earlier, later, distance }
+    fn pair(earlier: usize, later: usize, distance: f64) -> SamplePair {
+        SamplePair { earlier, later, distance }
     }
 
     #[test]
     fn a_line_is_followed_to_zero() {
-        let pairs: Vec<Pair> = (1..=30).map(|k| pair(k, k + 40, f64::from(k as u32) * 1e-3)).collect();
+        let pairs: Vec<SamplePair> = (1..=30).map(|k| pair(k, k + 40, f64::from(k as u32) * 1e-3)).collect();
         let values: Vec<f64> = pairs.iter().map(|pair| 0.8 - 3.0 * pair.distance).collect();
         let found = at_zero(&pairs, &values, &HIGHER).unwrap();
-        for (found, expected) in
-            [(found.summary.mean, 0.8), (found.summary.median, 0.8), (found.summary.p10, 0.8), (found.interval[1], 0.8)]
-        {
+        for (found, expected) in [
+            (found.summary.mean, 0.8),
+            (found.summary.median, 0.8),
+            (found.summary.tail10, 0.8),
+            (found.interval[1], 0.8),
+        ] {
             assert!((found - expected).abs() < 1e-12, "{found}");
         }
         let over: Vec<f64> = values.iter().map(|value| value + 0.25).collect();
@@ -161,30 +168,30 @@ mod tests {
             "no pair is more alike than a spectrum to itself"
         );
         assert!((HIGHER.moved(0.7, 0.7, 0.8) - 0.8).abs() < 1e-12 && (HIGHER.moved(1.0, 0.7, 0.8) - 1.0).abs() < 1e-12);
-        let psnr = Scale { best: f64::INFINITY, ..HIGHER };
+        let psnr = MetricScale { best: f64::INFINITY, ..HIGHER };
         assert_eq!((psnr.moved(30.0, 20.0, 25.0), HIGHER.moved(0.5, 1.0, 1.0)), (35.0, 0.5));
-        let error = Scale { goal: Goal::Lower, best: 0.0, unrelated: 1.0 };
+        let error = MetricScale { goal: Goal::Lower, best: 0.0, unrelated: 1.0 };
         let errors: Vec<f64> = pairs.iter().map(|pair| 0.1 + 2.0 * pair.distance).collect();
         assert!((at_zero(&pairs, &errors, &error).unwrap().summary.mean - 0.1).abs() < 1e-12);
     }
 
     #[test]
-    fn pairs_at_one_place_need_no_line() {
-        let pairs: Vec<Pair> = (0..40).map(|k| pair(k, k + 100, 0.0)).collect();
+    fn coincident_pairs_need_no_extrapolation() {
+        let pairs: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 100, 0.0)).collect();
         let values: Vec<f64> = (0..40).map(|k| if k < 30 { 0.9 } else { 0.5 }).collect();
         let found = at_zero(&pairs, &values, &HIGHER).unwrap();
         assert!(
-            (found.summary.mean - 0.8).abs() < 1e-12 && found.summary.median == 0.9 && found.summary.p10 == 0.5,
+            (found.summary.mean - 0.8).abs() < 1e-12 && found.summary.median == 0.9 && found.summary.tail10 == 0.5,
             "{found:?}"
         );
     }
 
     /// Pairs that share a sample carry less information than pairs that share none.
     #[test]
-    fn the_interval_knows_which_pairs_share_samples() {
+    fn interval_accounts_for_pairs_with_shared_samples() {
         let values: Vec<f64> = (0..40).map(|k| 0.6 + 0.1 * f64::from(k % 2)).collect();
         let width = |of: &dyn Fn(usize) -> (usize, usize)| {
-            let pairs: Vec<Pair> = (0..40).map(|k| (of(k).0, of(k).1)).map(|(a, b)| pair(a, b, 0.0)).collect();
+            let pairs: Vec<SamplePair> = (0..40).map(|k| (of(k).0, of(k).1)).map(|(a, b)| pair(a, b, 0.0)).collect();
             let [low, high] = at_zero(&pairs, &values, &HIGHER).unwrap().interval;
             high - low
         };
@@ -196,11 +203,11 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_can_tell_is_refused() {
-        let grid: Vec<Pair> = (0..40).map(|k| pair(k, k + 40, 0.01)).collect();
+    fn extrapolation_fails_with_reason() {
+        let grid: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 40, 0.01)).collect();
         let why = at_zero(&grid, &[0.5; 40], &HIGHER).unwrap_err();
         assert_eq!(why, "all pairs are 10.0 mm apart, none is closer");
-        let steep: Vec<Pair> = (0..40).map(|k| pair(k, k + 40, 0.01 + 1e-4 * f64::from(k as u32))).collect();
+        let steep: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 40, 0.01 + 1e-4 * f64::from(k as u32))).collect();
         let values: Vec<f64> = steep.iter().map(|pair| 0.9 - 60.0 * pair.distance).collect();
         let why = at_zero(&steep, &values, &HIGHER).unwrap_err();
         assert!(why.starts_with("the closest pairs agree too little"), "{why}");

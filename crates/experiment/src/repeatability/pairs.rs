@@ -20,14 +20,14 @@ const UNRELATED: usize = 200;
 
 /// Kind of sample pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Lapse {
+pub enum PairLag {
     /// Near in time: at most [`NEAR_IDS`] ids apart.
     Near,
     /// Far apart in time: more than [`FAR_IDS`] ids apart.
     Far,
 }
 
-impl Lapse {
+impl PairLag {
     /// Description of its pairs.
     pub fn words(self) -> String {
         match self {
@@ -39,14 +39,14 @@ impl Lapse {
 
 /// Two samples, the earlier one first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Pair {
+pub(super) struct SamplePair {
     pub(super) earlier: usize,
     pub(super) later: usize,
     /// Distance between the transmitters, metres.
     pub(super) distance: f64,
 }
 
-impl Pair {
+impl SamplePair {
     fn of(data: &Dataset, a: usize, b: usize) -> Self {
         let (earlier, later) = (a.min(b), a.max(b));
         let [p, q] = [earlier, later].map(|i| data.sample(i).tx);
@@ -62,13 +62,13 @@ impl Pair {
 
 /// Pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of 8,192 samples
 /// with any other), and a random part of the distant ones.
-pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
+pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     let rows = by_receiver(data);
-    let of = |own: &Vec<usize>| match lapse {
-        Lapse::Near => near(data, own),
-        Lapse::Far => far(data, own, rows.len()),
+    let of = |own: &Vec<usize>| match lag {
+        PairLag::Near => near(data, own),
+        PairLag::Far => far(data, own, rows.len()),
     };
-    let mut pairs: Vec<Pair> = rows.iter().flat_map(of).collect();
+    let mut pairs: Vec<SamplePair> = rows.iter().flat_map(of).collect();
     pairs.sort_by_key(|pair| (pair.earlier, pair.later));
     pairs.dedup();
     // Equal distances, common for positions in whole millimetres, are not ordered by id.
@@ -85,42 +85,42 @@ fn by_receiver(data: &Dataset) -> Vec<Vec<usize>> {
 }
 
 /// Pairs near in time among the links `rows` of one receiver.
-fn near(data: &Dataset, rows: &[usize]) -> Vec<Pair> {
+fn near(data: &Dataset, rows: &[usize]) -> Vec<SamplePair> {
     let of = |(k, &i): (usize, &usize)| {
         let last = data.sample(i).id.saturating_add(NEAR_IDS);
         let next = rows[k + 1..].iter().copied().take_while(move |&j| data.sample(j).id <= last);
-        next.map(move |j| Pair::of(data, i, j))
+        next.map(move |j| SamplePair::of(data, i, j))
     };
     rows.iter().enumerate().flat_map(of).collect()
 }
 
 /// Pairs far apart in time among the links `rows` of one receiver, out of `receivers` receivers.
-fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<Pair> {
+fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<SamplePair> {
     let places: Vec<[Real; 3]> = rows.iter().map(|&i| data.scene.origin.local(data.sample(i).tx)).collect();
-    let asked = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
-    let from: Vec<[Real; 3]> = asked.iter().map(|&i| places[i]).collect();
+    let sampled = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
+    let from: Vec<[Real; 3]> = sampled.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
     // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
     let mut ends: Vec<f64> = found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()).collect();
     ends.sort_by(f64::total_cmp);
     let complete = found.iter().any(|list| list.len() == places.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
-    let is_far = |pair: &Pair| pair.ids_apart(data) > FAR_IDS;
-    let of = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<Pair> {
-        list.iter().map(|(j, _)| Pair::of(data, rows[k], rows[*j])).collect()
+    let is_far = |pair: &SamplePair| pair.ids_apart(data) > FAR_IDS;
+    let of = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<SamplePair> {
+        list.iter().map(|(j, _)| SamplePair::of(data, rows[k], rows[*j])).collect()
     };
-    let listed = asked.iter().zip(&found).flat_map(of);
+    let listed = sampled.iter().zip(&found).flat_map(of);
     let listed = listed.filter(|pair| pair.distance <= horizon && is_far(pair));
     let drawn = drawn(data, rows, DRAWN.div_ceil(receivers)).filter(|pair| pair.distance > horizon && is_far(pair));
     listed.chain(drawn).collect()
 }
 
 /// Random pairs of the links `rows`.
-fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = Pair> {
+fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = SamplePair> {
     let samples = rows.len();
     let mut random = rng::stream(0, "repeatability pairs", 0);
     let mut one = move || rows[rng::below(&mut random, samples)];
-    let mut draw = move || Pair::of(data, one(), one());
+    let mut draw = move || SamplePair::of(data, one(), one());
     let count = if samples < 2 { 0 } else { count };
     (0..count).map(move |_| draw()).filter(|pair| pair.earlier != pair.later)
 }
@@ -128,18 +128,18 @@ fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = P
 /// Whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order of
 /// time.
 pub fn in_order(data: &Dataset) -> bool {
-    let median = |pairs: Vec<Pair>| {
+    let median = |pairs: Vec<SamplePair>| {
         let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance).collect();
         distances.sort_by(f64::total_cmp);
         quantile(&distances, 0.5)
     };
     let own = by_receiver(data).into_iter().max_by_key(Vec::len).unwrap_or_default();
-    let next = own.windows(2).map(|two| Pair::of(data, two[0], two[1])).collect();
+    let next = own.windows(2).map(|two| SamplePair::of(data, two[0], two[1])).collect();
     median(next) < 0.5 * median(unrelated(data))
 }
 
 /// Random pairs of any two samples.
-pub(super) fn unrelated(data: &Dataset) -> Vec<Pair> {
+pub(super) fn unrelated(data: &Dataset) -> Vec<SamplePair> {
     let rows = by_receiver(data);
     let each = UNRELATED.div_ceil(rows.len());
     rows.iter().flat_map(|rows| drawn(data, rows, each)).collect()
@@ -147,7 +147,7 @@ pub(super) fn unrelated(data: &Dataset) -> Vec<Pair> {
 
 /// Ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of their pairs
 /// in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
-pub(super) fn bins(pairs: &[Pair]) -> Vec<([f64; 2], Range<usize>)> {
+pub(super) fn bins(pairs: &[SamplePair]) -> Vec<([f64; 2], Range<usize>)> {
     let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| edge(step, power)));
     let edges: Vec<f64> = [0.0].into_iter().chain(edges).collect();
     let place = |edge: f64| pairs.partition_point(|pair| pair.distance < edge);
@@ -176,12 +176,12 @@ mod tests {
     fn pairs_are_near_or_far_by_their_ids() {
         // There and back: ids 0 to 39 go out, 40 to 79 return over the same positions.
         let data = data((0..80).map(|id| (id, f64::from(id.min(79 - id)) * 0.01)));
-        let near = find(&data, Lapse::Near);
+        let near = find(&data, PairLag::Near);
         assert_eq!(near.len(), 79 + 78 + 77);
         assert!(near.iter().all(|pair| pair.later - pair.earlier <= 3));
         let turn = near.iter().filter(|pair| pair.distance == 0.0).map(|pair| pair.earlier);
         assert_eq!(turn.collect::<BTreeSet<_>>(), BTreeSet::from([38, 39]), "39 with 40, and 38 with 41");
-        let far = find(&data, Lapse::Far);
+        let far = find(&data, PairLag::Far);
         let zero: BTreeSet<_> = far.iter().filter(|pair| pair.distance == 0.0).map(|pair| pair.earlier).collect();
         assert_eq!(zero, (0..25).collect(), "79 - 2 i ids apart, more than 30");
         assert!(far.iter().all(|pair| pair.later - pair.earlier > 30) && far.is_sorted_by_key(|pair| pair.distance));
@@ -190,9 +190,9 @@ mod tests {
     #[test]
     fn ids_left_out_count_as_time() {
         let data = data([(1, 0.0), (2, 0.0), (50, 0.0), (53, 0.0)].into_iter());
-        let ends = |lapse| find(&data, lapse).iter().map(|pair| (pair.earlier, pair.later)).collect::<BTreeSet<_>>();
-        assert_eq!(ends(Lapse::Near), BTreeSet::from([(0, 1), (2, 3)]));
-        assert_eq!(ends(Lapse::Far), BTreeSet::from([(0, 2), (0, 3), (1, 2), (1, 3)]));
+        let ends = |lag| find(&data, lag).iter().map(|pair| (pair.earlier, pair.later)).collect::<BTreeSet<_>>();
+        assert_eq!(ends(PairLag::Near), BTreeSet::from([(0, 1), (2, 3)]));
+        assert_eq!(ends(PairLag::Far), BTreeSet::from([(0, 2), (0, 3), (1, 2), (1, 3)]));
     }
 
     /// The closest pairs equal those of brute force, for more samples than the neighbour lists hold.
@@ -200,19 +200,19 @@ mod tests {
     fn the_closest_pairs_far_apart_in_time_are_found() {
         let mut random = rng::stream(3, "places", 0);
         let data = data((0..900).map(|id| (id, f64::from(rng::uniform(&mut random) as f32))));
-        let mut all: Vec<Pair> = Vec::new();
+        let mut all: Vec<SamplePair> = Vec::new();
         for a in 0..900 {
-            all.extend((a + 31..900).map(|b| Pair::of(&data, a, b)));
+            all.extend((a + 31..900).map(|b| SamplePair::of(&data, a, b)));
         }
         all.sort_by(|a, b| a.distance.total_cmp(&b.distance));
-        let distances = |pairs: &[Pair]| pairs[..400].iter().map(|pair| pair.distance).collect::<Vec<_>>();
-        assert_eq!(distances(&find(&data, Lapse::Far)), distances(&all));
+        let distances = |pairs: &[SamplePair]| pairs[..400].iter().map(|pair| pair.distance).collect::<Vec<_>>();
+        assert_eq!(distances(&find(&data, PairLag::Far)), distances(&all));
     }
 
     #[test]
     fn ranges_of_distances_hold_whole_millimetres() {
         let data = data([(0, 0.0), (40, 0.002), (80, 0.005), (120, 0.1), (160, 0.1)].into_iter());
-        let pairs = find(&data, Lapse::Far);
+        let pairs = find(&data, PairLag::Far);
         let found: Vec<_> = bins(&pairs).into_iter().map(|([low, high], range)| (low, high, range.len())).collect();
         let expected =
             [(0.0, 0.0001, 1), (0.002, 0.003, 1), (0.003, 0.005, 1), (0.005, 0.007, 1), (0.07, 0.1, 4), (0.1, 0.2, 2)];
@@ -220,11 +220,13 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_one_are_no_pairs() {
+    fn zero_and_one_sample_give_no_pairs() {
         for count in 0..2 {
             let one = data((0..count).map(|id| (id, 0.0)).chain((count == 0).then_some((9, 1.0))));
             assert!(
-                find(&one, Lapse::Near).is_empty() && find(&one, Lapse::Far).is_empty() && unrelated(&one).is_empty()
+                find(&one, PairLag::Near).is_empty()
+                    && find(&one, PairLag::Far).is_empty()
+                    && unrelated(&one).is_empty()
             );
         }
     }

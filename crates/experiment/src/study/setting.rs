@@ -1,10 +1,10 @@
-//! `Setting` and `Variant`: group runs and name the groups. `Race`: variants that reach the same numbers of Gaussians
+//! `Setting` and `StudyVariant`: group runs and name the groups. `ParetoComparison`: variants that reach the same numbers of Gaussians
 //! by different strategies.
 
 use crate::folder::MODEL_FILE;
 use crate::scores::MODEL;
 use crate::statistics::Spread;
-use crate::{Mark, Record};
+use crate::{FileDigest, Record};
 use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
 use pwrfgs_pipeline::Pipeline;
 use serde::Serialize;
@@ -18,12 +18,12 @@ pub struct Setting {
     /// Whether the spectra are simulated.
     pub simulated: bool,
     /// Variants in the order of the plan; none is empty.
-    pub variants: Vec<Variant>,
+    pub variants: Vec<StudyVariant>,
 }
 
 /// Runs that differ only in their seed.
 #[derive(Clone, Debug)]
-pub struct Variant {
+pub struct StudyVariant {
     /// Label that distinguishes it in its setting, such as `lambda 0.02`.
     pub label: String,
     /// One run per seed, in ascending order of seeds.
@@ -49,7 +49,7 @@ impl Setting {
 
     /// First variant before number `k` whose models are identical, seed by seed: the difference in settings has no
     /// effect.
-    pub fn twin(&self, k: usize) -> Option<&Variant> {
+    pub fn twin(&self, k: usize) -> Option<&StudyVariant> {
         let own = self.variants[k].models()?;
         self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
     }
@@ -71,7 +71,7 @@ impl Setting {
     }
 }
 
-impl Variant {
+impl StudyVariant {
     /// Mean and deviation of `of` over the runs.
     pub fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
         Spread::of(&self.runs.iter().filter_map(of).collect::<Vec<_>>())
@@ -83,7 +83,7 @@ impl Variant {
     }
 
     /// Seeds and model files of all runs; `None` if a run folder of an earlier version lacks them.
-    fn models(&self) -> Option<Vec<(u64, &Mark)>> {
+    fn models(&self) -> Option<Vec<(u64, &FileDigest)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
     }
 }
@@ -215,7 +215,7 @@ fn fields(value: &Value) -> Vec<String> {
 }
 
 /// Groups the runs of one setting by pipeline, independent of names; a repeated seed is the same run.
-fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
+fn variants(group: Vec<(Labels, Record)>) -> Vec<StudyVariant> {
     let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
         let key = record.variant_key();
@@ -228,7 +228,7 @@ fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
     let names = names(&all.iter().map(|(_, labels, _)| labels).collect::<Vec<_>>());
     let variant = |((_, _, mut runs), label): ((String, Labels, Vec<Record>), String)| {
         runs.sort_by_key(|r| r.facts.seed);
-        Variant { label, runs }
+        StudyVariant { label, runs }
     };
     all.into_iter().zip(names).map(variant).collect()
 }
@@ -237,8 +237,8 @@ fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
 fn names(variants: &[&Labels]) -> Vec<String> {
     let of = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
     let differ = |axis: &str| variants.iter().any(|labels| of(labels, axis) != of(variants[0], axis));
-    let name = |labels: &Labels, wanted: &dyn Fn(&str) -> bool| {
-        let words = labels.iter().filter(|(axis, _)| wanted(axis));
+    let name = |labels: &Labels, is_wanted: &dyn Fn(&str) -> bool| {
+        let words = labels.iter().filter(|(axis, _)| is_wanted(axis));
         words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
     };
     // Without a common axis, the sweep name is used.
@@ -269,25 +269,25 @@ const LEAST: [usize; 2] = [4, 2];
 
 /// Strategies compared at the same numbers of Gaussians.
 #[derive(Clone, Debug)]
-pub struct Race<'a> {
+pub struct ParetoComparison<'a> {
     /// Numbers of Gaussians that most strategies reach, ascending.
     pub numbers: Vec<usize>,
     /// Strategies by mean rank, best first, in the order of the plan for ties.
-    pub ways: Vec<Way<'a>>,
+    pub families: Vec<VariantFamily<'a>>,
 }
 
 /// Strategy: variants whose labels differ only in numbers.
 #[derive(Clone, Debug)]
-pub struct Way<'a> {
+pub struct VariantFamily<'a> {
     /// Common part of its labels.
     pub name: String,
     /// Variants in the order of the plan.
-    pub variants: Vec<&'a Variant>,
+    pub variants: Vec<&'a StudyVariant>,
     /// Score and rank, from 1, at each number of the race; `None` if the strategy does not reach it.
     pub places: Vec<Option<(Spread, usize)>>,
 }
 
-impl Way<'_> {
+impl VariantFamily<'_> {
     /// Mean rank over the numbers that it reaches; infinite without any.
     pub fn mean_rank(&self) -> f64 {
         let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
@@ -302,57 +302,57 @@ fn family(label: &str) -> String {
 }
 
 /// N of a variant, if its seeds agree.
-fn count(variant: &Variant) -> Option<usize> {
+fn count(variant: &StudyVariant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
     variant.runs.iter().all(|run| run.facts.gaussians == first).then_some(first)
 }
 
-impl<'a> Race<'a> {
+impl<'a> ParetoComparison<'a> {
     /// Creates the race of a setting; `None` if there are too few strategies.
     pub fn of(setting: &'a Setting) -> Option<Self> {
         let headline = setting.headline();
-        let mut ways: Vec<Way<'a>> = Vec::new();
+        let mut families: Vec<VariantFamily<'a>> = Vec::new();
         for variant in &setting.variants {
             let name = family(&variant.label);
-            match ways.iter_mut().find(|way| way.name == name) {
+            match families.iter_mut().find(|way| way.name == name) {
                 Some(way) => way.variants.push(variant),
-                None => ways.push(Way { name, variants: vec![variant], places: Vec::new() }),
+                None => families.push(VariantFamily { name, variants: vec![variant], places: Vec::new() }),
             }
         }
         let mut numbers: Vec<usize> = setting.variants.iter().filter_map(count).collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let comes_to = |way: &Way<'_>, n: usize| way.variants.iter().any(|v| count(v) == Some(n));
-        numbers.retain(|&n| ways.iter().filter(|way| comes_to(way, n)).count() * 2 > ways.len());
-        if ways.len() < LEAST[0] || numbers.len() < LEAST[1] {
+        let comes_to = |way: &VariantFamily<'_>, n: usize| way.variants.iter().any(|v| count(v) == Some(n));
+        numbers.retain(|&n| families.iter().filter(|way| comes_to(way, n)).count() * 2 > families.len());
+        if families.len() < LEAST[0] || numbers.len() < LEAST[1] {
             return None;
         }
-        let score = |variant: &Variant| variant.score(headline.key);
+        let score = |variant: &StudyVariant| variant.score(headline.key);
         for &n in &numbers {
-            let at = |way: &Way<'_>| way.variants.iter().find(|v| count(v) == Some(n)).and_then(|v| score(v));
-            let scores: Vec<Option<Spread>> = ways.iter().map(at).collect();
+            let at = |way: &VariantFamily<'_>| way.variants.iter().find(|v| count(v) == Some(n)).and_then(|v| score(v));
+            let scores: Vec<Option<Spread>> = families.iter().map(at).collect();
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
-            for (way, own) in ways.iter_mut().zip(&scores) {
+            for (way, own) in families.iter_mut().zip(&scores) {
                 let rank = |own: &Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, own.mean)).count();
                 way.places.push(own.map(|own| (own, rank(&own))));
             }
         }
-        ways.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
-        shorten(&mut ways);
-        Some(Self { numbers, ways })
+        families.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
+        shorten(&mut families);
+        Some(Self { numbers, families })
     }
 }
 
 /// Removes words that all names begin or end with.
-fn shorten(ways: &mut [Way<'_>]) {
-    let words = |way: &Way<'_>| way.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
-    let all: Vec<Vec<String>> = ways.iter().map(words).collect();
+fn shorten(families: &mut [VariantFamily<'_>]) {
+    let words = |way: &VariantFamily<'_>| way.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
+    let all: Vec<Vec<String>> = families.iter().map(words).collect();
     let least = all.iter().map(Vec::len).min().unwrap_or(0);
     let same = |at: &dyn Fn(&Vec<String>) -> String| all.iter().all(|own| at(own) == at(&all[0]));
     let first = (0..least).take_while(|&k| same(&|own| own[k].clone())).count();
     let last =
         (0..least.saturating_sub(first + 1)).take_while(|&k| same(&|own| own[own.len() - 1 - k].clone())).count();
-    for (way, own) in ways.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
+    for (way, own) in families.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
         own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
     }
 }
@@ -363,7 +363,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn settings_of_one_title_are_told_apart_by_what_differs() {
+    fn equal_titles_are_distinguished_by_differing_setting() {
         let setting = |samples: u32, split: Value, title: &str| {
             let key = json!([{"Simulated": {"samples": samples, "seed": 0}}, split]);
             (key, Setting { title: title.into(), simulated: true, variants: Vec::new() })
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn variants_are_named_by_what_they_differ_in() {
+    fn variant_labels_name_differing_settings() {
         let labels = |all: &[(&str, &str)]| all.iter().map(|(a, l)| ((*a).to_owned(), (*l).to_owned())).collect();
         let of = |all: &[&[(&str, &str)]]| {
             let all: Vec<Labels> = all.iter().map(|l| labels(l)).collect();

@@ -1,8 +1,8 @@
 //! Tests the runs of a sweep before the first starts: loads their data, initialises, and times a few steps if
 //! requested.
 
-use super::plan::{JOINED, Plan, PlannedRun};
-use super::status::State;
+use super::plan::{JOINED, PlannedRun, SweepPlan};
+use super::status::RunStage;
 use crate::load::load;
 use crate::run_folder::RunFolder;
 use crate::samples::data_key;
@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 ///
 /// # Errors
 /// The first invalid run, by name; no files are written in that case.
-pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
+pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
     // All runs, including those of other shards: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
@@ -32,7 +32,7 @@ pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result
         RunFolder::inspect(&plan.folder.join(JOINED), joined)?;
     }
     plan.listing().inspect(&plan.folder)?;
-    let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
+    let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), RunStage::Finished(_))).collect();
     let warned = try_each(plan, &representatives(plan, &open), observer, |run, trainer| Ok((run, trainer.warnings())))?;
     for (run, warnings) in warned {
         warnings.iter().for_each(|warning| observer.on_warning(&format!("{}: {warning}", plan.runs[run].folder)));
@@ -45,13 +45,13 @@ pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result
 ///
 /// # Errors
 /// Same as [`check`].
-pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
+pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
     let states = plan.states();
     let known = |combination: usize| {
         let same = plan.runs.iter().zip(&states).filter(|(r, _)| r.combination == combination);
         let seconds: Vec<f64> = same
             .filter_map(|(_, state)| match state {
-                State::Finished(end) => Some(end.1.wall_seconds),
+                RunStage::Finished(end) => Some(end.1.wall_seconds),
                 _ => None,
             })
             .collect();
@@ -65,9 +65,9 @@ pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Res
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
         let left = match states[run] {
-            State::Finished(_) => 0.0,
-            State::Running { step } | State::Stopped { step } => 1.0 - step as f64 / steps,
-            State::Waiting | State::Failed(_) => 1.0,
+            RunStage::Finished(_) => 0.0,
+            RunStage::Running { step } | RunStage::Stopped { step } => 1.0 - step as f64 / steps,
+            RunStage::Waiting | RunStage::Failed(_) => 1.0,
         };
         let same = tried.iter().position(|&t| plan.runs[t].combination == *combination);
         let whole = known(*combination).or_else(|| Some(measured[same?] * steps)).unwrap_or(f64::NAN);
@@ -77,7 +77,7 @@ pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Res
 }
 
 /// First of `runs` of each combination: another seed cannot cause other errors.
-fn representatives(plan: &Plan, runs: &[usize]) -> Vec<usize> {
+fn representatives(plan: &SweepPlan, runs: &[usize]) -> Vec<usize> {
     let mut first = runs.to_vec();
     first.sort_by_key(|&run| (plan.runs[run].combination, run));
     first.dedup_by_key(|run| plan.runs[*run].combination);
@@ -86,7 +86,7 @@ fn representatives(plan: &Plan, runs: &[usize]) -> Vec<usize> {
 
 /// Initialises each of `runs`, loading data once for consecutive runs with the same data, and calls `then`.
 fn try_each<R>(
-    plan: &Plan,
+    plan: &SweepPlan,
     runs: &[usize],
     observer: &mut dyn Observer,
     then: impl Fn(usize, &mut Trainer<'_>) -> Result<R>,

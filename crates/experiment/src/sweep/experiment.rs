@@ -63,13 +63,13 @@ pub struct Axis {
     /// Name in folders, tables and figures.
     pub name: String,
     /// Variants, each with a label and its changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})`.
-    pub variants: Vec<Checked<Variant>>,
+    pub variants: Vec<Checked<SweepVariant>>,
 }
 
 /// Variant of an axis. A variant with only a label is the unchanged base.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Variant {
+pub struct SweepVariant {
     /// Name in folders, tables and figures.
     pub label: String,
     /// Pipeline that replaces the base of the experiment, relative to the experiment file; only in the first axis.
@@ -134,7 +134,7 @@ impl Experiment {
     }
 }
 
-impl Check for Variant {
+impl Check for SweepVariant {
     fn check(&self) -> Result<(), String> {
         let Self { label, set, .. } = self;
         if slug(label).is_empty() {

@@ -182,8 +182,11 @@ mod tests {
             #[cfg(unix)]
             "link",
         ] {
-            let said = read(folder).unwrap_err();
-            assert!(said.is_input() && said.to_string().contains("is not inside the sweep folder"), "{folder}: {said}");
+            let shown = read(folder).unwrap_err();
+            assert!(
+                shown.is_input() && shown.to_string().contains("is not inside the sweep folder"),
+                "{folder}: {shown}"
+            );
         }
     }
 }

@@ -1,4 +1,4 @@
-//! `Plan`: every run of an experiment as a resolved pipeline with a separate folder.
+//! `SweepPlan`: every run of an experiment as a resolved pipeline with a separate folder.
 
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
@@ -6,8 +6,8 @@ use crate::input::{change, read_base, set_all};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
 use pwrfgs_model::file::MOST_MEMBERS;
-use pwrfgs_pipeline::ron_tree::Tree;
-use pwrfgs_pipeline::{Change, Draft, Pipeline};
+use pwrfgs_pipeline::ron_tree::RonTree;
+use pwrfgs_pipeline::{Change, Pipeline, PipelineEdit};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ const MOST_RUNS: usize = 10_000;
 
 /// An experiment with all its runs.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct SweepPlan {
     /// Name of the experiment.
     pub name: String,
     /// The sweep folder.
@@ -50,19 +50,19 @@ pub struct PlannedRun {
     /// Pipeline of the run, with absolute paths.
     pub pipeline: Pipeline,
     /// Last variant that sets the start of the run: base, data, split or initialiser.
-    start: Option<Start>,
+    start: Option<VariantStart>,
 }
 
 /// Variant that sets the start of a run.
 #[derive(Clone, Debug)]
-struct Start {
+struct VariantStart {
     /// Axis and label, for messages.
     title: String,
     /// Line and column in the experiment file.
     at: Option<(usize, usize)>,
 }
 
-impl Plan {
+impl SweepPlan {
     /// Reads the experiment in `path` and creates all its runs; `set` holds `--set` arguments, which change the base,
     /// so axes override them. The sweep folder is `out`, or `runs/NAME`.
     ///
@@ -72,8 +72,8 @@ impl Plan {
         let text = read_text(path)?;
         let experiment = Experiment::parse(&text, path)?;
         let here = path.parent().unwrap_or(Path::new(""));
-        let tree = Tree::parse(&text).map_err(|why| Error::input(path, why))?;
-        let source = Source { path, here, experiment: &experiment, text: &text, tree: &tree, set };
+        let tree = RonTree::parse(&text).map_err(|why| Error::input(path, why))?;
+        let source = ExperimentSource { path, here, experiment: &experiment, text: &text, tree: &tree, set };
         let draft = source.base(&experiment.base)?;
         source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
@@ -103,7 +103,7 @@ impl Plan {
     pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
         let message = format!("{folder}: {error}");
-        let Some(Start { title, at }) = start else { return Error::input(&self.source, message) };
+        let Some(VariantStart { title, at }) = start else { return Error::input(&self.source, message) };
         Error::Input { path: self.source.clone(), at: *at, message: format!("{title}: {message}") }
     }
 
@@ -145,25 +145,25 @@ struct Combination {
     /// Axis and label, for each applied axis.
     labels: Vec<(String, String)>,
     /// Last variant that sets the start of the run.
-    start: Option<Start>,
-    draft: Draft,
+    start: Option<VariantStart>,
+    draft: PipelineEdit,
 }
 
 /// The experiment file.
-struct Source<'a> {
+struct ExperimentSource<'a> {
     path: &'a Path,
     here: &'a Path,
     experiment: &'a Experiment,
     text: &'a str,
-    tree: &'a Tree,
+    tree: &'a RonTree,
     /// `--set` arguments.
     set: &'a [String],
 }
 
-impl Source<'_> {
+impl ExperimentSource<'_> {
     /// Reads the pipeline in `file`, relative to the experiment file, with the settings of all runs. Values are
     /// validated later, together with those of the axes.
-    fn base(&self, file: &Path) -> Result<Draft> {
+    fn base(&self, file: &Path) -> Result<PipelineEdit> {
         let mut draft = read_base(&self.here.join(file))?;
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
         change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
@@ -173,13 +173,13 @@ impl Source<'_> {
             let what = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
             return Err(Error::Config(what.into()));
         }
-        Ok(draft.finish().map_or(draft, |base| Draft::of(&base)))
+        Ok(draft.finish().map_or(draft, |base| PipelineEdit::of(&base)))
     }
 
     /// Each of `combinations` with each variant of `axis`.
     fn cross(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
         let Axis { name, variants } = &*self.experiment.axes[axis];
-        let item = |tree: &Tree, field: &str, k: usize| Some(tree.field(field)?.items().get(k)?.clone());
+        let item = |tree: &RonTree, field: &str, k: usize| Some(tree.field(field)?.items().get(k)?.clone());
         let axis = item(self.tree, "axes", axis);
         let mut all = Vec::new();
         for combination in combinations {
@@ -194,8 +194,8 @@ impl Source<'_> {
                 change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
                 let starts = |change: &&Change| ["data", "split", "initializer"].contains(&change.field());
                 let start = match set.0.iter().rfind(starts) {
-                    Some(change) => Some(Start { title, at: change.at }),
-                    None if variant.base.is_some() => Some(Start { title, at: None }),
+                    Some(change) => Some(VariantStart { title, at: change.at }),
+                    None if variant.base.is_some() => Some(VariantStart { title, at: None }),
                     None => combination.start.clone(),
                 };
                 let own = (name.clone(), variant.label.clone());

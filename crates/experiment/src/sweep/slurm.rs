@@ -4,7 +4,7 @@
 //! of its tasks, the job id, and one log per task. Tasks read their run from that list, so changes of the experiment do
 //! not affect waiting tasks.
 
-use super::plan::Plan;
+use super::plan::SweepPlan;
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
@@ -18,12 +18,12 @@ const RUNS: &str = "runs.txt";
 const JOB: &str = "job.txt";
 
 /// Writes and submits a job array for `runs`; `command` is the program with all arguments of a task except the run
-/// name, which is appended. Returns the job id and the script. Lock the sweep folder ([`Plan::claim`]) for both
+/// name, which is appended. Returns the job id and the script. Lock the sweep folder ([`SweepPlan::claim`]) for both
 /// [`queued`] and `submit`, so that no other process submits the same runs.
 ///
 /// # Errors
 /// The folder cannot be written, or `sbatch` is missing or fails.
-pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String, PathBuf)> {
+pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(String, PathBuf)> {
     let own = new_submission(plan)?;
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
     write_atomically(&own.join(RUNS), names.as_bytes())?;
@@ -32,7 +32,7 @@ pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String
     let output = Command::new("sbatch").arg("--parsable").arg(&path).output().map_err(|e| {
         Error::Config(format!("cannot call sbatch ({e}); use a machine with Slurm, or omit --launcher"))
     })?;
-    let said = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    let message = String::from_utf8_lossy(&output.stdout).trim().to_owned();
     if !output.status.success() {
         let why = String::from_utf8_lossy(&output.stderr).trim().to_owned();
         return Err(Error::Config(format!(
@@ -41,7 +41,7 @@ pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String
             path.display()
         )));
     }
-    let job = said.split(';').next().unwrap_or_default().to_owned();
+    let job = message.split(';').next().unwrap_or_default().to_owned();
     write_atomically(&own.join(JOB), format!("{job}\n").as_bytes())?;
     Ok((job, path))
 }
@@ -50,7 +50,7 @@ pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String
 ///
 /// # Errors
 /// Slurm does not respond: waiting runs would be submitted twice.
-pub fn queued(plan: &Plan) -> Result<BTreeSet<String>> {
+pub fn queued(plan: &SweepPlan) -> Result<BTreeSet<String>> {
     let jobs: Vec<(String, Vec<String>)> = submissions(plan)
         .into_iter()
         .filter_map(|(_, own)| {
@@ -74,17 +74,17 @@ fn tasks(job: &str) -> Result<Vec<usize>> {
         .args(["--noheader", "--array", "--format=%K", states, "--jobs", job])
         .output()
         .map_err(|e| Error::Config(format!("cannot call squeue ({e}); use a machine with Slurm")))?;
-    let said = String::from_utf8_lossy(&output.stderr);
+    let message = String::from_utf8_lossy(&output.stderr);
     // Unknown jobs have ended some minutes ago.
-    if !output.status.success() && !said.contains("Invalid job id") {
-        return Err(Error::Config(format!("cannot read the Slurm queue: {}; try again", said.trim())));
+    if !output.status.success() && !message.contains("Invalid job id") {
+        return Err(Error::Config(format!("cannot read the Slurm queue: {}; try again", message.trim())));
     }
     let numbers = String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).collect();
     Ok(numbers)
 }
 
 /// Creates a folder for one more submission; the lock of the sweep folder prevents collisions.
-fn new_submission(plan: &Plan) -> Result<PathBuf> {
+fn new_submission(plan: &SweepPlan) -> Result<PathBuf> {
     let number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
     let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?;
     let own = folder.join(FOLDER).join(number.to_string());
@@ -93,7 +93,7 @@ fn new_submission(plan: &Plan) -> Result<PathBuf> {
 }
 
 /// Earlier submissions by number.
-fn submissions(plan: &Plan) -> Vec<(u32, PathBuf)> {
+fn submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
     let entries = std::fs::read_dir(plan.folder.join(FOLDER)).into_iter().flatten().flatten();
     let mut all: Vec<(u32, PathBuf)> =
         entries.filter_map(|e| Some((e.file_name().to_str()?.parse().ok()?, e.path()))).collect();
@@ -102,7 +102,7 @@ fn submissions(plan: &Plan) -> Vec<(u32, PathBuf)> {
 }
 
 /// Script of a job array of `tasks` tasks.
-fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<String> {
+fn script(plan: &SweepPlan, tasks: usize, command: &[String], own: &Path) -> Result<String> {
     let slurm = &plan.slurm;
     let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));

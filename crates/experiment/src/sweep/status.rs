@@ -1,6 +1,6 @@
-//! `State`: progress of each run of a sweep, read from its folder.
+//! `RunStage`: progress of each run of a sweep, read from its folder.
 
-use super::plan::Plan;
+use super::plan::SweepPlan;
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE};
 use crate::record::read_series;
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 /// State of a run.
 #[derive(Clone, Debug, PartialEq)]
-pub enum State {
+pub enum RunStage {
     /// Its folder does not exist, or contains no step yet.
     Waiting,
     /// Another process is running it.
@@ -31,7 +31,7 @@ pub enum State {
     Finished(Box<(ScoreTable, Facts)>),
 }
 
-impl State {
+impl RunStage {
     /// One-word name of the state.
     pub fn name(&self) -> &'static str {
         match self {
@@ -47,29 +47,29 @@ impl State {
 /// Folder with a file for each failed run, with the reason, relative to the sweep folder.
 const FAILURES: &str = "failures";
 
-impl Plan {
+impl SweepPlan {
     /// State of each run.
-    pub fn states(&self) -> Vec<State> {
+    pub fn states(&self) -> Vec<RunStage> {
         (0..self.runs.len()).map(|run| self.state(run)).collect()
     }
 
     /// State of one run.
-    pub fn state(&self, run: usize) -> State {
+    pub fn state(&self, run: usize) -> RunStage {
         let folder = self.folder_of(run);
         match RunFolder::inspect(&folder, &self.runs[run].pipeline).and_then(|state| state.finished(&folder, false)) {
-            Ok(Some(end)) => return State::Finished(Box::new(end)),
+            Ok(Some(end)) => return RunStage::Finished(Box::new(end)),
             Ok(None) => {}
-            Err(error) => return State::Failed(error.to_string()),
+            Err(error) => return RunStage::Failed(error.to_string()),
         }
         let curve = read_series(&folder.join(CURVE));
         let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);
         if RunFolder::is_busy(&folder) {
-            return State::Running { step };
+            return RunStage::Running { step };
         }
         match files::read_string(self.failure_file(run)) {
-            Ok(why) => State::Failed(why.trim_end().to_owned()),
-            Err(_) if folder.join(PIPELINE).is_file() => State::Stopped { step },
-            Err(_) => State::Waiting,
+            Ok(why) => RunStage::Failed(why.trim_end().to_owned()),
+            Err(_) if folder.join(PIPELINE).is_file() => RunStage::Stopped { step },
+            Err(_) => RunStage::Waiting,
         }
     }
 

@@ -1,20 +1,20 @@
-//! `Group`: links with equal rays, chunk by chunk through the network and back.
+//! `RayGroup`: links with equal rays, chunk by chunk through the network and back.
 
-use crate::nerf2::walk::{Signal, Still, Sums, Trunked, Walk};
+use crate::nerf2::walk::{RayWalk, SharedActivations, Signal, Sums, TrunkActivations};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
 /// Links with equal rays.
 #[derive(Debug)]
-pub(crate) struct Group<'a> {
+pub(crate) struct RayGroup<'a> {
     pub(crate) receiver: usize,
-    pub(crate) walk: Walk<'a>,
-    pub(crate) links: Links,
+    pub(crate) walk: RayWalk<'a>,
+    pub(crate) links: GroupLinks,
 }
 
 /// Links along the rays of a group: indices of requested links, and rows of transmitters.
 #[derive(Debug)]
-pub(crate) enum Links {
+pub(crate) enum GroupLinks {
     /// Every link uses all rays.
     All(Vec<(usize, usize)>),
     /// One link per ray.
@@ -26,20 +26,20 @@ pub(crate) type Passes = Vec<Vec<[Real; 2]>>;
 
 /// Activations of a chunk for the backward pass.
 #[derive(Debug)]
-pub(crate) struct Walked {
-    still: Still,
-    trunked: Trunked,
+pub(crate) struct RayActivations {
+    shared: SharedActivations,
+    trunk_activations: TrunkActivations,
     signals: Vec<Signal>,
 }
 
 /// Work buffers, reused for all chunks.
 #[derive(Debug, Default)]
-pub(crate) struct Scratch {
-    trunked: Trunked,
+pub(crate) struct GroupScratch {
+    trunk_activations: TrunkActivations,
     signal: Signal,
 }
 
-impl Links {
+impl GroupLinks {
     /// Returns the number of passes over a chunk.
     pub(crate) fn passes(&self) -> usize {
         match self {
@@ -65,29 +65,34 @@ impl Links {
     }
 }
 
-impl Group<'_> {
+impl RayGroup<'_> {
     /// Runs a chunk and stores its activations for the backward pass.
-    pub(crate) fn keep(&self, rays: &Range<usize>) -> (Walked, Passes) {
-        let mut trunked = Trunked::default();
-        let still = self.walk.still(rays.clone(), self.walk.network.trunk.depth(), &mut trunked);
+    pub(crate) fn keep(&self, rays: &Range<usize>) -> (RayActivations, Passes) {
+        let mut trunk_activations = TrunkActivations::default();
+        let shared = self.walk.shared(rays.clone(), self.walk.network.trunk.depth(), &mut trunk_activations);
         let one = |pass: usize| {
             let mut signal = Signal::default();
-            self.walk.signal(&still, &self.links.of_pass(pass, rays), &mut signal);
-            let sums = self.walk.sums(&still, &signal);
+            self.walk.signal(&shared, &self.links.of_pass(pass, rays), &mut signal);
+            let sums = self.walk.sums(&shared, &signal);
             (signal, sums)
         };
         let (signals, sums) = (0..self.links.passes()).map(one).unzip();
-        (Walked { still, trunked, signals }, sums)
+        (RayActivations { shared, trunk_activations, signals }, sums)
     }
 
     /// Runs a chunk without storing activations; `ready` is its precomputed part.
-    pub(crate) fn pass(&self, rays: &Range<usize>, ready: Option<&Still>, scratch: &mut Scratch) -> Passes {
-        let Scratch { trunked, signal } = scratch;
-        let made = ready.is_none().then(|| self.walk.still(rays.clone(), 2, trunked));
-        let Some(still) = ready.or(made.as_ref()) else { return Passes::new() };
+    pub(crate) fn pass(
+        &self,
+        rays: &Range<usize>,
+        ready: Option<&SharedActivations>,
+        scratch: &mut GroupScratch,
+    ) -> Passes {
+        let GroupScratch { trunk_activations, signal } = scratch;
+        let made = ready.is_none().then(|| self.walk.shared(rays.clone(), 2, trunk_activations));
+        let Some(shared) = ready.or(made.as_ref()) else { return Passes::new() };
         let one = |pass: usize| {
-            self.walk.signal(still, &self.links.of_pass(pass, rays), signal);
-            self.walk.sums(still, signal)
+            self.walk.signal(shared, &self.links.of_pass(pass, rays), signal);
+            self.walk.sums(shared, signal)
         };
         (0..self.links.passes()).map(one).collect()
     }
@@ -96,31 +101,31 @@ impl Group<'_> {
     pub(crate) fn back(
         &self,
         rays: &Range<usize>,
-        kept: Option<&Walked>,
+        activations: Option<&RayActivations>,
         d: impl Fn(usize, usize, usize) -> [Real; 2],
-        scratch: &mut Scratch,
+        scratch: &mut GroupScratch,
         into: &mut Sums,
     ) {
         let (walk, bands) = (&self.walk, self.walk.network.outputs / 2);
-        let Scratch { trunked, signal } = scratch;
+        let GroupScratch { trunk_activations, signal } = scratch;
         let depth = walk.network.trunk.depth();
-        let made = kept.is_none().then(|| walk.still(rays.clone(), depth, trunked));
-        let (still, trunked) = match (kept, &made) {
-            (Some(kept), _) => (&kept.still, &kept.trunked),
-            (None, Some(made)) => (made, &*trunked),
+        let made = activations.is_none().then(|| walk.shared(rays.clone(), depth, trunk_activations));
+        let (shared, trunk_activations) = match (activations, &made) {
+            (Some(activations), _) => (&activations.shared, &activations.trunk_activations),
+            (None, Some(made)) => (made, &*trunk_activations),
             (None, None) => return,
         };
-        let (mut d_factors, mut d_seen) = still.zeros();
+        let (mut d_factors, mut d_hidden) = shared.zeros();
         for pass in 0..self.links.passes() {
             let of = self.links.of_pass(pass, rays);
-            if kept.is_none() {
-                walk.signal(still, &of, signal);
+            if activations.is_none() {
+                walk.signal(shared, &of, signal);
             }
-            let signal = kept.map_or(&*signal, |kept| &kept.signals[pass]);
+            let signal = activations.map_or(&*signal, |activations| &activations.signals[pass]);
             let d: Vec<[Real; 2]> =
                 (0..rays.len() * bands).map(|i| d(pass, rays.start + i / bands, i % bands)).collect();
-            walk.signal_vjp((still, signal, &of), &d, (&mut d_factors, &mut d_seen), into);
+            walk.signal_vjp((shared, signal, &of), &d, (&mut d_factors, &mut d_hidden), into);
         }
-        walk.still_vjp((still, trunked), (&d_factors, &d_seen), into);
+        walk.shared_vjp((shared, trunk_activations), (&d_factors, &d_hidden), into);
     }
 }

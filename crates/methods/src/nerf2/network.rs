@@ -1,11 +1,11 @@
-//! `Network`: the layers of NeRF2 and the offsets of their weights.
+//! `Nerf2Network`: the layers of NeRF2 and the offsets of their weights.
 
 use crate::nerf2::Nerf2;
 use pwrfgs_core::{Conditions, Real};
-use pwrfgs_networks::dense::{self, Matrix, MatrixMut, Store, product};
+use pwrfgs_networks::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use pwrfgs_networks::encoding::{encode, width};
-use pwrfgs_networks::linear::Plan;
-use pwrfgs_networks::linear::{Linear, Part};
+use pwrfgs_networks::linear::LayoutBuilder;
+use pwrfgs_networks::linear::{LayerPart, Linear};
 use pwrfgs_networks::trunk::{Trunk, TrunkShape};
 
 /// Number of frequencies of every encoding.
@@ -14,7 +14,7 @@ pub(crate) const FREQUENCIES: usize = 10;
 /// All layers. The trunk maps the position of a sample to a feature, from which follows the attenuation; with view
 /// direction and transmitter it gives the emission.
 #[derive(Debug)]
-pub(crate) struct Network {
+pub(crate) struct Nerf2Network {
     pub(crate) trunk: Trunk,
     pub(crate) attenuation: Linear,
     pub(crate) feature: Linear,
@@ -25,14 +25,14 @@ pub(crate) struct Network {
     pub(crate) outputs: usize,
     /// Whether features, which are not encoded, replace the transmitter position.
     plain: bool,
-    told: usize,
+    emission_inputs: usize,
 }
 
-impl Network {
+impl Nerf2Network {
     /// Plans the network of `method`, with `bands` amplitudes and phases per sample.
-    pub(crate) fn new(method: &Nerf2, bands: usize, plan: &mut Plan) -> Self {
+    pub(crate) fn new(method: &Nerf2, bands: usize, plan: &mut LayoutBuilder) -> Self {
         let (wide, encoded, outputs) = (method.width, width(FREQUENCIES), 2 * bands);
-        let (plain, told) = match method.features {
+        let (plain, emission_inputs) = match method.features {
             0 => (false, encoded),
             features => (true, features),
         };
@@ -41,11 +41,14 @@ impl Network {
             trunk: Trunk::new(plan, TrunkShape { depth: method.depth, width: wide, skip, gamma: encoded, side: 0 }),
             attenuation: plan.linear("attenuation", wide, outputs),
             feature: plan.linear("feature", wide, wide),
-            signal: [plan.linear("signal.0", wide + encoded + told, wide), plan.linear("signal.1", wide, wide / 2)],
+            signal: [
+                plan.linear("signal.0", wide + encoded + emission_inputs, wide),
+                plan.linear("signal.1", wide, wide / 2),
+            ],
             emission: plan.linear("emission", wide / 2, outputs),
             outputs,
             plain,
-            told,
+            emission_inputs,
         }
     }
 
@@ -55,17 +58,17 @@ impl Network {
     }
 
     /// Returns the columns of the first layer of the signal network for the feature.
-    pub(crate) fn of_feature(&self) -> Part {
+    pub(crate) fn of_feature(&self) -> LayerPart {
         self.signal[0].part(0..self.width())
     }
 
     /// Returns the columns of the first layer of the signal network for the view direction.
-    pub(crate) fn of_view(&self) -> Part {
+    pub(crate) fn of_view(&self) -> LayerPart {
         self.signal[0].part(self.width()..self.width() + width(FREQUENCIES))
     }
 
     fn of_transmitter(&self) -> std::ops::Range<usize> {
-        self.signal[0].inputs - self.told..self.signal[0].inputs
+        self.signal[0].inputs - self.emission_inputs..self.signal[0].inputs
     }
 
     /// Returns the network inputs per transmitter, `[B, inputs]`; positions are divided by `unit`.
@@ -73,8 +76,8 @@ impl Network {
         if self.plain {
             return conditions.values().to_vec();
         }
-        let mut read = vec![0.0; conditions.len() * self.told];
-        for (tx, read) in conditions.positions().iter().zip(read.chunks_exact_mut(self.told)) {
+        let mut read = vec![0.0; conditions.len() * self.emission_inputs];
+        for (tx, read) in conditions.positions().iter().zip(read.chunks_exact_mut(self.emission_inputs)) {
             encode([tx.map(|x| x / unit)].into_iter(), FREQUENCIES, read);
         }
         read
@@ -82,28 +85,34 @@ impl Network {
 
     /// Returns the contribution of each transmitter to the first layer of the signal network, `[B, width]`. Runs one
     /// transmitter at a time, so that batches are bit-identical to single calls.
-    pub(crate) fn tell(&self, weights: &[Real], conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
+    pub(crate) fn emission(&self, weights: &[Real], conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
         let read = self.read(conditions, unit);
-        let mut told = vec![0.0; conditions.len() * self.width()];
-        for (own, out) in read.chunks_exact(self.told).zip(told.chunks_exact_mut(self.width())) {
+        let mut emission = vec![0.0; conditions.len() * self.width()];
+        for (own, out) in read.chunks_exact(self.emission_inputs).zip(emission.chunks_exact_mut(self.width())) {
             let w = self.signal[0].weight(weights).columns(self.of_transmitter());
-            product(MatrixMut::new(out, self.width(), 1), Store::Set, w, Matrix::new(own, self.told, 1));
+            product(MatrixMut::new(out, self.width(), 1), StoreMode::Set, w, Matrix::new(own, self.emission_inputs, 1));
         }
-        told
+        emission
     }
 
-    /// Backward pass of [`Self::tell`]: adds to `d_weights`.
-    pub(crate) fn tell_vjp(&self, conditions: &Conditions<'_>, unit: Real, d_told: &[Real], d_weights: &mut [Real]) {
+    /// Backward pass of [`Self::emission`]: adds to `d_weights`.
+    pub(crate) fn emission_vjp(
+        &self,
+        conditions: &Conditions<'_>,
+        unit: Real,
+        d_emission: &[Real],
+        d_weights: &mut [Real],
+    ) {
         let (read, batch) = (self.read(conditions, unit), conditions.len());
-        let d = Matrix::new(d_told, batch, self.width());
+        let d = Matrix::new(d_emission, batch, self.width());
         let d_w = self.signal[0].weight_mut(d_weights).columns(self.of_transmitter());
-        product(d_w, Store::Add, d.t(), Matrix::new(&read, batch, self.told));
+        product(d_w, StoreMode::Add, d.t(), Matrix::new(&read, batch, self.emission_inputs));
     }
 
     /// Applies a layer with its biases to `x` `[inputs, R]`.
     pub(crate) fn apply(layer: &Linear, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
         y.resize(x.len() / layer.inputs * layer.outputs, 0.0);
-        layer.whole().apply(weights, x, y, Store::Set);
+        layer.whole().apply(weights, x, y, StoreMode::Set);
         dense::add_bias(y, layer.bias(weights));
     }
 
@@ -112,7 +121,7 @@ impl Network {
         layer: &Linear,
         weights: &[Real],
         (x, d_y): (&[Real], &[Real]),
-        (d_x, store): (&mut [Real], Store),
+        (d_x, store): (&mut [Real], StoreMode),
         d_weights: &mut [Real],
     ) {
         layer.whole().weight_vjp(d_weights, x, d_y);

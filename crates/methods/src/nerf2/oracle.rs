@@ -1,11 +1,11 @@
 //! Compares outputs, losses and the gradient of every weight with those of the released NeRF2 code in double precision.
 
 use crate::nerf2::Nerf2;
-use crate::nerf2::Rays;
-use crate::nerf2::group::{Group, Links, Scratch};
-use crate::nerf2::network::Network;
-use crate::nerf2::path::Law;
-use crate::nerf2::walk::{Sums, Walk};
+use crate::nerf2::RayBundle;
+use crate::nerf2::group::{GroupLinks, GroupScratch, RayGroup};
+use crate::nerf2::network::Nerf2Network;
+use crate::nerf2::path::PropagationLaw;
+use crate::nerf2::walk::{RayWalk, Sums};
 use pwrfgs_core::testing::{npy, shared};
 use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
 use pwrfgs_networks::linear::planned;
@@ -51,7 +51,7 @@ fn error(found: &[Real], expected: &[Real]) -> f64 {
 }
 
 /// Runs all links of a mode along their rays, and the backward pass: outputs `[L, numbers]` and gradients.
-fn reproduce(mode: &str, bands: usize, law: Law) {
+fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
     let Some(mut oracle) = Oracle::open(mode) else { return };
     let (tx, label) = (oracle.array("tx"), oracle.array("label"));
     let (origins, directions) = (oracle.array("rays_o"), oracle.array("rays_d"));
@@ -60,18 +60,18 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
     let samples = if mode == "spectrum" { 64 } else { 32 };
     let far_m = if mode == "rssi" { 1.0 } else { 5.0 };
     let method = Nerf2 { width: 32, samples, far_m, features, ..Nerf2::default() };
-    let (network, plan) = planned(|plan| Network::new(&method, bands, plan));
+    let (network, plan) = planned(|plan| Nerf2Network::new(&method, bands, plan));
     let names: Vec<String> = plan.layout().weights.into_iter().map(|spec| spec.name).collect();
     let weights = oracle.weights("w", &names);
     let conditions = Conditions::new(method_inputs(&method), &tx);
-    let told = network.tell(&weights, &conditions, 1.0);
-    let groups: Vec<Group<'_>> = (0..links)
+    let emission = network.emission(&weights, &conditions, 1.0);
+    let groups: Vec<RayGroup<'_>> = (0..links)
         .map(|link| {
             let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
             let of_link = all.len() / links;
             // The released renderer uses only the first ring for powers, because of an error in its number of chunks.
             let used = if mode == "rssi" { method.azimuths } else { of_link };
-            let rays = Rays {
+            let rays = RayBundle {
                 origin: origins[3 * link..3 * link + 3].try_into().unwrap(),
                 directions: all[link * of_link..][..used].to_vec(),
                 samples: (0..samples).map(|i| far_m * i as Real / (samples - 1) as Real).collect(),
@@ -82,15 +82,15 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");
             }
-            let walk = Walk { network: &network, weights: &weights, rays, law, told: &told };
-            Group { receiver: 0, walk, links: Links::All(vec![(link, link)]) }
+            let walk = RayWalk { network: &network, weights: &weights, rays, law, emission: &emission };
+            RayGroup { receiver: 0, walk, links: GroupLinks::All(vec![(link, link)]) }
         })
         .collect();
 
     let mut totals = vec![[0.0; 2]; links * bands];
     for (link, group) in groups.iter().enumerate() {
         for chunk in group.walk.chunks() {
-            let sums = group.pass(&chunk, None, &mut Scratch::default());
+            let sums = group.pass(&chunk, None, &mut GroupScratch::default());
             assert_eq!(group.keep(&chunk).1, sums, "what is kept is what passes");
             for (i, sum) in sums[0].iter().enumerate() {
                 let total = &mut totals[link * bands + i % bands];
@@ -116,16 +116,16 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
     } else {
         totals.iter().zip(&d).map(|([re, im], d)| [d * re / re.hypot(*im), d * im / re.hypot(*im)]).collect()
     };
-    let back = |kept: bool| {
-        let mut into = Sums { weights: vec![0.0; weights.len()], told: vec![0.0; told.len()] };
+    let back = |activations: bool| {
+        let mut into = Sums { weights: vec![0.0; weights.len()], emission: vec![0.0; emission.len()] };
         for (link, group) in groups.iter().enumerate() {
             for chunk in group.walk.chunks() {
-                let walked = kept.then(|| group.keep(&chunk).0);
+                let results = activations.then(|| group.keep(&chunk).0);
                 let d = |_, _, band| d_totals[link * bands + band];
-                group.back(&chunk, walked.as_ref(), d, &mut Scratch::default(), &mut into);
+                group.back(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
-        network.tell_vjp(&conditions, 1.0, &into.told, &mut into.weights);
+        network.emission_vjp(&conditions, 1.0, &into.emission, &mut into.weights);
         into.weights
     };
     let found = back(true);
@@ -145,7 +145,7 @@ fn method_inputs(method: &Nerf2) -> usize {
 
 #[test]
 fn a_spectrum_is_the_released_one() {
-    reproduce("spectrum", 1, Law::Spectrum);
+    reproduce("spectrum", 1, PropagationLaw::Spectrum);
 }
 
 #[test]
@@ -158,6 +158,6 @@ fn a_channel_is_the_released_one() {
     reproduce("csi", 26, released_wave());
 }
 
-fn released_wave() -> Law {
-    Law::Wave { wavenumber: (2.0 * std::f64::consts::PI * 2.4e9 / SPEED_OF_LIGHT) as Real }
+fn released_wave() -> PropagationLaw {
+    PropagationLaw::Wave { wavenumber: (2.0 * std::f64::consts::PI * 2.4e9 / SPEED_OF_LIGHT) as Real }
 }

@@ -1,4 +1,4 @@
-//! Attenuation and phase ([`Law`]) from each sample of a ray to the receiver, and the received sum of the emissions: Σ
+//! Attenuation and phase ([`PropagationLaw`]) from each sample of a ray to the receiver, and the received sum of the emissions: Σ
 //! s·exp(jψ)·c.
 
 use pwrfgs_core::{Real, consts};
@@ -12,7 +12,7 @@ const DARK: Real = 1e-12;
 
 /// Conversion of attenuation to the complex factor c of an emission.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Law {
+pub(crate) enum PropagationLaw {
     /// Spectra: alpha compositing in front of the sample, phases by length, amplitudes as 0.025 over the distance.
     Spectrum,
     /// Powers and channels: attenuation up to and including the sample, phases of the medium and of the wave.
@@ -48,7 +48,7 @@ pub(crate) fn turn_slope(turned: Real) -> Real {
     turned * (1.0 - turned / (2.0 * consts::PI))
 }
 
-impl Law {
+impl PropagationLaw {
     /// Returns the offset that is subtracted from the phases of emissions: those of powers and channels are in −π to π.
     pub(crate) fn phase_offset(self) -> Real {
         if self == Self::Spectrum { 0.0 } else { consts::PI }

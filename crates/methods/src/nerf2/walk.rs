@@ -1,10 +1,10 @@
 //! Forward and backward pass of a chunk of rays through the network.
 
-use crate::nerf2::Rays;
-use crate::nerf2::network::{FREQUENCIES, Network};
-use crate::nerf2::path::{Law, sum, sum_vjp};
+use crate::nerf2::RayBundle;
+use crate::nerf2::network::{FREQUENCIES, Nerf2Network};
+use crate::nerf2::path::{PropagationLaw, sum, sum_vjp};
 use pwrfgs_core::Real;
-use pwrfgs_networks::dense::{self, Store};
+use pwrfgs_networks::dense::{self, StoreMode};
 use pwrfgs_networks::encoding::{encode, width};
 use pwrfgs_networks::trunk::{Joints, TrunkGradient};
 use std::ops::Range;
@@ -14,30 +14,30 @@ const ROWS: usize = 192;
 
 /// Rays of a receiver with the network and the transmitter inputs.
 #[derive(Debug)]
-pub(crate) struct Walk<'a> {
-    pub(crate) network: &'a Network,
+pub(crate) struct RayWalk<'a> {
+    pub(crate) network: &'a Nerf2Network,
     pub(crate) weights: &'a [Real],
-    pub(crate) rays: Rays,
-    pub(crate) law: Law,
+    pub(crate) rays: RayBundle,
+    pub(crate) law: PropagationLaw,
     /// Contribution of each transmitter to the signal network, `[B, width]`.
-    pub(crate) told: &'a [Real],
+    pub(crate) emission: &'a [Real],
 }
 
 /// Values of a chunk of rays that do not depend on the transmitter.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Still {
+pub(crate) struct SharedActivations {
     /// Range of each ray's samples among all samples in use.
     segments: Vec<Range<usize>>,
     /// Factors of the path, `[bands, rays, samples]`.
     factors: Vec<[Real; 2]>,
     /// Contribution of samples and view directions to the first layer of the signal network, with its biases, `[width,
     /// live]`.
-    seen: Vec<Real>,
+    hidden: Vec<Real>,
 }
 
 /// Activations of the trunk and the following layers for the backward pass.
 #[derive(Debug, Default)]
-pub(crate) struct Trunked {
+pub(crate) struct TrunkActivations {
     gamma: Vec<Real>,
     slots: Vec<Vec<Real>>,
     feature: Vec<Real>,
@@ -60,13 +60,13 @@ pub(crate) struct Signal {
 pub(crate) struct Sums {
     pub(crate) weights: Vec<Real>,
     /// Derivatives with respect to the contributions of the transmitters, `[B, width]`.
-    pub(crate) told: Vec<Real>,
+    pub(crate) emission: Vec<Real>,
 }
 
-impl Still {
+impl SharedActivations {
     /// Returns zeros for the cotangents of the path factors and of the shared contributions.
     pub(crate) fn zeros(&self) -> (Vec<[Real; 2]>, Vec<Real>) {
-        (vec![[0.0; 2]; self.factors.len()], vec![0.0; self.seen.len()])
+        (vec![[0.0; 2]; self.factors.len()], vec![0.0; self.hidden.len()])
     }
 
     fn live(&self) -> usize {
@@ -74,7 +74,7 @@ impl Still {
     }
 }
 
-impl Walk<'_> {
+impl RayWalk<'_> {
     fn bands(&self) -> usize {
         self.network.outputs / 2
     }
@@ -87,10 +87,15 @@ impl Walk<'_> {
 
     /// Computes all values that do not depend on the transmitter. `slots` is 2 for predictions, or the number of trunk
     /// layers for the backward pass.
-    pub(crate) fn still(&self, chunk: Range<usize>, slots: usize, trunked: &mut Trunked) -> Still {
+    pub(crate) fn shared(
+        &self,
+        chunk: Range<usize>,
+        slots: usize,
+        trunk_activations: &mut TrunkActivations,
+    ) -> SharedActivations {
         let (network, weights, samples) = (self.network, self.weights, self.rays.samples());
         let (rays, points) = (chunk.len(), self.rays.points(chunk.clone()));
-        let Trunked { gamma, slots: h, feature, attenuation, views } = trunked;
+        let TrunkActivations { gamma, slots: h, feature, attenuation, views } = trunk_activations;
         gamma.resize(points.len() * width(FREQUENCIES), 0.0);
         encode(points.into_iter(), FREQUENCIES, gamma);
         let mut shared = Joints::default();
@@ -98,36 +103,39 @@ impl Walk<'_> {
         h.resize_with(slots, Vec::new);
         network.trunk.forward(weights, &shared, &network.trunk.fold(weights, &[]), h);
         let h = &h[network.trunk.last(slots)];
-        Network::apply(&network.attenuation, weights, h, attenuation);
-        Network::apply(&network.feature, weights, h, feature);
-        let mut seen = vec![0.0; feature.len()];
-        network.of_feature().apply(weights, feature, &mut seen, Store::Set);
+        Nerf2Network::apply(&network.attenuation, weights, h, attenuation);
+        Nerf2Network::apply(&network.feature, weights, h, feature);
+        let mut hidden = vec![0.0; feature.len()];
+        network.of_feature().apply(weights, feature, &mut hidden, StoreMode::Set);
         views.resize(rays * width(FREQUENCIES), 0.0);
         encode(self.rays.directions[chunk].iter().copied(), FREQUENCIES, views);
         let mut of_views = vec![0.0; network.width() * rays];
-        network.of_view().apply(weights, views, &mut of_views, Store::Set);
+        network.of_view().apply(weights, views, &mut of_views, StoreMode::Set);
         dense::add_bias(&mut of_views, network.signal[0].bias(weights));
 
-        let mut still = Still { factors: vec![[0.0; 2]; self.bands() * rays * samples], ..Still::default() };
+        let mut shared = SharedActivations {
+            factors: vec![[0.0; 2]; self.bands() * rays * samples],
+            ..SharedActivations::default()
+        };
         let mut end = 0;
         for ray in 0..rays {
             let live = (0..self.bands()).map(|band| {
                 let [raw, phase] = self.attenuations(attenuation, band, ray, rays);
-                let factors = &mut still.factors[(band * rays + ray) * samples..][..samples];
+                let factors = &mut shared.factors[(band * rays + ray) * samples..][..samples];
                 self.law.factors(&self.rays.samples, raw, phase, factors)
             });
             let live = live.max().unwrap_or(0);
-            still.segments.push(end..end + live);
+            shared.segments.push(end..end + live);
             end += live;
         }
-        still.seen.reserve_exact(network.width() * end);
-        for (row, of_views) in seen.chunks_exact(rays * samples).zip(of_views.chunks_exact(rays)) {
-            for (ray, segment) in still.segments.iter().enumerate() {
+        shared.hidden.reserve_exact(network.width() * end);
+        for (row, of_views) in hidden.chunks_exact(rays * samples).zip(of_views.chunks_exact(rays)) {
+            for (ray, segment) in shared.segments.iter().enumerate() {
                 let own = &row[ray * samples..][..segment.len()];
-                still.seen.extend(own.iter().map(|x| x + of_views[ray]));
+                shared.hidden.extend(own.iter().map(|x| x + of_views[ray]));
             }
         }
-        still
+        shared
     }
 
     /// Returns raw attenuations and phases of a ray.
@@ -137,62 +145,62 @@ impl Walk<'_> {
     }
 
     /// Computes the emission of the samples for the transmitters `of`, one per ray.
-    pub(crate) fn signal(&self, still: &Still, of: &[usize], signal: &mut Signal) {
-        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), still.live());
+    pub(crate) fn signal(&self, shared: &SharedActivations, of: &[usize], signal: &mut Signal) {
+        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live());
         let Signal { first, second, raw } = signal;
-        first.clone_from(&still.seen);
+        first.clone_from(&shared.hidden);
         for (feature, row) in first.chunks_exact_mut(live.max(1)).enumerate() {
-            for (segment, tx) in still.segments.iter().zip(of) {
-                let told = self.told[tx * width + feature];
+            for (segment, tx) in shared.segments.iter().zip(of) {
+                let emission = self.emission[tx * width + feature];
                 row[segment.clone()].iter_mut().for_each(|x| {
-                    let z = *x + told;
+                    let z = *x + emission;
                     *x = if z < 0.0 { 0.0 } else { z };
                 });
             }
         }
         second.resize(network.signal[1].outputs * live, 0.0);
-        network.signal[1].whole().apply(weights, first, second, Store::Set);
+        network.signal[1].whole().apply(weights, first, second, StoreMode::Set);
         dense::bias_relu(second, network.signal[1].bias(weights));
-        Network::apply(&network.emission, weights, second, raw);
+        Nerf2Network::apply(&network.emission, weights, second, raw);
     }
 
     /// Returns the sums over the samples of each ray, `[rays, bands]`.
-    pub(crate) fn sums(&self, still: &Still, signal: &Signal) -> Vec<[Real; 2]> {
-        let (bands, rays) = (self.bands(), still.segments.len());
+    pub(crate) fn sums(&self, shared: &SharedActivations, signal: &Signal) -> Vec<[Real; 2]> {
+        let (bands, rays) = (self.bands(), shared.segments.len());
         let one = |i: usize| {
             let (ray, band) = (i / bands, i % bands);
-            let [raw, phase] = emitted(&signal.raw, still, band, bands, ray);
-            sum(raw, phase, self.on_path(still, band, ray), self.law.phase_offset())
+            let [raw, phase] = emitted(&signal.raw, shared, band, bands, ray);
+            sum(raw, phase, self.on_path(shared, band, ray), self.law.phase_offset())
         };
         (0..rays * bands).map(one).collect()
     }
 
-    fn on_path<'a>(&self, still: &'a Still, band: usize, ray: usize) -> &'a [[Real; 2]] {
-        let at = (band * still.segments.len() + ray) * self.rays.samples();
-        &still.factors[at..at + still.segments[ray].len()]
+    fn on_path<'a>(&self, shared: &'a SharedActivations, band: usize, ray: usize) -> &'a [[Real; 2]] {
+        let at = (band * shared.segments.len() + ray) * self.rays.samples();
+        &shared.factors[at..at + shared.segments[ray].len()]
     }
 
     /// Backward pass of one [`Self::signal`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into` and to
     /// the cotangents of the path factors and shared contributions.
     pub(crate) fn signal_vjp(
         &self,
-        (still, signal, of): (&Still, &Signal, &[usize]),
+        (shared, signal, of): (&SharedActivations, &Signal, &[usize]),
         d: &[[Real; 2]],
-        (d_factors, d_seen): (&mut [[Real; 2]], &mut [Real]),
+        (d_factors, d_hidden): (&mut [[Real; 2]], &mut [Real]),
         into: &mut Sums,
     ) {
-        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), still.live());
-        let (bands, rays, samples) = (self.bands(), still.segments.len(), self.rays.samples());
+        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live());
+        let (bands, rays, samples) = (self.bands(), shared.segments.len(), self.rays.samples());
         let mut d_raw = vec![0.0; signal.raw.len()];
         let (d_amplitudes, d_phases) = d_raw.split_at_mut(bands * live);
         for (i, d) in d.iter().enumerate() {
             let (ray, band) = (i / bands, i % bands);
-            let segment = still.segments[ray].clone();
+            let segment = shared.segments[ray].clone();
             let own = band * live + segment.start..band * live + segment.end;
             let on_path = (band * rays + ray) * samples;
             sum_vjp(
-                emitted(&signal.raw, still, band, bands, ray),
-                self.on_path(still, band, ray),
+                emitted(&signal.raw, shared, band, bands, ray),
+                self.on_path(shared, band, ray),
                 self.law.phase_offset(),
                 *d,
                 [&mut d_amplitudes[own.clone()], &mut d_phases[own]],
@@ -200,82 +208,82 @@ impl Walk<'_> {
             );
         }
         let mut d_second = vec![0.0; signal.second.len()];
-        let (x, out) = ((signal.second.as_slice(), d_raw.as_slice()), (d_second.as_mut_slice(), Store::Set));
-        Network::apply_vjp(&network.emission, weights, x, out, &mut into.weights);
+        let (x, out) = ((signal.second.as_slice(), d_raw.as_slice()), (d_second.as_mut_slice(), StoreMode::Set));
+        Nerf2Network::apply_vjp(&network.emission, weights, x, out, &mut into.weights);
         let layer = &network.signal[1];
         dense::bias_relu_vjp(&mut d_second, &signal.second, layer.bias_mut(&mut into.weights));
         layer.whole().weight_vjp(&mut into.weights, &signal.first, &d_second);
         let mut d_first = vec![0.0; signal.first.len()];
-        layer.whole().input_vjp(weights, &d_second, &mut d_first, Store::Set);
+        layer.whole().input_vjp(weights, &d_second, &mut d_first, StoreMode::Set);
         let rows = d_first.chunks_exact(live.max(1)).zip(signal.first.chunks_exact(live.max(1)));
-        for (feature, ((d, h), d_seen)) in rows.zip(d_seen.chunks_exact_mut(live.max(1))).enumerate() {
-            for (segment, tx) in still.segments.iter().zip(of) {
+        for (feature, ((d, h), d_hidden)) in rows.zip(d_hidden.chunks_exact_mut(live.max(1))).enumerate() {
+            for (segment, tx) in shared.segments.iter().zip(of) {
                 let mut sum = 0.0;
                 for i in segment.clone() {
                     let own = if h[i] > 0.0 { d[i] } else { 0.0 };
-                    d_seen[i] += own;
+                    d_hidden[i] += own;
                     sum += own;
                 }
-                into.told[tx * width + feature] += sum;
+                into.emission[tx * width + feature] += sum;
             }
         }
     }
 
-    /// Backward pass of [`Self::still`], given the cotangents of the path factors and shared contributions.
-    pub(crate) fn still_vjp(
+    /// Backward pass of [`Self::shared`], given the cotangents of the path factors and shared contributions.
+    pub(crate) fn shared_vjp(
         &self,
-        (still, trunked): (&Still, &Trunked),
+        (shared, trunk_activations): (&SharedActivations, &TrunkActivations),
         (d_factors, d_live): (&[[Real; 2]], &[Real]),
         into: &mut Sums,
     ) {
         let (network, weights, width) = (self.network, self.weights, self.network.width());
-        let (rays, samples, live) = (still.segments.len(), self.rays.samples(), still.live());
-        let (mut d_seen, mut d_views) = (vec![0.0; width * rays * samples], vec![0.0; width * rays]);
-        let rows = d_seen.chunks_exact_mut(rays * samples).zip(d_views.chunks_exact_mut(rays));
+        let (rays, samples, live) = (shared.segments.len(), self.rays.samples(), shared.live());
+        let (mut d_hidden, mut d_views) = (vec![0.0; width * rays * samples], vec![0.0; width * rays]);
+        let rows = d_hidden.chunks_exact_mut(rays * samples).zip(d_views.chunks_exact_mut(rays));
         for ((row, d_views), own) in rows.zip(d_live.chunks_exact(live.max(1))) {
-            for (ray, segment) in still.segments.iter().enumerate() {
+            for (ray, segment) in shared.segments.iter().enumerate() {
                 let own = &own[segment.clone()];
                 row[ray * samples..][..own.len()].copy_from_slice(own);
                 d_views[ray] = own.iter().sum();
             }
         }
         dense::add_bias_vjp(&d_views, network.signal[0].bias_mut(&mut into.weights));
-        network.of_view().weight_vjp(&mut into.weights, &trunked.views, &d_views);
-        network.of_feature().weight_vjp(&mut into.weights, &trunked.feature, &d_seen);
-        let mut d_feature = vec![0.0; trunked.feature.len()];
-        network.of_feature().input_vjp(weights, &d_seen, &mut d_feature, Store::Set);
+        network.of_view().weight_vjp(&mut into.weights, &trunk_activations.views, &d_views);
+        network.of_feature().weight_vjp(&mut into.weights, &trunk_activations.feature, &d_hidden);
+        let mut d_feature = vec![0.0; trunk_activations.feature.len()];
+        network.of_feature().input_vjp(weights, &d_hidden, &mut d_feature, StoreMode::Set);
 
-        let mut d_attenuation = vec![0.0; trunked.attenuation.len()];
+        let mut d_attenuation = vec![0.0; trunk_activations.attenuation.len()];
         let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.bands() * rays * samples);
         for ray in 0..rays {
             for band in 0..self.bands() {
                 let all = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
                 self.law.factors_vjp(
                     &self.rays.samples,
-                    self.attenuations(&trunked.attenuation, band, ray, rays),
-                    &still.factors[all.clone()],
-                    &d_factors[all.start..all.start + still.segments[ray].len()],
+                    self.attenuations(&trunk_activations.attenuation, band, ray, rays),
+                    &shared.factors[all.clone()],
+                    &d_factors[all.start..all.start + shared.segments[ray].len()],
                     [&mut d_amplitudes[all.clone()], &mut d_phases[all]],
                 );
             }
         }
-        let (h, mut d_h) = (&trunked.slots[network.trunk.depth() - 1], vec![0.0; d_feature.len()]);
-        let (x, out) = ((h.as_slice(), d_feature.as_slice()), (d_h.as_mut_slice(), Store::Set));
-        Network::apply_vjp(&network.feature, weights, x, out, &mut into.weights);
-        let (x, out) = ((h.as_slice(), d_attenuation.as_slice()), (d_h.as_mut_slice(), Store::Add));
-        Network::apply_vjp(&network.attenuation, weights, x, out, &mut into.weights);
+        let (h, mut d_h) = (&trunk_activations.slots[network.trunk.depth() - 1], vec![0.0; d_feature.len()]);
+        let (x, out) = ((h.as_slice(), d_feature.as_slice()), (d_h.as_mut_slice(), StoreMode::Set));
+        Nerf2Network::apply_vjp(&network.feature, weights, x, out, &mut into.weights);
+        let (x, out) = ((h.as_slice(), d_attenuation.as_slice()), (d_h.as_mut_slice(), StoreMode::Add));
+        Nerf2Network::apply_vjp(&network.attenuation, weights, x, out, &mut into.weights);
 
         let (mut d_shared, mut d_folded) = (network.trunk.zero_joints(d_h.len()), network.trunk.zero_joints(width));
         let trunk =
             TrunkGradient { weights: &mut into.weights, shared: &mut d_shared, folded: d_folded.of_tx(0, width) };
-        network.trunk.backward(weights, &trunked.slots, &mut d_h, &mut d_feature, trunk);
+        network.trunk.backward(weights, &trunk_activations.slots, &mut d_h, &mut d_feature, trunk);
         network.trunk.add_joint_biases(&mut into.weights, &d_folded);
-        network.trunk.share_vjp(weights, &trunked.gamma, &d_shared, &mut into.weights, None);
+        network.trunk.share_vjp(weights, &trunk_activations.gamma, &d_shared, &mut into.weights, None);
     }
 }
 
 /// Returns raw amplitudes and phases of the emission, for the samples of a ray that are in use.
-fn emitted<'a>(raw: &'a [Real], still: &Still, band: usize, bands: usize, ray: usize) -> [&'a [Real]; 2] {
-    let (live, segment) = (still.live(), &still.segments[ray]);
+fn emitted<'a>(raw: &'a [Real], shared: &SharedActivations, band: usize, bands: usize, ray: usize) -> [&'a [Real]; 2] {
+    let (live, segment) = (shared.live(), &shared.segments[ray]);
     [band, bands + band].map(|row| &raw[row * live + segment.start..row * live + segment.end])
 }

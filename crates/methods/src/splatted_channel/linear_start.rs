@@ -7,7 +7,7 @@
 
 use super::waves::Waves;
 use super::{SplattedChannel, offsets_mut, parts};
-use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real};
+use pwrfgs_core::{Cholesky, Conditions, Dataset, GaussianCloud, LinearPart, MeasurementSetup, Real};
 use rayon::prelude::*;
 
 /// Weight of both ridge penalties, relative to the mean of the diagonal.
@@ -20,7 +20,7 @@ impl SplattedChannel {
     /// nothing.
     pub(super) fn start_linear(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         data: &Dataset,
         train: &[usize],
         cloud: &mut GaussianCloud,
@@ -28,16 +28,16 @@ impl SplattedChannel {
     ) -> bool {
         let part = pwrfgs_core::evenly(train, MOST);
         let all: Vec<Real> = part.iter().flat_map(|&i| data.query(i).features).copied().collect();
-        let network = parts(frame, weights).0.len();
+        let network = parts(setup, weights).0.len();
         let conditions = Conditions::new(self.deformation.traits().inputs, &all);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
-        let (Some(linear), [receiver]) = (linear, frame.receivers.as_slice()) else { return false };
-        let waves = Waves::new(frame, receiver, cloud, None);
+        let (Some(linear), [receiver]) = (linear, setup.receivers.as_slice()) else { return false };
+        let waves = Waves::new(setup, receiver, cloud, None);
         let Some(all) = data.observations.channels() else { return false };
         let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();
         let Some(map) = ridge(&linear, &channels) else { return false };
-        let seen = waves.of_basis(&linear.basis, linear.functions);
-        let Some(coefficients) = through(&seen, linear.functions, &map, linear.inputs) else { return false };
+        let responses = waves.of_basis(&linear.basis, linear.functions);
+        let Some(coefficients) = solve_basis(&responses, linear.functions, &map, linear.inputs) else { return false };
         // Signals have a magnitude of about 1; the level contains the rest.
         let size = (coefficients.iter().flatten().map(|v| v * v).sum::<f64>() / linear.inputs as f64).sqrt();
         let level = if size > 0.0 { size } else { 1.0 };
@@ -47,7 +47,7 @@ impl SplattedChannel {
             let (k, j) = (i / linear.functions, i % linear.functions);
             (0..2).for_each(|c| weights[linear.place(c, k, j)] = (gain[c] / level) as Real);
         }
-        offsets_mut(frame, weights).fill(level.log10() as Real);
+        offsets_mut(setup, weights).fill(level.log10() as Real);
         true
     }
 }
@@ -84,15 +84,20 @@ fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64;
 }
 
 /// Solves V·B = R for B `[D, J]` in the least-squares sense; V `[AF, J]` is the received channel per basis function.
-fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: usize) -> Option<Vec<[f64; 2]>> {
-    let (j, numbers) = (functions, seen.len() / functions.max(1));
+fn solve_basis(
+    responses: &[[f64; 2]],
+    functions: usize,
+    map: &[Vec<[f64; 2]>],
+    inputs: usize,
+) -> Option<Vec<[f64; 2]>> {
+    let (j, numbers) = (functions, responses.len() / functions.max(1));
     // Complex unknowns as pairs of real ones: [[Re, -Im], [Im, Re]] of VᴴV.
     let mut gram = vec![0.0; 4 * j * j];
     for a in 0..j {
         for b in 0..j {
             let (mut re, mut im) = (0.0, 0.0);
             for n in 0..numbers {
-                let ([ar, ai], [br, bi]) = (seen[n * j + a], seen[n * j + b]);
+                let ([ar, ai], [br, bi]) = (responses[n * j + a], responses[n * j + b]);
                 re += ar * br + ai * bi;
                 im += ar * bi - ai * br;
             }
@@ -108,7 +113,7 @@ fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: u
         for n in 0..numbers {
             let [hr, hi] = map[k][n];
             for a in 0..j {
-                let [vr, vi] = seen[n * j + a];
+                let [vr, vi] = responses[n * j + a];
                 right[a] += vr * hr + vi * hi;
                 right[a + j] += vr * hi - vi * hr;
             }
@@ -131,20 +136,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_map_is_found_through_what_is_heard() {
+    fn solve_basis_recovers_map_from_received_channels() {
         // Two functions and two values: V is invertible, so B is V⁻¹R up to the ridge.
-        let seen = [[1.0, 0.5], [0.0, 1.0], [0.3, 0.0], [2.0, -1.0]];
-        let wanted = [[0.7, -0.2], [0.1, 0.9]];
+        let responses = [[1.0, 0.5], [0.0, 1.0], [0.3, 0.0], [2.0, -1.0]];
+        let expected = [[0.7, -0.2], [0.1, 0.9]];
         let times = |v: [f64; 2], b: [f64; 2]| [v[0] * b[0] - v[1] * b[1], v[0] * b[1] + v[1] * b[0]];
-        let heard: Vec<[f64; 2]> = (0..2)
+        let received: Vec<[f64; 2]> = (0..2)
             .map(|n| {
-                let [a, b] = [0, 1].map(|j| times(seen[n * 2 + j], wanted[j]));
+                let [a, b] = [0, 1].map(|j| times(responses[n * 2 + j], expected[j]));
                 [a[0] + b[0], a[1] + b[1]]
             })
             .collect();
-        let found = through(&seen, 2, &[heard], 1).unwrap();
-        for (found, wanted) in found.iter().zip(wanted) {
-            assert!((found[0] - wanted[0]).abs() < 2e-3 && (found[1] - wanted[1]).abs() < 2e-3, "{found:?}");
+        let found = solve_basis(&responses, 2, &[received], 1).unwrap();
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found[0] - expected[0]).abs() < 2e-3 && (found[1] - expected[1]).abs() < 2e-3, "{found:?}");
         }
     }
 }

@@ -1,14 +1,14 @@
 //! Splatting as a [`Method`]: from links to observations, and the backward pass.
 
-use super::received::{self, Laws};
-use super::survey::Question;
-use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
-use crate::groups::{self, Group, OFFSETS};
+use super::received::{self, PathLossLaws};
+use super::survey::SurveyRequest;
+use super::{BlendedSignals, Geometry, ReceiverView, Splatting, check_kind, check_together};
+use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Activated, Appearance, Asked, Cache, Conditions, Cost, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud,
-    Layout, Method, MethodTraits, MethodVjp, Needs, Observed, Parameters, Real, StageTimes, Statistics, WeightSpec,
-    cached,
+    Activated, Appearance, Cache, Conditions, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud,
+    Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, ObservationRequest, Parameters, PassStatistics,
+    Real, StageTimes, WeightSpec, cached,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -19,29 +19,29 @@ use std::time::Instant;
 const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
-struct Kept {
+struct ForwardCache {
     deltas: Deltas,
-    drawings: Vec<(Group, View, Drawing)>,
+    drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
 }
 
 /// Values that do not depend on the transmitter.
 struct Ready {
     deformation: Cache,
     /// Geometry per receiver, if it does not depend on the transmitter.
-    still: Vec<Arc<Geometry>>,
+    shared_geometry: Vec<Arc<Geometry>>,
 }
 
 impl Splatting {
     /// Splits the weights into those of the network and those of the receivers.
-    pub(super) fn parts<'a>(&self, frame: &Frame, weights: &'a [Real]) -> (&'a [Real], Laws<'a>) {
-        let (network, laws) = weights.split_at(weights.len() - self.laws(frame));
-        let (offsets, exponents) = laws.split_at(frame.receivers.len().min(laws.len()));
-        (network, Laws { offsets, exponents })
+    pub(super) fn parts<'a>(&self, setup: &MeasurementSetup, weights: &'a [Real]) -> (&'a [Real], PathLossLaws<'a>) {
+        let (network, laws) = weights.split_at(weights.len() - self.laws(setup));
+        let (offsets, exponents) = laws.split_at(setup.receivers.len().min(laws.len()));
+        (network, PathLossLaws { offsets, exponents })
     }
 
     /// Returns the number of learned parameters of the receivers.
-    fn laws(&self, frame: &Frame) -> usize {
-        if matches!(self.readout, Readout::Received { .. }) { LAW.len() * frame.receivers.len() } else { 0 }
+    fn laws(&self, setup: &MeasurementSetup) -> usize {
+        if matches!(self.readout, Readout::ReceivedPower { .. }) { LAW.len() * setup.receivers.len() } else { 0 }
     }
 
     /// Returns the blended signals for the readout in training: unchanged, or clamped to [0, 1] as released.
@@ -55,14 +55,14 @@ impl Splatting {
     /// Converts blended signals of the sky of a receiver `[links, channels, pixels]` to observations.
     pub(super) fn read_out(
         &self,
-        view: &View,
-        laws: Laws<'_>,
-        group: &Group,
-        asked: &Asked<'_>,
+        view: &ReceiverView,
+        laws: PathLossLaws<'_>,
+        group: &ReceiverGroup,
+        request: &ObservationRequest<'_>,
         blended: &[Real],
     ) -> Vec<Real> {
         match laws.of(group.receiver) {
-            Some(law) => received::forward(&view.plane, law, &group.distances(&view.pose, asked), blended),
+            Some(law) => received::forward(&view.plane, law, &group.distances(&view.pose, request), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
     }
@@ -71,7 +71,7 @@ impl Splatting {
     /// path-loss parameters.
     pub(super) fn read_out_vjp(
         &self,
-        view: &View,
+        view: &ReceiverView,
         d_law: Option<[&mut Real; 2]>,
         distances: &[Real],
         blended: &[Real],
@@ -91,21 +91,21 @@ impl Splatting {
         d_blended
     }
 
-    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        check_kind(self.readout, frame.task)?;
-        if !frame.task.has_pixels && self.calibration == Calibration::AsReleased {
-            let what = frame.task.plural;
+    fn check_frame(&self, setup: &MeasurementSetup) -> Result<(), String> {
+        check_kind(self.readout, setup.task)?;
+        if !setup.task.has_pixels && self.calibration == Calibration::AsReleased {
+            let what = setup.task.plural;
             return Err(format!(
                 "calibration: AsReleased supports only spectra, but the data are {what}; use Physical"
             ));
         }
-        groups::check_receivers(&*self.deformation, frame)?;
-        check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(frame)?)
+        groups::check_receivers(&*self.deformation, setup)?;
+        check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(setup)?)
     }
 
-    pub(super) fn terms(&self, frame: &Frame, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
-        let network = self.parts(frame, p.weights).0;
-        self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &frame.pose()), &None)
+    pub(super) fn terms(&self, setup: &MeasurementSetup, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
+        let network = self.parts(setup, p.weights).0;
+        self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &setup.pose()), &None)
     }
 }
 
@@ -118,49 +118,49 @@ impl Method for Splatting {
             appearance: Appearance::Ellipsoids,
             projector: Some(&self.projector),
             deformation: Some(&self.deformation),
-            knows_presence: true,
+            supports_existence_gate: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
             ..MethodTraits::default()
         }
     }
 
-    fn cost(&self, frame: &Frame, _: usize, _: usize) -> Cost {
-        let sky = self.sky(frame);
+    fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
+        let sky = self.sky(setup);
         let per_gaussian = self.deformation.traits().kept_per_gaussian;
         Cost { per_gaussian, pixels: sky.width * sky.height, ..Cost::default() }
     }
 
-    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
-        self.check_frame(frame)?;
+    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
+        self.check_frame(setup)?;
         let mut layout = self.deformation.layout();
-        if self.laws(frame) > 0 {
-            let receivers = frame.receivers.len();
+        if self.laws(setup) > 0 {
+            let receivers = setup.receivers.len();
             layout.weights.extend(LAW.map(|name| WeightSpec::zeros(name, vec![receivers])));
         }
         Ok(layout)
     }
 
-    fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        Self::drawable(self, frame, cloud, gate)
+    fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        Self::drawable(self, setup, cloud, gate)
     }
 
-    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
-        let deltas = self.terms(frame, p, asked.conditions);
-        let (views, laws, n) = (self.views(frame), self.parts(frame, p.weights).1, p.cloud.len());
-        let numbers = frame.numbers();
+    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+        let deltas = self.terms(setup, p, request.conditions);
+        let (views, laws, n) = (self.views(setup), self.parts(setup, p.weights).1, p.cloud.len());
+        let numbers = setup.numbers();
         let mut observed = Vec::new();
         let mut drawings = Vec::new();
-        let groups = Group::all(asked.links, views.len(), !self.deformation.traits().varies_geometry);
-        let in_order = groups.iter().flat_map(|group| &group.links).copied().eq(0..asked.links.len());
+        let groups = ReceiverGroup::all(request.links, views.len(), !self.deformation.traits().varies_geometry);
+        let in_order = groups.iter().flat_map(|group| &group.links).copied().eq(0..request.links.len());
         if !in_order {
-            observed.resize(asked.links.len() * numbers, 0.0);
+            observed.resize(request.links.len() * numbers, 0.0);
         }
         for group in groups {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
             let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), None);
-            let own = self.read_out(view, laws, &group, asked, &self.shown(&drawing.render.pixels));
+            let own = self.read_out(view, laws, &group, request, &self.shown(&drawing.render.pixels));
             match (in_order, observed.is_empty()) {
                 (true, true) => observed = own, // moved, not copied
                 (true, false) => observed.extend(own),
@@ -168,21 +168,21 @@ impl Method for Splatting {
             }
             drawings.push((group, view.clone(), drawing));
         }
-        Observed { numbers: observed, cache: Some(Arc::new(Kept { deltas, drawings })) }
+        ForwardOutput { numbers: observed, cache: Some(Arc::new(ForwardCache { deltas, drawings })) }
     }
 
     fn vjp(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         p: &Parameters<'_>,
-        asked: &Asked<'_>,
-        observed: Observed,
+        request: &ObservationRequest<'_>,
+        observed: ForwardOutput,
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
-        let Kept { deltas, drawings } = cached(&observed.cache);
-        let (numbers, n) = (frame.numbers(), p.cloud.len());
-        let network = self.parts(frame, p.weights).0;
+        let ForwardCache { deltas, drawings } = cached(&observed.cache);
+        let (numbers, n) = (setup.numbers(), p.cloud.len());
+        let network = self.parts(setup, p.weights).0;
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
@@ -190,74 +190,75 @@ impl Method for Splatting {
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
-            let distances = group.distances(&view.pose, asked);
+            let distances = group.distances(&view.pose, request);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
             let d = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, p.cloud, terms, p.into(), &d_blended, own)
             });
-            sums.seen.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
+            sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
-        let pose = frame.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let pose = setup.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
         groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 
     fn survey(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         p: &Parameters<'_>,
-        asked: &Asked<'_>,
+        request: &ObservationRequest<'_>,
         truths: &[Real],
         needs: &Needs,
-    ) -> Statistics {
-        self.look(&Question { frame, p, asked, truths, needs })
+    ) -> PassStatistics {
+        self.run_survey(&SurveyRequest { setup, p, request, truths, needs })
     }
 
-    fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
-        let network = self.parts(frame, p.weights).0;
-        let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
+    fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
+        let network = self.parts(setup, p.weights).0;
+        let shared_geometry =
+            |view: &ReceiverView| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
         Some(Arc::new(Ready {
-            deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
-            still: if self.deformation.traits().varies_geometry {
+            deformation: self.deformation.prepare(network, &p.cloud.means, &setup.pose()),
+            shared_geometry: if self.deformation.traits().varies_geometry {
                 Vec::new()
             } else {
-                self.views(frame).iter().map(still).collect()
+                self.views(setup).iter().map(shared_geometry).collect()
             },
         }))
     }
 
     fn predict(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         p: &Parameters<'_>,
-        asked: &Asked<'_>,
+        request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
         let start = Instant::now();
-        let Ready { deformation, still } = cached(prepared);
-        let (network, laws) = self.parts(frame, p.weights);
-        let pose = frame.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let Ready { deformation, shared_geometry } = cached(prepared);
+        let (network, laws) = self.parts(setup, p.weights);
+        let pose = setup.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
         let deltas = self.deformation.forward(&inputs, deformation);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-        let (views, numbers) = (self.views(frame), frame.numbers());
-        let one = |group: &Group| {
+        let (views, numbers) = (self.views(setup), setup.numbers());
+        let one = |group: &ReceiverGroup| {
             let start = Instant::now();
-            let (view, still) = (&views[group.receiver], still.get(group.receiver));
+            let (view, shared_geometry) = (&views[group.receiver], shared_geometry.get(group.receiver));
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
-            let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), still);
-            let own = self.read_out(view, laws, group, asked, &drawing.render.pixels);
-            let [projection, sort] = if still.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
+            let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), shared_geometry);
+            let own = self.read_out(view, laws, group, request, &drawing.render.pixels);
+            let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let blending = start.elapsed().as_secs_f64() - projection - sort;
             (own, [projection, sort, blending])
         };
-        let groups = Group::all(asked.links, views.len(), !self.deformation.traits().varies_geometry);
+        let groups = ReceiverGroup::all(request.links, views.len(), !self.deformation.traits().varies_geometry);
         if let [group] = groups.as_slice() {
             let (own, seconds) = one(group);
             add(&mut times, seconds);
             return (own, times); // moved, not copied
         }
-        let mut all = vec![0.0; asked.links.len() * numbers];
+        let mut all = vec![0.0; request.links.len() * numbers];
         let drawn: Vec<(Vec<Real>, [f64; 3])> = groups.par_iter().map(one).collect();
         for (group, (own, seconds)) in groups.iter().zip(drawn) {
             group.scatter(&own, numbers, &mut all);
@@ -266,22 +267,29 @@ impl Method for Splatting {
         (all, times)
     }
 
-    fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
-        let network = self.parts(frame, weights).0.len();
+    fn start(
+        &self,
+        setup: &MeasurementSetup,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &mut GaussianCloud,
+        weights: &mut [Real],
+    ) {
+        let network = self.parts(setup, weights).0.len();
         groups::start(&*self.deformation, data, train, &mut weights[..network]);
-        if matches!(self.readout, Readout::Received { .. }) {
-            self.start_law(frame, data, train, cloud, weights);
+        if matches!(self.readout, Readout::ReceivedPower { .. }) {
+            self.start_law(setup, data, train, cloud, weights);
         }
     }
 
-    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
+    fn gaussians(&self, setup: &MeasurementSetup, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
         let (n, channels) = (p.cloud.len(), self.readout.channels());
         let strengths = |signals: &[Real]| {
             let planar: Vec<Real> =
                 (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
             if n == 0 { planar } else { self.readout.forward(&planar, n) }
         };
-        groups::gaussians(&*self.deformation, self.activation(), frame, p, tx, strengths)
+        groups::gaussians(&*self.deformation, self.activation(), setup, p, tx, strengths)
     }
 }
 

@@ -7,7 +7,7 @@
 
 use super::Splatting;
 use crate::groups::untrained;
-use pwrfgs_core::{Dataset, Frame, GaussianCloud, ImagePlane, Real, Vec3, consts, evenly};
+use pwrfgs_core::{Dataset, GaussianCloud, ImagePlane, MeasurementSetup, Real, Vec3, consts, evenly};
 
 /// Lower limit of the power of a sky without signals: -120 dB.
 const FLOOR: Real = 1e-12;
@@ -20,12 +20,12 @@ const FITTED: usize = 4_000;
 
 /// Offset β and path-loss exponent n of every receiver; empty if the readout is not a power.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Laws<'a> {
+pub(super) struct PathLossLaws<'a> {
     pub(super) offsets: &'a [Real],
     pub(super) exponents: &'a [Real],
 }
 
-impl Laws<'_> {
+impl PathLossLaws<'_> {
     pub(super) fn of(&self, receiver: usize) -> Option<[Real; 2]> {
         Some([*self.offsets.get(receiver)?, *self.exponents.get(receiver)?])
     }
@@ -93,7 +93,7 @@ impl Splatting {
     /// receiver and one common exponent. A receiver without training links has the mean offset.
     pub(super) fn start_law(
         &self,
-        frame: &Frame,
+        setup: &MeasurementSetup,
         data: &Dataset,
         train: &[usize],
         cloud: &mut GaussianCloud,
@@ -101,13 +101,13 @@ impl Splatting {
     ) {
         cloud.signals.iter_mut().for_each(|signal| *signal = [1.0, 0.0]);
         let Some(powers) = data.observations.powers() else { return };
-        let Some(last) = weights.len().checked_sub(2 * frame.receivers.len()) else { return };
+        let Some(last) = weights.len().checked_sub(2 * setup.receivers.len()) else { return };
         let part = evenly(train, FITTED);
-        let sky = untrained(self, frame, data, &part, (cloud, weights));
-        let receivers = &frame.receivers;
+        let sky = untrained(self, setup, data, &part, (cloud, weights));
+        let receivers = &setup.receivers;
         let row = |(&i, sky): (&usize, Real)| {
             let query = data.query(i);
-            let way = receivers[query.receiver].pose.origin() - Vec3::from_array(frame.origin.local(query.tx));
+            let way = receivers[query.receiver].pose.origin() - Vec3::from_array(setup.origin.local(query.tx));
             let distance = f64::from(way.length().max(NEAREST_M) as f32).log10();
             // Without positions only the offset is used.
             let x = if query.features.is_empty() { distance } else { 0.0 };
@@ -146,12 +146,12 @@ fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Axis, Sampling};
+    use pwrfgs_core::{AngleAxis, Sampling};
 
     #[test]
     fn solid_angles_sum_to_the_sphere() {
         for side in [1, 6, 10, 30, 60] {
-            let axis = |first| Axis { first, step: f64::from(side) };
+            let axis = |first| AngleAxis { first, step: f64::from(side) };
             let (width, height) = (360 / side as usize, 180 / side as usize + 1);
             let angles = Some((axis(0.0), axis(-90.0)));
             let plane = ImagePlane { width, height, wraps: true, angles, sampling: Sampling::WHOLE };

@@ -1,40 +1,43 @@
 //! Statistics of each Gaussian's effect on the observations, for pruners.
 
-use super::{Drawing, Geometry, Splatting, View};
+use super::{BlendedSignals, Geometry, ReceiverView, Splatting};
 use crate::Calibration;
-use crate::groups::Group;
-use pwrfgs_core::{Asked, Deltas, Frame, Looked, Needs, Parameters, Real, Splats, Statistic, Statistics, Survey};
+use crate::groups::ReceiverGroup;
+use pwrfgs_core::{
+    Deltas, MeasurementSetup, Needs, ObservationRequest, Parameters, PassStatistics, Real, SplatStats, Splats,
+    Statistic, SurveyInputs,
+};
 use std::sync::Arc;
 
 /// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
 type Jacobian = [[Real; 6]; 5];
 
 /// Arguments of [`pwrfgs_core::Method::survey`].
-pub(super) struct Question<'a> {
-    pub(super) frame: &'a Frame,
+pub(super) struct SurveyRequest<'a> {
+    pub(super) setup: &'a MeasurementSetup,
     pub(super) p: &'a Parameters<'a>,
-    pub(super) asked: &'a Asked<'a>,
+    pub(super) request: &'a ObservationRequest<'a>,
     pub(super) truths: &'a [Real],
     pub(super) needs: &'a Needs,
 }
 
-impl Question<'_> {
+impl SurveyRequest<'_> {
     fn any(&self, what: fn(&Statistic) -> bool) -> bool {
         self.needs.statistics.iter().any(what)
     }
 }
 
 impl Splatting {
-    pub(super) fn look(&self, question: &Question<'_>) -> Statistics {
-        let Question { frame, p, asked, needs, .. } = *question;
-        let (views, n) = (self.views(frame), p.cloud.len());
-        let still = !self.deformation.traits().varies_geometry;
+    pub(super) fn run_survey(&self, question: &SurveyRequest<'_>) -> PassStatistics {
+        let SurveyRequest { setup, p, request, needs, .. } = *question;
+        let (views, n) = (self.views(setup), p.cloud.len());
+        let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
-        let blind = still && !question.any(reads_signals);
-        let deltas = if blind { Deltas::default() } else { self.terms(frame, p, asked.conditions) };
+        let blind = is_static && !question.any(reads_signals);
+        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions) };
         let rows: Vec<usize> = (0..n).collect();
-        let mut sums = Statistics::zeros(needs, n);
-        for group in Group::all(asked.links, views.len(), still) {
+        let mut sums = PassStatistics::zeros(needs, n);
+        for group in ReceiverGroup::all(request.links, views.len(), is_static) {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
@@ -54,31 +57,37 @@ impl Splatting {
     }
 
     /// Returns ∂observation/∂blended, summed over the values of an observation.
-    fn slopes(&self, question: &Question<'_>, view: &View, link: &Group, blended: &[Real]) -> Vec<Real> {
-        let Question { frame, p, asked, .. } = *question;
-        if frame.task.has_pixels && self.calibration == Calibration::Physical {
+    fn slopes(
+        &self,
+        question: &SurveyRequest<'_>,
+        view: &ReceiverView,
+        link: &ReceiverGroup,
+        blended: &[Real],
+    ) -> Vec<Real> {
+        let SurveyRequest { setup, p, request, .. } = *question;
+        if setup.task.has_pixels && self.calibration == Calibration::Physical {
             return self.readout.slopes(blended, view.plane.width * view.plane.height);
         }
         let [offset, exponent] = &mut [0.0; 2];
-        let d_law = self.parts(frame, p.weights).1.of(link.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(&view.pose, asked), blended, &vec![1.0; frame.numbers()])
+        let d_law = self.parts(setup, p.weights).1.of(link.receiver).map(|_| [offset, exponent]);
+        self.read_out_vjp(view, d_law, &link.distances(&view.pose, request), blended, &vec![1.0; setup.numbers()])
     }
 
     /// Evaluates all links of a geometry, whose weights are equal; only `signals` `[N, links · channels]` differ.
     fn weigh(
         &self,
-        view: &View,
+        view: &ReceiverView,
         links: usize,
         signals: Option<Vec<Real>>,
         geometry: &Geometry,
         needs: &Needs,
-    ) -> Statistics {
+    ) -> PassStatistics {
         let (splats, channels) = (&geometry.splats, self.readout.channels());
         let n = splats.len();
         // Only blending weights are needed, so that the signals are arbitrary.
         let render = self.rasterizer.forward_prepared(splats, &vec![1.0; n], 1, &view.plane, &geometry.cache);
-        let looked = self.rasterizer.survey(splats, &view.plane, &render, &Survey::default());
-        let mut found = Statistics::zeros(needs, n);
+        let splat_stats = self.rasterizer.survey(splats, &view.plane, &render, &SurveyInputs::default());
+        let mut found = PassStatistics::zeros(needs, n);
         found.links = links;
         let mut strengths: [Vec<Real>; 2] = [vec![0.0; found.signal_mean.len()], vec![0.0; found.signal_mean.len()]];
         if let Some(signals) = signals.filter(|_| !found.signal_mean.is_empty()) {
@@ -91,34 +100,34 @@ impl Splatting {
             }
         }
         let times = links as Real;
-        fill(&mut found.weight, &looked, |_, own| times * own.weight);
-        fill(&mut found.largest_weight, &looked, |_, own| own.largest);
-        fill(&mut found.weight_per_area, &looked, |_, own| times * own.weight / own.pixels.max(1.0));
-        fill(&mut found.signal_mean, &looked, |i, own| strengths[0][i] * own.weight);
-        fill(&mut found.signal_max, &looked, |i, own| strengths[1][i] * own.weight);
+        fill(&mut found.weight, &splat_stats, |_, own| times * own.weight);
+        fill(&mut found.largest_weight, &splat_stats, |_, own| own.largest);
+        fill(&mut found.weight_per_area, &splat_stats, |_, own| times * own.weight / own.pixels.max(1.0));
+        fill(&mut found.signal_mean, &splat_stats, |i, own| strengths[0][i] * own.weight);
+        fill(&mut found.signal_max, &splat_stats, |i, own| strengths[1][i] * own.weight);
         found
     }
 
     /// Evaluates one link of a group.
     fn see(
         &self,
-        question: &Question<'_>,
-        view: &View,
-        link: &Group,
-        drawing: &Drawing,
+        question: &SurveyRequest<'_>,
+        view: &ReceiverView,
+        link: &ReceiverGroup,
+        drawing: &BlendedSignals,
         jacobians: &[Jacobian],
-    ) -> Statistics {
-        let Question { frame, p, asked, truths, needs } = *question;
-        let Drawing { geometry, signals, render, .. } = drawing;
+    ) -> PassStatistics {
+        let SurveyRequest { setup, p, request, truths, needs } = *question;
+        let BlendedSignals { geometry, signals, render, .. } = drawing;
         let (splats, channels) = (&geometry.splats, self.readout.channels());
-        let truth = &truths[link.first() * frame.numbers()..][..frame.numbers()];
-        let made = self.read_out(view, self.parts(frame, p.weights).1, link, asked, &self.shown(&render.pixels));
+        let truth = &truths[link.first() * setup.numbers()..][..setup.numbers()];
+        let made = self.read_out(view, self.parts(setup, p.weights).1, link, request, &self.shown(&render.pixels));
         let slopes = self.slopes(question, view, link, &render.pixels);
         let asks = |what: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(what);
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();
         let errors: Vec<Real> = made.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
-        let (mut survey, high) = (Survey::default(), high_errors(&errors, needs));
-        if frame.task.has_pixels {
+        let (mut survey, high) = (SurveyInputs::default(), high_errors(&errors, needs));
+        if setup.task.has_pixels {
             if question.any(|s| matches!(s, Statistic::Error { .. })) {
                 (survey.errors, survey.high) = (&errors, &high);
             }
@@ -130,38 +139,44 @@ impl Splatting {
                 survey.fisher = !jacobians.is_empty();
             }
         }
-        let mut looked = self.rasterizer.survey(splats, &view.plane, render, &survey);
-        if frame.task.is_scalar {
-            self.as_one_number(view, drawing, &slopes, &mut looked);
+        let mut splat_stats = self.rasterizer.survey(splats, &view.plane, render, &survey);
+        if setup.task.is_scalar {
+            self.as_one_number(view, drawing, &slopes, &mut splat_stats);
         }
-        let mut found = Statistics::zeros(needs, splats.len());
+        let mut found = PassStatistics::zeros(needs, splats.len());
         found.links = 1;
         let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
-        fill(&mut found.weight, &looked, |_, own| own.weight);
-        fill(&mut found.largest_weight, &looked, |_, own| own.largest);
-        fill(&mut found.weight_per_area, &looked, |_, own| own.weight / own.pixels.max(1.0));
-        fill(&mut found.signal_mean, &looked, |i, own| strengths[i] * own.weight);
-        fill(&mut found.signal_max, &looked, |i, own| strengths[i] * own.weight);
-        fill(&mut found.error, &looked, |_, own| own.error);
-        fill(&mut found.high_error, &looked, |_, own| mean_error * own.high);
-        fill(&mut found.sensitivity, &looked, |_, own| own.sensitivity);
-        found.top.iter_mut().zip(&looked).for_each(|(v, own)| *v = own.top);
-        let fishers = found.fisher.iter_mut().zip(jacobians).zip(&looked);
+        fill(&mut found.weight, &splat_stats, |_, own| own.weight);
+        fill(&mut found.largest_weight, &splat_stats, |_, own| own.largest);
+        fill(&mut found.weight_per_area, &splat_stats, |_, own| own.weight / own.pixels.max(1.0));
+        fill(&mut found.signal_mean, &splat_stats, |i, own| strengths[i] * own.weight);
+        fill(&mut found.signal_max, &splat_stats, |i, own| strengths[i] * own.weight);
+        fill(&mut found.error, &splat_stats, |_, own| own.error);
+        fill(&mut found.high_error, &splat_stats, |_, own| mean_error * own.high);
+        fill(&mut found.sensitivity, &splat_stats, |_, own| own.sensitivity);
+        found.top.iter_mut().zip(&splat_stats).for_each(|(v, own)| *v = own.top);
+        let fishers = found.fisher.iter_mut().zip(jacobians).zip(&splat_stats);
         fishers.for_each(|((v, jacobian), own)| *v = carried(&own.fisher, jacobian));
         found
     }
 
     /// Derivatives of a power, a single value: those of its pixels are summed before they are squared.
-    fn as_one_number(&self, view: &View, drawing: &Drawing, slopes: &[Real], looked: &mut [Looked]) {
-        let Drawing { geometry, signals, render, .. } = drawing;
+    fn as_one_number(
+        &self,
+        view: &ReceiverView,
+        drawing: &BlendedSignals,
+        slopes: &[Real],
+        splat_stats: &mut [SplatStats],
+    ) {
+        let BlendedSignals { geometry, signals, render, .. } = drawing;
         let mut splats = geometry.splats.clone();
-        if splats.presence.is_empty() {
-            splats.presence = vec![1.0; splats.len()];
+        if splats.existence.is_empty() {
+            splats.existence = vec![1.0; splats.len()];
         }
         let channels = self.readout.channels();
         let d = self.rasterizer.backward(&splats, signals, channels, &view.plane, render, slopes);
-        for (i, own) in looked.iter_mut().enumerate() {
-            own.sensitivity = (splats.presence[i] * d.splats.presence[i]).powi(2);
+        for (i, own) in splat_stats.iter_mut().enumerate() {
+            own.sensitivity = (splats.existence[i] * d.splats.existence[i]).powi(2);
             let ([x, y], [a, b, c]) = (d.splats.means2d[i], d.splats.conics[i]);
             let slopes = [x, y, a, b, c];
             let pairs = (0..5).flat_map(|j| (j..5).map(move |k| (j, k)));
@@ -171,7 +186,7 @@ impl Splatting {
 
     /// Returns the derivatives of the splats by their Gaussians: one backward pass of the projector per splat value,
     /// five in all.
-    fn jacobians(&self, view: &View, p: &Parameters<'_>, geometry: &Geometry) -> Vec<Jacobian> {
+    fn jacobians(&self, view: &ReceiverView, p: &Parameters<'_>, geometry: &Geometry) -> Vec<Jacobian> {
         let n = geometry.splats.len();
         let mut jacobians = vec![[[0.0; 6]; 5]; n];
         for k in 0..5 {
@@ -204,8 +219,8 @@ fn reads_signals(statistic: &Statistic) -> bool {
 }
 
 /// Fills a statistic with one value per Gaussian, if requested.
-fn fill(column: &mut [Real], looked: &[Looked], value: impl Fn(usize, &Looked) -> Real) {
-    column.iter_mut().zip(looked.iter().enumerate()).for_each(|(v, (i, own))| *v = value(i, own));
+fn fill(column: &mut [Real], splat_stats: &[SplatStats], value: impl Fn(usize, &SplatStats) -> Real) {
+    column.iter_mut().zip(splat_stats.iter().enumerate()).for_each(|(v, (i, own))| *v = value(i, own));
 }
 
 fn norm(signal: &[Real]) -> Real {
@@ -214,9 +229,9 @@ fn norm(signal: &[Real]) -> Real {
 
 /// Returns the pixels with an error above the requested fraction of the range from the smallest to the largest error.
 fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
-    let asked =
+    let request =
         needs.statistics.iter().find_map(|s| if let Statistic::Error { high } = s { Some(*high) } else { None });
-    let Some(share) = asked else { return Vec::new() };
+    let Some(share) = request else { return Vec::new() };
     let low = errors.iter().copied().fold(Real::INFINITY, Real::min);
     let most = errors.iter().copied().fold(Real::NEG_INFINITY, Real::max);
     errors.iter().map(|e| *e > low + share * (most - low)).collect()

@@ -1,22 +1,22 @@
 //! Linear least squares in double precision: normal equations `JᵀJ δ = Jᵀr`, accumulated row by row, and Cholesky.
-//! [`Rows`] are the measured values to which gains and positions are fitted, one row each.
+//! [`MeasurementRows`] are the measured values to which gains and positions are fitted, one row each.
 
 use crate::virtual_transmitters::cis::widest;
 use crate::virtual_transmitters::harmonics::{CLOSEST, gain};
-use crate::virtual_transmitters::links::{Links, Sources};
+use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
 use crate::virtual_transmitters::turn::{matrix, turned};
 use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng};
 use rayon::prelude::*;
 
 /// Normal equations: `JᵀJ` `[P,P]` (lower half, by rows), Jᵀr `[P]`, and Σr².
 #[derive(Clone, Debug)]
-pub(crate) struct Normal {
+pub(crate) struct NormalEquations {
     pub(crate) matrix: Vec<f64>,
     pub(crate) right: Vec<f64>,
     pub(crate) square: f64,
 }
 
-impl Normal {
+impl NormalEquations {
     /// Creates zeros for P unknowns.
     pub(crate) fn new(unknowns: usize) -> Self {
         Self { matrix: vec![0.0; unknowns * unknowns], right: vec![0.0; unknowns], square: 0.0 }
@@ -108,7 +108,7 @@ impl pulp::WithSimd for Dot<'_> {
 }
 
 struct Add<'a> {
-    to: &'a mut Normal,
+    to: &'a mut NormalEquations,
     rows: &'a [f64],
     r: [f64; 4],
 }
@@ -118,7 +118,7 @@ impl pulp::WithSimd for Add<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Normal { matrix, right, square } = self.to;
+        let NormalEquations { matrix, right, square } = self.to;
         let p = right.len();
         let (j0, rest) = self.rows.split_at(p);
         let (j1, rest) = rest.split_at(p);
@@ -140,7 +140,7 @@ impl pulp::WithSimd for Add<'_> {
 
 /// K measured values, one column per quantity.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Rows {
+pub(crate) struct MeasurementRows {
     /// Positions of the moving node `[K,3]`, metres.
     pub(crate) p: Vec<[f64; 3]>,
     /// Antenna positions in the frame of the fixed node `[K,3]`, metres.
@@ -151,9 +151,15 @@ pub(crate) struct Rows {
     pub(crate) h: Vec<[f64; 2]>,
 }
 
-impl Rows {
+impl MeasurementRows {
     /// Creates the rows of the listed items; above `most` rows, an equal number per item, drawn at random.
-    pub(crate) fn new(links: &Links<'_>, channel: &[[Real; 2]], items: &[usize], most: usize, seed: u64) -> Self {
+    pub(crate) fn new(
+        links: &ChannelInputs<'_>,
+        channel: &[[Real; 2]],
+        items: &[usize],
+        most: usize,
+        seed: u64,
+    ) -> Self {
         let subcarriers = links.frequencies.len();
         let each = links.antennas.len() * subcarriers;
         let taken = (most / items.len().max(1)).clamp(1, each);
@@ -185,17 +191,18 @@ impl Rows {
     }
 
     /// Returns |s|² per source, averaged over the directions of its links, and averaged over all sources.
-    pub(crate) fn signal(&self, sources: &Sources) -> f64 {
+    pub(crate) fn signal(&self, sources: &VirtualSources) -> f64 {
         let of = |g: usize| {
-            let heard = |p: &[f64; 3]| gain(sources.gains_of(g), sources.positions[g], *p);
-            self.p.iter().map(|p| heard(p).iter().map(|x| x * x).sum::<f64>()).sum::<f64>() / self.len().max(1) as f64
+            let received = |p: &[f64; 3]| gain(sources.gains_of(g), sources.positions[g], *p);
+            self.p.iter().map(|p| received(p).iter().map(|x| x * x).sum::<f64>()).sum::<f64>()
+                / self.len().max(1) as f64
         };
         let each: Vec<f64> = (0..sources.len()).into_par_iter().map(of).collect();
         each.iter().sum::<f64>() / sources.len().max(1) as f64
     }
 
     /// Returns rows with the residual: h minus the field of the sources.
-    pub(crate) fn residual(&self, sources: &Sources) -> Self {
+    pub(crate) fn residual(&self, sources: &VirtualSources) -> Self {
         let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
         let rest = |i: usize| {
             let mut rest = self.h[i];
@@ -212,17 +219,17 @@ impl Rows {
 
     /// Returns the wave in row `i` of a transmitter at `v` with signal 1 and the rotated antenna `turned`.
     #[inline(always)]
-    pub(crate) fn wave(&self, i: usize, v: [f64; 3], turned: [f64; 3]) -> Wave {
+    pub(crate) fn wave(&self, i: usize, v: [f64; 3], turned: [f64; 3]) -> SphericalWave {
         let by = [0, 1, 2].map(|k| v[k] + turned[k] - self.p[i][k]);
         let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(CLOSEST);
         let cycles = d * self.per_metre[i];
         let (sin, cos) = ((cycles - cycles.round()) * std::f64::consts::TAU).sin_cos();
-        Wave { by, d, e: [cos / d, -sin / d] }
+        SphericalWave { by, d, e: [cos / d, -sin / d] }
     }
 }
 
 /// Wave exp(-jkd)/d, the distance d and the vector from the moving node to the antenna, metres.
-pub(crate) struct Wave {
+pub(crate) struct SphericalWave {
     pub(crate) by: [f64; 3],
     pub(crate) d: f64,
     pub(crate) e: [f64; 2],
@@ -235,7 +242,7 @@ mod tests {
     #[test]
     fn least_squares_are_found() {
         let truth = [1.0, -2.0, 0.5];
-        let mut normal = Normal::new(3);
+        let mut normal = NormalEquations::new(3);
         for n in 0..5 {
             let rows: Vec<f64> = (0..12).map(|k| f64::from((7 * k + 5 * n * n + k * k * n) % 11) - 5.0).collect();
             let r = std::array::from_fn(|i| (0..3).map(|k| rows[3 * i + k] * truth[k]).sum());
@@ -243,6 +250,6 @@ mod tests {
         }
         let found = normal.solve(|_| 0.0).unwrap();
         assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-10), "{found:?}");
-        assert!(Normal::new(2).solve(|_| 0.0).is_none(), "no equations, no solution");
+        assert!(NormalEquations::new(2).solve(|_| 0.0).is_none(), "no equations, no solution");
     }
 }

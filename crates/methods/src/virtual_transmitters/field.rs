@@ -11,7 +11,7 @@
 
 use crate::virtual_transmitters::cis::{Cis, widest};
 use crate::virtual_transmitters::harmonics::{CLOSEST, HARMONICS, MOST, by_place, direction, harmonics, slopes};
-use crate::virtual_transmitters::links::Links;
+use crate::virtual_transmitters::links::ChannelInputs;
 use crate::virtual_transmitters::turn::{matrix, matrix_vjp, turned, unit};
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU};
 use rayon::prelude::*;
@@ -34,14 +34,14 @@ pub struct FieldVjp {
 }
 
 /// Group of LANES Gaussians: antennas `[A]` as x, y, z, and gains.
-struct Group {
+struct AntennaGroup {
     places: Vec<[Lane; 3]>,
     means: [[f64; 3]; LANES],
     /// Gains per harmonic `[K]`, including the gate.
     gains: Vec<[Lane; 2]>,
 }
 
-impl Group {
+impl AntennaGroup {
     /// Returns the signals of the LANES Gaussians in the direction of `p`.
     #[inline(always)]
     fn signal(&self, p: [Real; 3]) -> [Lane; 2] {
@@ -63,7 +63,7 @@ impl Group {
 /// Computes h `[M,A,F]` of all Gaussians, each multiplied by its gate.
 ///
 /// The cost is about 40 operations per link and Gaussian. `gate` is `[N]`, or `None` for all 1.
-pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Vec<[Real; 2]> {
+pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<[Real; 2]> {
     let groups = groups(cloud, gate, links);
     let (antennas, subcarriers) = (links.antennas.len(), links.frequencies.len());
     let per_metre = per_metre(links);
@@ -73,14 +73,19 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) ->
     items.for_each_init(scratch, |(signals, ways), (h, p)| {
         signals.iter_mut().zip(&groups).for_each(|(signal, group)| *signal = group.signal(*p));
         for (a, h) in h.chunks_exact_mut(subcarriers).enumerate() {
-            widest(Hear { groups: &groups, signals, a, p: *p, per_metre: &per_metre, ways, h });
+            widest(AntennaField { groups: &groups, signals, a, p: *p, per_metre: &per_metre, ways, h });
         }
     });
     out
 }
 
 /// Computes the derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals, harmonics and gates.
-pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>, d_field: &[[Real; 2]]) -> FieldVjp {
+pub fn field_vjp(
+    cloud: &GaussianCloud,
+    gate: Option<&[Real]>,
+    links: &ChannelInputs<'_>,
+    d_field: &[[Real; 2]],
+) -> FieldVjp {
     assert_eq!(d_field.len(), links.len(), "one cotangent a link");
     let groups = groups(cloud, None, links);
     let per_metre = per_metre(links);
@@ -89,7 +94,7 @@ pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>
     let tasks = (0..groups.len() * blocks).into_par_iter().map(|t| {
         let (group, from) = (&groups[t / blocks], t % blocks * block);
         let to = (from + block).min(links.positions.len());
-        widest(HearVjp { group, links, per_metre: &per_metre, items: from..to, d_field })
+        widest(AntennaFieldVjp { group, links, per_metre: &per_metre, items: from..to, d_field })
     });
     let sums: Vec<Cotangents> = tasks.collect();
     let mut out = FieldVjp { cloud: cloud.zeros_like(), gate: vec![0.0; cloud.len()] };
@@ -113,17 +118,17 @@ pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>
 }
 
 /// Returns the wavelengths per metre `[F]`.
-fn per_metre(links: &Links<'_>) -> Vec<Real> {
+fn per_metre(links: &ChannelInputs<'_>) -> Vec<Real> {
     links.frequencies.iter().map(|f| (f / SPEED_OF_LIGHT) as Real).collect()
 }
 
-fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Vec<Group> {
+fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<AntennaGroup> {
     assert!(gate.is_none_or(|g| g.len() == cloud.len()), "one gate a Gaussian");
     let more = cloud.extra(HARMONICS);
     let terms = 1 + more.map_or(0, |c| c.width / 2);
     assert!(terms <= MOST, "at most {MOST} harmonics");
     let group = |g: usize| {
-        let mut out = Group {
+        let mut out = AntennaGroup {
             places: vec![[ZERO; 3]; links.antennas.len()],
             means: [[0.0; 3]; LANES],
             gains: vec![[ZERO; 2]; terms],
@@ -166,8 +171,8 @@ fn way(place: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
 }
 
 /// Field at one antenna for one item: `h` `[F]`.
-struct Hear<'a> {
-    groups: &'a [Group],
+struct AntennaField<'a> {
+    groups: &'a [AntennaGroup],
     /// Signals of each group in the direction of the item.
     signals: &'a [[Lane; 2]],
     a: usize,
@@ -178,7 +183,7 @@ struct Hear<'a> {
     h: &'a mut [[Real; 2]],
 }
 
-impl pulp::WithSimd for Hear<'_> {
+impl pulp::WithSimd for AntennaField<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -224,15 +229,15 @@ struct Cotangents {
 }
 
 /// Backward pass of one group and one block of items.
-struct HearVjp<'a> {
-    group: &'a Group,
-    links: &'a Links<'a>,
+struct AntennaFieldVjp<'a> {
+    group: &'a AntennaGroup,
+    links: &'a ChannelInputs<'a>,
     per_metre: &'a [Real],
     items: std::ops::Range<usize>,
     d_field: &'a [[Real; 2]],
 }
 
-impl pulp::WithSimd for HearVjp<'_> {
+impl pulp::WithSimd for AntennaFieldVjp<'_> {
     type Output = Cotangents;
 
     #[inline(always)]
@@ -273,7 +278,7 @@ impl pulp::WithSimd for HearVjp<'_> {
 }
 
 /// Adds the derivatives by the harmonics except the first, and by the means through the direction.
-fn by_direction(group: &Group, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cotangents) {
+fn by_direction(group: &AntennaGroup, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cotangents) {
     for l in 0..LANES {
         let (u, d) = direction(group.means[l], p.map(f64::from));
         let (y, slopes, mut d_u) = (harmonics(u), slopes(u), [0.0; 3]);
@@ -322,8 +327,11 @@ mod tests {
 
     #[test]
     fn padding_is_silent_and_empty_clouds_are_too() {
-        let links =
-            Links { positions: &[[1.0, 0.0, 0.0], [0.0, 2.0, 0.5]], antennas: &[[0.0; 3]], frequencies: &[1e9] };
+        let links = ChannelInputs {
+            positions: &[[1.0, 0.0, 0.0], [0.0, 2.0, 0.5]],
+            antennas: &[[0.0; 3]],
+            frequencies: &[1e9],
+        };
         assert_eq!(field(&GaussianCloud::zeros(0), None, &links), vec![[0.0; 2]; 2]);
         let mut one = GaussianCloud::zeros(1);
         one.signals[0] = [1.0, 0.0];

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn they_are_orthonormal() {
+    fn harmonics_are_orthonormal() {
         for i in 0..MOST {
             for j in 0..=i {
                 let product = mean(|u| harmonics(u)[i] * harmonics(u)[j]);

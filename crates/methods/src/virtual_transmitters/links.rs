@@ -1,11 +1,11 @@
-//! `Links`: receiving positions, antennas and subcarriers. `Sources`: the virtual transmitters.
+//! `ChannelInputs`: receiving positions, antennas and subcarriers. `VirtualSources`: the virtual transmitters.
 
 use crate::virtual_transmitters::harmonics::{self, HARMONICS};
 use pwrfgs_core::{ExtraColumn, GaussianCloud, Real, SPEED_OF_LIGHT};
 
 /// Arguments of a channel h `[M,A,F]`, without the room.
 #[derive(Clone, Copy, Debug)]
-pub struct Links<'a> {
+pub struct ChannelInputs<'a> {
     /// Positions of the moving node `[M,3]`, metres.
     pub positions: &'a [[Real; 3]],
     /// Antennas of the fixed node in its own frame `[A,3]`, metres; one at zero without an array.
@@ -14,7 +14,7 @@ pub struct Links<'a> {
     pub frequencies: &'a [f64],
 }
 
-impl Links<'_> {
+impl ChannelInputs<'_> {
     /// Returns M · A · F.
     pub fn len(&self) -> usize {
         self.positions.len() * self.antennas.len() * self.frequencies.len()
@@ -71,7 +71,7 @@ impl Links<'_> {
 
 /// N virtual transmitters in double precision, one column per quantity.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Sources {
+pub struct VirtualSources {
     /// Positions v `[N,3]`, metres.
     pub positions: Vec<[f64; 3]>,
     /// Unit quaternions of the array rotations `[N,4]` as w, x, y, z.
@@ -82,7 +82,7 @@ pub struct Sources {
     pub order: usize,
 }
 
-impl Sources {
+impl VirtualSources {
     /// Creates an empty set with harmonics up to `order`.
     pub fn new(order: usize) -> Self {
         Self { order, ..Self::default() }

@@ -7,7 +7,7 @@ const MOST: usize = 1_000;
 
 /// Options of [`crate::virtual_transmitters::pursue`].
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pursuit {
+pub struct PursuitOptions {
     /// Extension of the grid beyond the positions of the moving node in every direction, relative to the longest side
     /// of their bounding box.
     pub reach: f64,
@@ -43,7 +43,7 @@ pub struct Pursuit {
     pub seed: u64,
 }
 
-impl Default for Pursuit {
+impl Default for PursuitOptions {
     fn default() -> Self {
         Self {
             reach: 2.0,
@@ -67,7 +67,7 @@ impl Default for Pursuit {
 
 /// Progress of a search, reported after every addition.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Progress {
+pub struct SearchProgress {
     /// Whether the number of sources is fixed and all items are fitted; otherwise some items are held out.
     pub last_pass: bool,
     /// Current number of sources.
@@ -82,7 +82,7 @@ pub struct Progress {
     pub image: bool,
 }
 
-impl Pursuit {
+impl PursuitOptions {
     /// Checks the values; the error is a message for users.
     pub fn check(&self) -> Result<(), String> {
         if !(0.0..=100.0).contains(&self.reach) {

@@ -1,12 +1,12 @@
 //! Orthogonal matching pursuit over the room. Each step adds the transmitter that explains most, recomputes all gains
 //! and refines all positions. Held-out data select the number of transmitters.
 
-use crate::virtual_transmitters::equations::Rows;
+use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
-use crate::virtual_transmitters::links::{Links, Sources};
-use crate::virtual_transmitters::options::{Progress, Pursuit};
-use crate::virtual_transmitters::solve::{Walk, gains, refine};
-use crate::virtual_transmitters::sweep::{Grid, Peak, as_peaks, images, sweep, thin};
+use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
+use crate::virtual_transmitters::options::{PursuitOptions, SearchProgress};
+use crate::virtual_transmitters::solve::{RefineOptions, gains, refine};
+use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin};
 use crate::virtual_transmitters::turn;
 use pwrfgs_core::{Real, rng};
 use rayon::prelude::*;
@@ -23,71 +23,76 @@ const CLIMB: usize = 32;
 /// `tell` receives every addition. Soon after `stop` is set, the search ends and returns the sources found so far. An
 /// error describes the invalid input.
 pub fn pursue(
-    links: &Links<'_>,
+    links: &ChannelInputs<'_>,
     channel: &[[Real; 2]],
-    options: &Pursuit,
+    options: &PursuitOptions,
     stop: &AtomicBool,
-    tell: &mut dyn FnMut(&Progress),
-) -> Result<Sources, String> {
+    report_progress: &mut dyn FnMut(&SearchProgress),
+) -> Result<VirtualSources, String> {
     links.check_channel(channel)?;
     options.check()?;
     let mut items: Vec<usize> = (0..links.positions.len()).collect();
     let folds = if options.hold_out < 2 { 0 } else { items.len() / options.hold_out };
-    let none = || Sources::new(options.order);
+    let none = || VirtualSources::new(options.order);
     if folds == 0 {
-        return Ok(Search::new(links, channel, options, stop, &items, &[]).grow(none(), options.most, tell));
+        return Ok(PursuitSearch::new(links, channel, options, stop, &items, &[]).grow(
+            none(),
+            options.most,
+            report_progress,
+        ));
     }
     rng::shuffle(&mut rng::stream(options.seed, "hold out", 0), &mut items);
     let (held_out, fitted) = items.split_at(folds);
-    let mut found = Search::new(links, channel, options, stop, fitted, held_out).grow(none(), options.most, tell);
+    let mut found =
+        PursuitSearch::new(links, channel, options, stop, fitted, held_out).grow(none(), options.most, report_progress);
     let all: Vec<usize> = (0..links.positions.len()).collect();
-    let last = Search::new(links, channel, options, stop, &all, &[]);
+    let last = PursuitSearch::new(links, channel, options, stop, &all, &[]);
     last.settle(&mut found, 3 * options.steps);
     Ok(found)
 }
 
 /// One pass of the search.
-struct Search<'a> {
-    links: &'a Links<'a>,
+struct PursuitSearch<'a> {
+    links: &'a ChannelInputs<'a>,
     channel: &'a [[Real; 2]],
-    options: &'a Pursuit,
+    options: &'a PursuitOptions,
     stop: &'a AtomicBool,
     held_out: &'a [usize],
     /// Rows for the grid, and for refinement.
-    coarse: Rows,
-    rows: Rows,
-    grid: Grid,
-    hear: Vec<[f64; 3]>,
+    coarse: MeasurementRows,
+    rows: MeasurementRows,
+    grid: SearchGrid,
+    positions: Vec<[f64; 3]>,
     wavelength: f64,
     /// Remaining peaks of the last sweep, and the energy that its best peak explained.
     pool: Vec<Peak>,
     strongest: f64,
 }
 
-impl<'a> Search<'a> {
+impl<'a> PursuitSearch<'a> {
     fn new(
-        links: &'a Links<'a>,
+        links: &'a ChannelInputs<'a>,
         channel: &'a [[Real; 2]],
-        options: &'a Pursuit,
+        options: &'a PursuitOptions,
         stop: &'a AtomicBool,
         fitted: &[usize],
         held_out: &'a [usize],
     ) -> Self {
-        let hear: Vec<[f64; 3]> = links.positions.iter().map(|p| p.map(f64::from)).collect();
-        let low: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MAX, |m, p| m.min(p[k])));
-        let high: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MIN, |m, p| m.max(p[k])));
+        let positions: Vec<[f64; 3]> = links.positions.iter().map(|p| p.map(f64::from)).collect();
+        let low: [f64; 3] = std::array::from_fn(|k| positions.iter().fold(f64::MAX, |m, p| m.min(p[k])));
+        let high: [f64; 3] = std::array::from_fn(|k| positions.iter().fold(f64::MIN, |m, p| m.max(p[k])));
         let wavelength = links.shortest_wavelength();
         // At least a wavelength, because a single position has no extent.
         let side = (0..3).fold(wavelength, |side, k| side.max(high[k] - low[k]));
         let antennas: Vec<[f64; 3]> = links.antennas.iter().map(|r| r.map(f64::from)).collect();
-        let grid = Grid {
+        let grid = SearchGrid {
             centre: [0, 1, 2].map(|k| f64::midpoint(low[k], high[k])),
             side,
             half: (0.5 + options.reach) * side,
             step: options.step * wavelength,
             quats: turn::mirrored(&antennas),
         };
-        let [coarse, fine] = options.rows.map(|most| Rows::new(links, channel, fitted, most, options.seed));
+        let [coarse, fine] = options.rows.map(|most| MeasurementRows::new(links, channel, fitted, most, options.seed));
         Self {
             links,
             channel,
@@ -97,7 +102,7 @@ impl<'a> Search<'a> {
             coarse,
             rows: fine,
             grid,
-            hear,
+            positions,
             wavelength,
             pool: Vec::new(),
             strongest: f64::INFINITY,
@@ -110,11 +115,16 @@ impl<'a> Search<'a> {
 
     /// Adds sources until `most`, until patience ends or until stopped. Then removes the least important sources and
     /// repeats this while the score improves; returns the best set.
-    fn grow(&mut self, start: Sources, most: usize, tell: &mut dyn FnMut(&Progress)) -> Sources {
+    fn grow(
+        &mut self,
+        start: VirtualSources,
+        most: usize,
+        report_progress: &mut dyn FnMut(&SearchProgress),
+    ) -> VirtualSources {
         let mut best = (f64::NEG_INFINITY, start);
         for _ in 0..=self.options.rounds {
             let before = best.0;
-            self.forward(&mut best, most, tell);
+            self.forward(&mut best, most, report_progress);
             if !self.held_out.is_empty() {
                 self.backward(&mut best);
             }
@@ -126,7 +136,12 @@ impl<'a> Search<'a> {
     }
 
     /// Adds sources to the best set.
-    fn forward(&mut self, best: &mut (f64, Sources), most: usize, tell: &mut dyn FnMut(&Progress)) {
+    fn forward(
+        &mut self,
+        best: &mut (f64, VirtualSources),
+        most: usize,
+        report_progress: &mut dyn FnMut(&SearchProgress),
+    ) {
         let mut sources = best.1.clone();
         let mut since = 0;
         while sources.len() < most && since < self.options.patience && !self.stopped() {
@@ -140,12 +155,12 @@ impl<'a> Search<'a> {
                 (*best, since) = ((held_out, sources.clone()), 0);
             }
             let last_pass = self.held_out.is_empty();
-            tell(&Progress { last_pass, sources: sources.len(), fitted, held_out, proof, image });
+            report_progress(&SearchProgress { last_pass, sources: sources.len(), fitted, held_out, proof, image });
         }
     }
 
     /// Removes one source after the other, each time that with the smallest loss of fit.
-    fn backward(&self, best: &mut (f64, Sources)) {
+    fn backward(&self, best: &mut (f64, VirtualSources)) {
         let mut sources = best.1.clone();
         let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
         while sources.len() > least.max(1) && !self.stopped() {
@@ -164,7 +179,7 @@ impl<'a> Search<'a> {
     }
 
     /// Sets the ridge of each source during its refinement.
-    fn settle(&self, sources: &mut Sources, steps: usize) {
+    fn settle(&self, sources: &mut VirtualSources, steps: usize) {
         let mut ridge = vec![1e-9 * self.rows.energy(); sources.len()];
         let walk = self.walk(steps);
         let Some(mut cost) = gains(&self.rows, sources, &ridge) else { return };
@@ -184,7 +199,7 @@ impl<'a> Search<'a> {
     ///
     /// Sweeps the grid again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
     /// less than the previous best: a better candidate may then exist.
-    fn next(&mut self, sources: &Sources) -> Option<(Peak, f64, bool)> {
+    fn next(&mut self, sources: &VirtualSources) -> Option<(Peak, f64, bool)> {
         let residual = self.rows.residual(sources);
         let mut best = None;
         let apart = self.wavelength / 4.0;
@@ -192,7 +207,7 @@ impl<'a> Search<'a> {
         let mut places: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
         if self.options.images {
             let known = [&sources.positions[..], &places[..]].concat();
-            places.extend(images(&known, &self.hear, |place| self.grid.holds(place), apart));
+            places.extend(images(&known, &self.positions, |place| self.grid.holds(place), apart));
         }
         if !places.is_empty() {
             let peaks = as_peaks(&places, &self.grid.quats);
@@ -217,11 +232,17 @@ impl<'a> Search<'a> {
 
     /// Returns the best of the peaks after individual refinement, and the log of its odds against the best of `number`
     /// accidents.
-    fn refined(&self, residual: &Rows, mut peaks: Vec<Peak>, number: usize, sources: &Sources) -> Option<(Peak, f64)> {
+    fn refined(
+        &self,
+        residual: &MeasurementRows,
+        mut peaks: Vec<Peak>,
+        number: usize,
+        sources: &VirtualSources,
+    ) -> Option<(Peak, f64)> {
         let energy = residual.energy();
         let climb = |peak: &mut Peak, steps: usize| {
             let walk = self.walk(steps);
-            let mut one = Sources::default();
+            let mut one = VirtualSources::default();
             one.push(peak.place, peak.quat, [0.0; 2]);
             let left = refine(residual, &mut one, &[1e-12 * residual.len() as f64], walk);
             let most = 2.0 * self.wavelength * self.grid.width(peak.place);
@@ -240,14 +261,20 @@ impl<'a> Search<'a> {
         peaks.first().map(|p| (*p, odds(p)))
     }
 
-    fn walk(&self, steps: usize) -> Walk<'_> {
-        Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns(), grid: &self.grid, stop: self.stop }
+    fn walk(&self, steps: usize) -> RefineOptions<'_> {
+        RefineOptions {
+            steps,
+            farthest: self.wavelength / 8.0,
+            turns: self.links.turns(),
+            grid: &self.grid,
+            stop: self.stop,
+        }
     }
 
     /// Returns the SNR on the held-out items, dB.
-    fn score(&self, sources: &Sources) -> f64 {
+    fn score(&self, sources: &VirtualSources) -> f64 {
         let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
-        let links = Links { positions: &positions, ..*self.links };
+        let links = ChannelInputs { positions: &positions, ..*self.links };
         let each = links.antennas.len() * links.frequencies.len();
         let truth = self.held_out.iter().flat_map(|i| &self.channel[i * each..(i + 1) * each]);
         snr_of(&field(&sources.to_cloud(), None, &links), truth)
@@ -258,7 +285,7 @@ fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }
 
-fn snr(residual: &Rows, rows: &Rows) -> f64 {
+fn snr(residual: &MeasurementRows, rows: &MeasurementRows) -> f64 {
     -10.0 * (residual.energy() / rows.energy()).log10()
 }
 

@@ -8,10 +8,10 @@
 //! projection in Kaufman's form. After each step the gains are solved exactly for the new positions. All computations
 //! use double precision.
 
-use crate::virtual_transmitters::equations::{Normal, Rows};
+use crate::virtual_transmitters::equations::{MeasurementRows, NormalEquations};
 use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
-use crate::virtual_transmitters::links::{Links, Sources};
-use crate::virtual_transmitters::sweep::Grid;
+use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
+use crate::virtual_transmitters::sweep::SearchGrid;
 use crate::virtual_transmitters::turn::{matrix, nudged, turned};
 use pwrfgs_core::Real;
 use rayon::prelude::*;
@@ -52,16 +52,21 @@ impl Unknowns {
 /// Solves the best gains of `sources` at their positions for `channel` `[M,A,F]`, with a `ridge` `[N]` on |s|².
 ///
 /// If the equations have no unique solution, the gains are unchanged and the result is false.
-pub fn solve_gains(links: &Links<'_>, channel: &[[Real; 2]], sources: &mut Sources, ridge: &[f64]) -> bool {
+pub fn solve_gains(
+    links: &ChannelInputs<'_>,
+    channel: &[[Real; 2]],
+    sources: &mut VirtualSources,
+    ridge: &[f64],
+) -> bool {
     assert_eq!(channel.len(), links.len(), "one complex number a link");
     assert_eq!(ridge.len(), sources.len(), "one ridge a source");
     let items: Vec<usize> = (0..links.positions.len()).collect();
-    gains(&Rows::new(links, channel, &items, usize::MAX, 0), sources, ridge).is_some()
+    gains(&MeasurementRows::new(links, channel, &items, usize::MAX, 0), sources, ridge).is_some()
 }
 
 /// [`solve_gains`] for rows; returns Σ|h − Σ s·e|² + Σ ridge·|s|² of the solution.
-pub(crate) fn gains(rows: &Rows, sources: &mut Sources, ridge: &[f64]) -> Option<f64> {
-    let silent = Sources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
+pub(crate) fn gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge: &[f64]) -> Option<f64> {
+    let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
     let normal = equations(rows, &silent, Unknowns::Gains);
     let found = normal.solve(|i| ridge[i / (2 * sources.terms())])?;
     // At the minimum, the residual is Σ|h|² − sᵀEᴴh.
@@ -71,13 +76,13 @@ pub(crate) fn gains(rows: &Rows, sources: &mut Sources, ridge: &[f64]) -> Option
 }
 
 /// Returns the normal equations of a step from `sources`, without ridge or damping.
-pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> Normal {
+pub(crate) fn equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: Unknowns) -> NormalEquations {
     let p = unknowns.each(sources.terms()) * sources.len();
     let pairs = rows.len().div_ceil(2);
     let block = pairs.div_ceil(BLOCKS).max(32);
     let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
     let gather = |b: usize| {
-        let mut normal = Normal::new(p);
+        let mut normal = NormalEquations::new(p);
         let mut jacobian = vec![0.0; 4 * p];
         for pair in b * block..((b + 1) * block).min(pairs) {
             jacobian.fill(0.0);
@@ -93,11 +98,11 @@ pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> N
         }
         normal
     };
-    let mut total = Normal::new(p);
+    let mut total = NormalEquations::new(p);
     if rows.len() * p < ALONE {
         (0..pairs.div_ceil(block)).for_each(|b| total.add(&gather(b)));
     } else {
-        let blocks: Vec<Normal> = (0..pairs.div_ceil(block)).into_par_iter().map(gather).collect();
+        let blocks: Vec<NormalEquations> = (0..pairs.div_ceil(block)).into_par_iter().map(gather).collect();
         blocks.iter().for_each(|b| total.add(b));
     }
     total
@@ -105,9 +110,9 @@ pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> N
 
 /// Computes the derivatives of row `i`, real part then imaginary part `[2,P]`; returns the residual of h.
 fn row(
-    rows: &Rows,
+    rows: &MeasurementRows,
     i: usize,
-    sources: &Sources,
+    sources: &VirtualSources,
     rotations: &[[[f64; 3]; 3]],
     unknowns: Unknowns,
     j: &mut [f64],
@@ -122,21 +127,21 @@ fn row(
         let (gains, [re, im]) = (sources.gains_of(g), wave.e);
         let (u, far) = direction(sources.positions[g], rows.p[i]);
         let harmonics = if terms > 1 { harmonics(u) } else { FLAT };
-        let mut heard = [0.0; 2];
+        let mut received = [0.0; 2];
         for (k, [x, y]) in gains.iter().enumerate() {
             let (at, re, im) = (2 * (terms * g + k), harmonics[k] * re, harmonics[k] * im);
-            heard = [heard[0] + (x * re - y * im), heard[1] + (x * im + y * re)];
+            received = [received[0] + (x * re - y * im), received[1] + (x * im + y * re)];
             (real[at], real[at + 1]) = (re, -im);
             (imaginary[at], imaginary[at + 1]) = (im, re);
         }
-        rest = [rest[0] - heard[0], rest[1] - heard[1]];
+        rest = [rest[0] - received[0], rest[1] - received[1]];
         if unknowns == Unknowns::Gains {
             continue;
         }
         // ∂(s·e)/∂d = s·e·(−jk − 1/d).
-        let by_d = [k * heard[1] - heard[0] / wave.d, -k * heard[0] - heard[1] / wave.d];
+        let by_d = [k * received[1] - received[0] / wave.d, -k * received[0] - received[1] / wave.d];
         let along = wave.by.map(|x| x / wave.d);
-        let turn = if terms > 1 { by_turning(gains, u, far, wave.e) } else { [[0.0; 3]; 2] };
+        let turn = if terms > 1 { direction_gradient(gains, u, far, wave.e) } else { [[0.0; 3]; 2] };
         let about =
             [r[1] * along[2] - r[2] * along[1], r[2] * along[0] - r[0] * along[2], r[0] * along[1] - r[1] * along[0]];
         for c in 0..3 {
@@ -152,7 +157,7 @@ fn row(
 }
 
 /// Returns the derivatives of real and imaginary part of Σ c·Y(u)·e by the position, through the direction u only.
-fn by_turning(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> [[f64; 3]; 2] {
+fn direction_gradient(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> [[f64; 3]; 2] {
     let mut d_u = [[0.0; 3]; 2];
     for ([x, y], slope) in gains.iter().zip(slopes(u)) {
         for c in 0..3 {
@@ -165,12 +170,12 @@ fn by_turning(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> 
 
 /// Options of [`refine`].
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Walk<'a> {
+pub(crate) struct RefineOptions<'a> {
     /// Maximum number of steps.
     pub(crate) steps: usize,
     /// Maximum move of a source per step, metres, at the centre of the grid; larger where maxima are wider.
     pub(crate) farthest: f64,
-    pub(crate) grid: &'a Grid,
+    pub(crate) grid: &'a SearchGrid,
     /// Whether arrays are rotated too.
     pub(crate) turns: bool,
     /// Stops the refinement once set.
@@ -181,7 +186,12 @@ pub(crate) struct Walk<'a> {
 const ENOUGH: f64 = 1e-6;
 
 /// Moves `sources` downhill; returns the final cost Σ|h − Σ s·e|² + Σ ridge·|s|², or `None` without a solution.
-pub(crate) fn refine(rows: &Rows, sources: &mut Sources, ridge: &[f64], walk: Walk<'_>) -> Option<f64> {
+pub(crate) fn refine(
+    rows: &MeasurementRows,
+    sources: &mut VirtualSources,
+    ridge: &[f64],
+    walk: RefineOptions<'_>,
+) -> Option<f64> {
     let mut cost = gains(rows, sources, ridge)?;
     let unknowns = if walk.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };
     let mut damping = 1e-2;
@@ -218,11 +228,11 @@ pub(crate) fn refine(rows: &Rows, sources: &mut Sources, ridge: &[f64], walk: Wa
 
 /// Returns the equations with the ridge on the gains.
 fn with_ridge(
-    rows: &Rows,
-    sources: &Sources,
+    rows: &MeasurementRows,
+    sources: &VirtualSources,
     unknowns: Unknowns,
     ridge: &[f64],
-) -> crate::virtual_transmitters::equations::Normal {
+) -> crate::virtual_transmitters::equations::NormalEquations {
     let mut normal = equations(rows, sources, unknowns);
     let p = normal.unknowns();
     for (i, gain) in sources.gains.as_flattened().iter().enumerate() {
@@ -234,7 +244,7 @@ fn with_ridge(
 }
 
 /// Returns `sources` after a step, with limited moves and rotations of at most half a radian.
-fn apply(sources: &Sources, step: &[f64], walk: Walk<'_>) -> Sources {
+fn apply(sources: &VirtualSources, step: &[f64], walk: RefineOptions<'_>) -> VirtualSources {
     let (n, moves) = (sources.len(), 2 * sources.gains.len());
     let mut out = sources.clone();
     let within = |by: [f64; 3], most: f64| {

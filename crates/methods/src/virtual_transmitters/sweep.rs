@@ -11,7 +11,7 @@
 //! second reflection from noise.
 
 use crate::virtual_transmitters::cis::{Cis, widest};
-use crate::virtual_transmitters::equations::Rows;
+use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::turn::{matrix, turned};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,7 +21,7 @@ const LANES: usize = 32;
 
 /// Cube in shells, metres, and the rotations that are evaluated at each position.
 #[derive(Clone, Debug)]
-pub(crate) struct Grid {
+pub(crate) struct SearchGrid {
     /// Centre of the links.
     pub(crate) centre: [f64; 3],
     /// Longest side of the bounding box of the links.
@@ -75,7 +75,7 @@ impl Shell {
     }
 }
 
-impl Grid {
+impl SearchGrid {
     /// Returns the width of maxima at `place`, in steps of the innermost shell, at least 1. Maximum moves and the
     /// distance between distinct positions scale with it.
     pub(crate) fn width(&self, place: [f64; 3]) -> f64 {
@@ -111,10 +111,10 @@ impl Grid {
 
 /// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
 /// set.
-pub(crate) fn sweep(rows: &Rows, grid: &Grid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
+pub(crate) fn sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
     let layers = |s: Shell| (0..grid.quats.len()).flat_map(move |q| (0..s.count()).map(move |z| (s, q, z)));
     let tasks: Vec<(Shell, usize, usize)> = grid.shells().into_iter().flat_map(layers).collect();
-    let turned: Vec<Heard> = grid.quats.iter().map(|q| Heard::new(rows, *q, grid.centre)).collect();
+    let turned: Vec<SweepRows> = grid.quats.iter().map(|q| SweepRows::new(rows, *q, grid.centre)).collect();
     let layer = |&(shell, q, z): &(Shell, usize, usize)| {
         let mut found = Vec::new();
         let mut least = 0.0;
@@ -125,7 +125,15 @@ pub(crate) fn sweep(rows: &Rows, grid: &Grid, most: usize, stop: &AtomicBool) ->
             let at = [shell.at(y), shell.at(z)];
             for (from, count) in shell.stretches(at) {
                 let stretch = (shell.at(from), count, shell.step);
-                widest(Line { heard: &turned[q], grid, stretch, at, quat: grid.quats[q], found: &mut found, least });
+                widest(SweepLine {
+                    measured: &turned[q],
+                    grid,
+                    stretch,
+                    at,
+                    quat: grid.quats[q],
+                    found: &mut found,
+                    least,
+                });
             }
             if found.len() > 8 * most {
                 grid.thin(&mut found, most);
@@ -165,12 +173,12 @@ fn by_place(a: &Peak, b: &Peak) -> std::cmp::Ordering {
 }
 
 /// Rows for one rotation, relative to the centre of the cube: p − R r, wavelengths per metre, residual.
-struct Heard {
+struct SweepRows {
     rows: Vec<[f32; 6]>,
 }
 
-impl Heard {
-    fn new(rows: &Rows, quat: [f64; 4], centre: [f64; 3]) -> Self {
+impl SweepRows {
+    fn new(rows: &MeasurementRows, quat: [f64; 4], centre: [f64; 3]) -> Self {
         let rotation = matrix(quat);
         let row = |i: usize| {
             let (p, r, [re, im]) = (rows.p[i], turned(&rotation, rows.r[i]), rows.h[i]);
@@ -182,9 +190,9 @@ impl Heard {
 }
 
 /// Segment of one line along x.
-struct Line<'a> {
-    heard: &'a Heard,
-    grid: &'a Grid,
+struct SweepLine<'a> {
+    measured: &'a SweepRows,
+    grid: &'a SearchGrid,
     /// First position relative to the centre of the cube, metres, number of positions, and their spacing.
     stretch: (f64, usize, f64),
     /// Coordinates y and z relative to the centre of the cube, metres.
@@ -195,7 +203,7 @@ struct Line<'a> {
     least: f64,
 }
 
-impl pulp::WithSimd for Line<'_> {
+impl pulp::WithSimd for SweepLine<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -209,7 +217,7 @@ impl pulp::WithSimd for Line<'_> {
             for l in 0..LANES {
                 x[l] = (start + (first + l) as f64 * step) as f32;
             }
-            let explains = explained(&self.heard.rows, &x, at);
+            let explains = explained(&self.measured.rows, &x, at);
             for l in 0..LANES.min(count - first) {
                 // Maximum along the line: its neighbours belong to the same maximum.
                 let falls =
@@ -258,7 +266,7 @@ const BEHIND: f64 = 0.02;
 /// other.
 pub(crate) fn images(
     places: &[[f64; 3]],
-    hear: &[[f64; 3]],
+    positions: &[[f64; 3]],
     holds: impl Fn([f64; 3]) -> bool,
     apart: f64,
 ) -> Vec<[f64; 3]> {
@@ -266,7 +274,7 @@ pub(crate) fn images(
     let mut found: Vec<[f64; 3]> = Vec::new();
     for (i, a) in places.iter().enumerate() {
         for b in &places[..i] {
-            let Some(plane) = Plane::between(*a, *b).filter(|p| p.clear_of(hear)) else { continue };
+            let Some(plane) = CutPlane::between(*a, *b).filter(|p| p.clear_of(positions)) else { continue };
             for v in places {
                 let image = plane.mirrored(*v);
                 if holds(image) && !places.iter().chain(&found).any(|p| near(p, &image)) {
@@ -279,12 +287,12 @@ pub(crate) fn images(
 }
 
 /// Plane n·x = at, with n of length 1.
-struct Plane {
+struct CutPlane {
     n: [f64; 3],
     at: f64,
 }
 
-impl Plane {
+impl CutPlane {
     fn between(a: [f64; 3], b: [f64; 3]) -> Option<Self> {
         let by = [0, 1, 2].map(|k| b[k] - a[k]);
         let length = by.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -299,8 +307,8 @@ impl Plane {
         (0..3).map(|k| self.n[k] * x[k]).sum::<f64>() - self.at
     }
 
-    fn clear_of(&self, hear: &[[f64; 3]]) -> bool {
-        let above = hear.iter().filter(|p| self.above(p) > 0.0).count() as f64 / hear.len().max(1) as f64;
+    fn clear_of(&self, positions: &[[f64; 3]]) -> bool {
+        let above = positions.iter().filter(|p| self.above(p) > 0.0).count() as f64 / positions.len().max(1) as f64;
         above.min(1.0 - above) <= BEHIND
     }
 
@@ -326,8 +334,8 @@ mod tests {
     #[test]
     fn the_corner_of_two_walls_follows_from_two_images() {
         let (node, wall, floor) = ([1.0, 0.5, 1.5], [-3.0, 0.5, 1.5], [1.0, 0.5, -1.5]);
-        let hear = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]];
-        let found = images(&[node, wall, floor], &hear, |_| true, 0.05);
+        let positions = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]];
+        let found = images(&[node, wall, floor], &positions, |_| true, 0.05);
         assert!(found.iter().any(|p| (0..3).all(|k| (p[k] - [-3.0, 0.5, -1.5][k]).abs() < 1e-12)), "{found:?}");
         let across = images(&[node, wall], &[[-2.0, 0.0, 1.0], [1.0, 1.0, 2.0]], |_| true, 0.05);
         assert!(across.is_empty(), "no wall goes through where the moving end was: {across:?}");

@@ -1,7 +1,7 @@
 //! Rotations as quaternions w, x, y, z: matrix, derivative, and small rotations, in double precision.
 
 /// Matrix by rows.
-pub(crate) type Rows = [[f64; 3]; 3];
+pub(crate) type MatrixRows = [[f64; 3]; 3];
 
 /// Identity rotation.
 pub(crate) const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
@@ -13,7 +13,7 @@ pub(crate) fn unit(q: [f64; 4]) -> [f64; 4] {
 }
 
 /// Returns the matrix R of a unit quaternion.
-pub(crate) fn matrix([w, x, y, z]: [f64; 4]) -> Rows {
+pub(crate) fn matrix([w, x, y, z]: [f64; 4]) -> MatrixRows {
     [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
@@ -23,7 +23,7 @@ pub(crate) fn matrix([w, x, y, z]: [f64; 4]) -> Rows {
 
 /// Returns R v.
 #[inline(always)]
-pub(crate) fn turned(r: &Rows, v: [f64; 3]) -> [f64; 3] {
+pub(crate) fn turned(r: &MatrixRows, v: [f64; 3]) -> [f64; 3] {
     [
         r[0][0] * v[0] + r[0][1] * v[1] + r[0][2] * v[2],
         r[1][0] * v[0] + r[1][1] * v[1] + r[1][2] * v[2],
@@ -32,7 +32,7 @@ pub(crate) fn turned(r: &Rows, v: [f64; 3]) -> [f64; 3] {
 }
 
 /// Derivative of [`matrix`] of [`unit()`]: the cotangent of a quaternion of any length, given that of R.
-pub(crate) fn matrix_vjp(q: [f64; 4], d: &Rows) -> [f64; 4] {
+pub(crate) fn matrix_vjp(q: [f64; 4], d: &MatrixRows) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if !(length > 1e-30 && length.is_finite()) {
         return [0.0; 4];
@@ -130,7 +130,7 @@ pub(crate) fn mirrored(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
 }
 
 /// Returns the quaternion of a rotation matrix, from its largest component.
-pub(crate) fn of_matrix(r: &Rows) -> [f64; 4] {
+pub(crate) fn of_matrix(r: &MatrixRows) -> [f64; 4] {
     let squares = [
         1.0 + r[0][0] + r[1][1] + r[2][2],
         1.0 + r[0][0] - r[1][1] - r[2][2],

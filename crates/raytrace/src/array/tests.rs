@@ -5,9 +5,9 @@ use std::collections::HashMap;
 
 const WAVELENGTH: f64 = 0.3258;
 
-fn line_of_sight(from: DVec3, to: DVec3) -> Path {
+fn line_of_sight(from: DVec3, to: DVec3) -> PropagationPath {
     let length = from.distance(to);
-    Path {
+    PropagationPath {
         gain: Complex::new(WAVELENGTH / (2.0 * TAU * length), 0.0),
         length,
         departure: (to - from) / length,
@@ -30,7 +30,7 @@ fn x_runs_fastest_and_the_centre_is_the_mean() {
 }
 
 #[test]
-fn arrays_that_cannot_be_are_told_apart() {
+fn reports_each_invalid_array() {
     let good = Array::default();
     assert_eq!(good.check(), Ok(()));
     let cases = [
@@ -106,7 +106,7 @@ fn a_spherical_wave_becomes_a_plane_one_far_away() {
     for distance in [10.0, 100.0, 1000.0] {
         let path = line_of_sight(center + turn * direction * distance, center);
         let spherical = array.channel(std::slice::from_ref(&path), center, turn, WAVELENGTH);
-        let flat = Array { wavefront: Wavefront::Plane, ..array.clone() };
+        let flat = Array { wavefront: ArrayWavefront::Plane, ..array.clone() };
         let plane = flat.channel(std::slice::from_ref(&path), center, turn, WAVELENGTH);
         let worst = spherical.iter().zip(&plane).map(|(a, b)| (a / b - 1.0).norm()).fold(0.0, f64::max);
         assert!(worst < 1.2 / distance && worst > 0.1 / distance, "{distance} m: {worst}");
@@ -119,7 +119,7 @@ fn a_spherical_wave_becomes_a_plane_one_far_away() {
 }
 
 #[test]
-fn without_paths_nothing_is_received() {
+fn channel_without_paths_is_zero() {
     assert_eq!(Array::default().channel(&[], DVec3::ZERO, DMat3::IDENTITY, 1.0), vec![Complex::ZERO; 16]);
 }
 
@@ -140,7 +140,7 @@ const CENTER: DVec3 = DVec3::new(1.7, -0.9, 1.3);
 
 /// Path of the reference. Its directions have single precision, so the image of the transmitter is computed from the
 /// names of the walls.
-fn reference_path(row: &Row) -> Path {
+fn reference_path(row: &Row) -> PropagationPath {
     let mut source = match row["tx"].as_str() {
         "tx1" => DVec3::new(-2.1, 1.4, 1.1),
         "tx2" => DVec3::new(0.45, -1.85, 2.35),
@@ -164,7 +164,7 @@ fn reference_path(row: &Row) -> Path {
     let theirs = DVec3::new(el.cos() * az.cos(), el.cos() * az.sin(), el.sin());
     assert!(arrival.abs_diff_eq(theirs, 1e-4) && (source.distance(CENTER) - length).abs() < 1e-10);
     let gain = Complex::new(number(row, "ref_a_re"), number(row, "ref_a_im"));
-    Path { gain, length, departure: DVec3::X, arrival, source, before: 0.0, interactions: vec![] }
+    PropagationPath { gain, length, departure: DVec3::X, arrival, source, before: 0.0, interactions: vec![] }
 }
 
 #[test]
@@ -177,12 +177,12 @@ fn the_channel_of_the_reference_array_is_that_of_the_reference() {
     let (mut plane_error, mut spherical_error) = (0.0, 0.0);
     for tx in ["tx1", "tx2", "tx3"] {
         let rows: Vec<&Row> = array.iter().filter(|row| row["tx"] == tx).collect();
-        let paths: Vec<Path> = paths.iter().filter(|row| row["tx"] == tx).map(reference_path).collect();
+        let paths: Vec<PropagationPath> = paths.iter().filter(|row| row["tx"] == tx).map(reference_path).collect();
         assert_eq!((rows.len(), paths.len()), (16, 63));
         let rel = |row: &&Row| DVec3::new(number(row, "rel_x"), number(row, "rel_y"), number(row, "rel_z"));
         let elements: Vec<DVec3> = rows.iter().map(|row| CENTER + rel(row)).collect();
-        let plane = band_at(&paths, &elements, CENTER, &[wavelength], Wavefront::Plane);
-        let spherical = band_at(&paths, &elements, CENTER, &[wavelength], Wavefront::Spherical);
+        let plane = band_at(&paths, &elements, CENTER, &[wavelength], ArrayWavefront::Plane);
+        let spherical = band_at(&paths, &elements, CENTER, &[wavelength], ArrayWavefront::Spherical);
         for ((row, plane), spherical) in rows.iter().zip(plane).zip(spherical) {
             let expected =
                 |name: &str| Complex::new(number(row, &format!("{name}_re")), number(row, &format!("{name}_im")));

@@ -100,7 +100,7 @@ fn two_bodies_that_share_an_edge_are_closed() {
 }
 
 #[test]
-fn welding_drops_what_no_triangle_names_and_keeps_what_is_wrong() {
+fn welding_drops_unused_vertices_and_keeps_faults() {
     let vertices = [9.0, 1.0, 0.0, 1.0, -0.0].map(DVec3::splat).to_vec();
     let mesh = Mesh { vertices, triangles: vec![[1, 2, 7], [3, 4, 1]] }.welded();
     assert_eq!(mesh, Mesh { vertices: vec![DVec3::ONE, DVec3::ZERO], triangles: vec![[0, 1, 7], [0, 1, 0]] });
@@ -119,7 +119,7 @@ fn a_mesh_is_scaled_turned_and_shifted_in_that_order() {
 }
 
 #[test]
-fn surfaces_that_are_none_are_told() {
+fn reports_invalid_surfaces() {
     let sample = |text: &str| read_text("a.obj", text.as_bytes()).unwrap_err();
     assert_eq!(sample("v 0 0 0\n"), "DIR/a.obj: holds no triangle; export a surface with faces");
     let advice = "has no area; remove degenerate faces in the modelling program";

@@ -12,13 +12,13 @@ fn with(noise: &Noise, draw: u64) -> Vec<Complex> {
     found
 }
 
-fn receiver(name: &str) -> Receiver {
+fn receiver(name: &str) -> SceneReceiver {
     let orientation = Orientation::Quaternion(0.0, 0.0, 0.0, 1.0);
-    Receiver { name: name.into(), position: [0.0; 3], orientation, array: Checked::default() }
+    SceneReceiver { name: name.into(), position: [0.0; 3], orientation, array: Checked::default() }
 }
 
 fn draw_into(noise: &Noise, channel: &mut [Complex], sample: u64) {
-    add_noise(noise, channel, 1, Draw { receiver: &receiver("gateway1"), sample });
+    add_noise(noise, channel, 1, NoiseDraw { receiver: &receiver("gateway1"), sample });
 }
 
 #[test]
@@ -71,14 +71,14 @@ fn the_same_draw_has_the_same_bits_in_any_order() {
 }
 
 #[test]
-fn silence_stays_silent() {
+fn noise_leaves_zero_channel_at_zero() {
     let mut silent = vec![Complex::ZERO; 16];
     draw_into(&Noise { snr_db: Some(10.0), phase_error_deg: 3.0, seed: 0 }, &mut silent, 0);
     assert_eq!(silent, vec![Complex::ZERO; 16]);
 }
 
 #[test]
-fn settings_out_of_range_are_told() {
+fn reports_settings_out_of_range() {
     let check = |snr_db, phase_error_deg| Noise { snr_db, phase_error_deg, seed: 0 }.check();
     assert_eq!(check(Some(20.0), 5.0), Ok(()));
     assert!(check(Some(f64::NAN), 0.0).unwrap_err().starts_with("noise: `snr_db` is NaN"));
@@ -91,7 +91,7 @@ fn receivers_have_errors_of_their_own_and_subcarriers_share_those_of_phase() {
     let noise = Noise { phase_error_deg: 10.0, ..Noise::default() };
     let of = |noise: &Noise, name: &str, subcarriers: usize| {
         let mut found = channel(16);
-        add_noise(noise, &mut found, subcarriers, Draw { receiver: &receiver(name), sample: 2 });
+        add_noise(noise, &mut found, subcarriers, NoiseDraw { receiver: &receiver(name), sample: 2 });
         found
     };
     assert_ne!(of(&noise, "north", 1), of(&noise, "south", 1));

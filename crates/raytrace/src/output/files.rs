@@ -2,10 +2,10 @@
 //! positions, tables and paths.
 
 use crate::Complex;
-use crate::listener::Listener;
-use crate::observe::{Heard, Observe, Observed, SILENT_DBM};
+use crate::observe::{ObservationKind, ReceiverObservation, SILENT_DBM, SimulatedObservation};
 use crate::path::PathTable;
-use crate::recipe::Recipe;
+use crate::prepared_receiver::PreparedReceiver;
+use crate::recipe::SimulationRecipe;
 use crate::simulator::Simulator;
 use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
@@ -38,7 +38,7 @@ const TEST_EVERY: usize = 5;
 
 /// File layout of the observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
+pub enum OutputLayout {
     /// Spectra as images, as in NeRF2.
     Pictures,
     /// Spectra as one array, `spectra.npy`, written without holding all in memory.
@@ -51,13 +51,13 @@ pub enum Layout {
     Csi,
 }
 
-impl Layout {
+impl OutputLayout {
     /// Returns an error if `recipe` does not fit the layout.
-    pub(super) fn check(self, recipe: &Recipe) -> Result<()> {
+    pub(super) fn check(self, recipe: &SimulationRecipe) -> Result<()> {
         let fits = match self {
-            Self::Pictures | Self::Array => recipe.observe == Observe::Spectrum,
-            Self::Rssi => matches!(recipe.observe, Observe::Power { .. }),
-            Self::Channels | Self::Csi => matches!(recipe.observe, Observe::Channel { .. }),
+            Self::Pictures | Self::Array => recipe.observe == ObservationKind::Spectrum,
+            Self::Rssi => matches!(recipe.observe, ObservationKind::Power { .. }),
+            Self::Channels | Self::Csi => matches!(recipe.observe, ObservationKind::Channel { .. }),
         };
         if !fits {
             let what = "does not match the observation type; choose another layout";
@@ -94,7 +94,7 @@ pub(crate) fn is_test(i: usize) -> bool {
 /// Open files in an empty folder. With several receivers, their observations of a transmitter are consecutive.
 pub(super) struct Files {
     folder: PathBuf,
-    layout: Layout,
+    layout: OutputLayout,
     /// Array of spectra or channels, unless spectra are images.
     array: Option<Growing>,
     /// Table of powers, or of absolute powers of spectra.
@@ -110,7 +110,7 @@ impl Files {
     pub(super) fn begin(
         folder: &Path,
         simulator: &Simulator,
-        layout: Layout,
+        layout: OutputLayout,
         samples: usize,
         paths: bool,
     ) -> Result<Self> {
@@ -123,31 +123,31 @@ impl Files {
         let gateway = || ("gateway_info.yml", gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose()));
         let absolute = || (POWER, "id,path_gain_db,low,high\n".to_owned());
         let (array, table, facts) = match layout {
-            Layout::Pictures => {
+            OutputLayout::Pictures => {
                 let path = folder.join(PICTURES);
                 fs::create_dir(&path).map_err(|e| Error::write(&path, e))?;
                 (None, Some(absolute()), Some(gateway()))
             }
-            Layout::Array => {
+            OutputLayout::Array => {
                 let array = array(SPECTRA, npy_header(Number::U8, &[links, HEIGHT, WIDTH]))?;
                 (array, is_alone.then(absolute), is_alone.then(gateway))
             }
-            Layout::Rssi => {
-                let receivers = || listeners.iter().map(Listener::receiver);
+            OutputLayout::Rssi => {
+                let receivers = || listeners.iter().map(PreparedReceiver::receiver);
                 let names: Vec<&str> = receivers().map(|receiver| &*receiver.name).collect();
                 let places = receivers().map(|receiver| format!("{}: {}\n", receiver.name, list(&receiver.position)));
                 (None, Some((POWERS, names.join(",") + "\n")), Some(("gateway_position.yml", places.collect())))
             }
-            Layout::Channels => {
+            OutputLayout::Channels => {
                 let facts = is_alone.then(|| ("receiver.yml", receiver_yaml(simulator, &listeners[0])));
                 (channels(CHANNELS)?, None, facts)
             }
-            Layout::Csi => {
+            OutputLayout::Csi => {
                 let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(DVec3::to_array).collect();
                 (channels("csidata.npy")?, None, Some(("base-station.yml", base_station_yaml(&antennas))))
             }
         };
-        let table_of = |listener: &Listener| {
+        let table_of = |listener: &PreparedReceiver| {
             let own = format!("paths-{}.csv", listener.receiver().name);
             let path = folder.join(if is_alone { PATHS } else { &own });
             let file = Growing::begin(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
@@ -158,30 +158,30 @@ impl Files {
     }
 
     /// Adds the observations of the `i`th transmitter, counted from 0.
-    pub(super) fn add(&mut self, i: usize, tx: DVec3, all: &[Heard]) -> Result<()> {
+    pub(super) fn add(&mut self, i: usize, tx: DVec3, all: &[ReceiverObservation]) -> Result<()> {
         let id = i + self.layout.first();
         writeln!(self.positions, "{},{},{}", tx.x, tx.y, tx.z).expect("text grows");
-        for ((table, file), heard) in self.paths.iter_mut().zip(all) {
-            file.add(table.rows(id, &heard.paths).as_bytes())?;
+        for ((table, file), received) in self.paths.iter_mut().zip(all) {
+            file.add(table.rows(id, &received.paths).as_bytes())?;
         }
-        for (receiver, heard) in all.iter().enumerate() {
-            match (&heard.observed, &mut self.array) {
-                (Observed::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels)?,
-                (Observed::Spectrum(spectrum), None) => {
+        for (receiver, received) in all.iter().enumerate() {
+            match (&received.observed, &mut self.array) {
+                (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels)?,
+                (SimulatedObservation::Spectrum(spectrum), None) => {
                     write_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)?;
                 }
-                (Observed::Channel(channel), Some(array)) => {
+                (SimulatedObservation::Channel(channel), Some(array)) => {
                     let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
                     array.add(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())?;
                 }
                 _ => {}
             }
-            match (&heard.observed, &mut self.table) {
-                (Observed::Spectrum(spectrum), Some((_, rows))) => {
+            match (&received.observed, &mut self.table) {
+                (SimulatedObservation::Spectrum(spectrum), Some((_, rows))) => {
                     let decibel = 10.0 * spectrum.power.log10();
                     writeln!(rows, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high)
                 }
-                (Observed::Power(dbm), Some((_, rows))) => {
+                (SimulatedObservation::Power(dbm), Some((_, rows))) => {
                     let end = if receiver + 1 == all.len() { "\n" } else { "," };
                     if *dbm > SILENT_DBM {
                         // Rounded readings must not equal the marker of a missing link.
@@ -266,7 +266,7 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
 }
 
 /// Axes of a channel array as YAML.
-fn receiver_yaml(simulator: &Simulator, listener: &Listener) -> String {
+fn receiver_yaml(simulator: &Simulator, listener: &PreparedReceiver) -> String {
     let (scene, pose) = (simulator.scene(), listener.pose());
     let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
     let antennas: Vec<String> = listener.antennas().iter().map(|place| list(&place.to_array())).collect();

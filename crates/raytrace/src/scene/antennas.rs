@@ -20,7 +20,7 @@ const WORDS_OF_YAML: [&str; 8] = ["y", "n", "yes", "no", "on", "off", "true", "f
 /// A receiver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Receiver {
+pub struct SceneReceiver {
     /// Name in files and folders; default `gateway1`. The noise depends on the name, not on the position in the scene
     /// file. The default is not written out, so that data of old scenes keep their key.
     #[serde(default = "gateway", skip_serializing_if = "is_gateway")]
@@ -51,7 +51,7 @@ pub enum Orientation {
 /// The transmitter: one moving antenna.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Transmitter {
+pub struct SceneTransmitter {
     /// Positions of the transmitter.
     pub positions: Transmitters,
     /// Antenna pattern; default isotropic.
@@ -82,7 +82,7 @@ fn upright() -> [f64; 3] {
     [0.0, 0.0, 1.0]
 }
 
-impl Receiver {
+impl SceneReceiver {
     /// Receiver pose.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation.quaternion() }
@@ -140,7 +140,7 @@ impl Receiver {
     }
 }
 
-impl Transmitter {
+impl SceneTransmitter {
     pub(super) fn check(&self) -> Result<(), String> {
         let axis = self.polarization;
         if DVec3::from(axis).try_normalize().is_none() {

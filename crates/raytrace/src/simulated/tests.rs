@@ -1,6 +1,6 @@
 use super::*;
-use crate::observe::{Noise, Observed};
-use crate::simulator::{Simulator, Wanted, simulate_links};
+use crate::observe::{Noise, SimulatedObservation};
+use crate::simulator::{SimulationRequest, Simulator, simulate_links};
 use pwrfgs_core::plugin::Checked;
 use std::fs;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -27,13 +27,17 @@ fn rows(observations: &Observations, links: usize) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn every_kind_is_kept_and_read_back_and_made_anew_where_it_is_damaged() {
+fn caches_every_observation_kind_and_remakes_damaged_entries() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("small.ron");
     fs::write(&scene, SCENE).unwrap();
-    let noises = [Observe::Spectrum, Observe::Power { noise_db: 3.0 }, Observe::Channel { snr_db: Some(20.0) }];
+    let noises = [
+        ObservationKind::Spectrum,
+        ObservationKind::Power { noise_db: 3.0 },
+        ObservationKind::Channel { snr_db: Some(20.0) },
+    ];
     for (observe, file) in noises.into_iter().zip([SPECTRA, POWERS, CHANNELS]) {
-        let recipe = Recipe::read(&scene, 6, 3, 10).unwrap().observing(observe).unwrap();
+        let recipe = SimulationRecipe::read(&scene, 6, 3, 10).unwrap().observing(observe).unwrap();
         let root = folder.path().join("cache");
         let load = || {
             let made = AtomicUsize::new(0);
@@ -48,21 +52,23 @@ fn every_kind_is_kept_and_read_back_and_made_anew_where_it_is_damaged() {
         let bytes = fs::read(&entry).unwrap();
         fs::write(&entry, &bytes[..bytes.len() - 5]).unwrap();
         assert!(load() == (truth.clone(), true) && load() == (truth.clone(), false), "{observe:?}");
-        assert_eq!(truth, heard(&recipe), "{observe:?}");
+        assert_eq!(truth, received(&recipe), "{observe:?}");
     }
 }
 
 /// The same data, simulated without a folder.
-fn heard(recipe: &Recipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
+fn received(recipe: &SimulationRecipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
     let (mut places, mut rows) = (Vec::new(), Vec::new());
     let simulator = Simulator::new(&recipe.scene).unwrap();
-    let wanted = Wanted { what: recipe.observe, samples: recipe.samples, seed: recipe.seed };
-    simulate_links(&simulator, &wanted, &AtomicBool::new(false), |_, tx, heard| {
+    let request = SimulationRequest { what: recipe.observe, samples: recipe.samples, seed: recipe.seed };
+    simulate_links(&simulator, &request, &AtomicBool::new(false), |_, tx, received| {
         places.push(tx.to_array());
-        rows.extend(heard.into_iter().map(|heard| match heard.observed {
-            Observed::Spectrum(spectrum) => spectrum.pixels.into_iter().map(f64::from).collect(),
-            Observed::Power(dbm) => vec![dbm as Real as f64],
-            Observed::Channel(h) => h.iter().flat_map(|h| [h.re as f32, h.im as f32]).map(f64::from).collect(),
+        rows.extend(received.into_iter().map(|received| match received.observed {
+            SimulatedObservation::Spectrum(spectrum) => spectrum.pixels.into_iter().map(f64::from).collect(),
+            SimulatedObservation::Power(dbm) => vec![dbm as Real as f64],
+            SimulatedObservation::Channel(h) => {
+                h.iter().flat_map(|h| [h.re as f32, h.im as f32]).map(f64::from).collect()
+            }
         }));
         Ok(())
     })
@@ -72,11 +78,14 @@ fn heard(recipe: &Recipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
 
 #[test]
 fn a_reading_without_noise_depends_on_no_seed() {
-    let scene = crate::Scene::parse(SCENE, Path::new("small.ron")).unwrap();
-    let other = crate::Scene { noise: Checked::new(Noise { seed: 5, ..Noise::default() }).unwrap(), ..scene.clone() };
+    let scene = crate::SceneFile::parse(SCENE, Path::new("small.ron")).unwrap();
+    let other =
+        crate::SceneFile { noise: Checked::new(Noise { seed: 5, ..Noise::default() }).unwrap(), ..scene.clone() };
     let readings = [scene, other].map(|scene| {
         let simulator = Simulator::new(&scene).unwrap();
-        simulator.listeners()[1].observe([2.0, 2.0, 1.0].into(), &Observe::Power { noise_db: 0.0 }, Some(1)).observed
+        simulator.listeners()[1]
+            .observe([2.0, 2.0, 1.0].into(), &ObservationKind::Power { noise_db: 0.0 }, Some(1))
+            .observed
     });
     assert_eq!(readings[0], readings[1]);
 }

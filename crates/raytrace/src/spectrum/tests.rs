@@ -1,5 +1,5 @@
 use super::*;
-use crate::array::Wavefront;
+use crate::array::ArrayWavefront;
 use glam::{DMat3, DVec3};
 use pwrfgs_core::{Projector as _, rng};
 use std::f64::consts::TAU;
@@ -45,7 +45,7 @@ fn close(found: f64, expected: f64) {
 
 #[test]
 fn the_published_script_gives_the_same_values_on_its_grid() {
-    let degrees = |first: f64| Axis { first, step: 1.0 };
+    let degrees = |first: f64| AngleAxis { first, step: 1.0 };
     let beamformer = Beamformer::on_grid(&measured_array(), (360, degrees(0.0)), (90, degrees(1.0)));
     let raw = beamformer.amplitude(&sample_channel());
     let (low, high) = range(&raw);
@@ -195,7 +195,7 @@ fn amplitude_is_stretched_and_power_is_equation_2_over_its_largest() {
 }
 
 #[test]
-fn nothing_received_and_nothing_told_apart_are_black() {
+fn zero_and_constant_spectra_are_black() {
     let beamformer = Beamformer::new(&measured_array(), 36, 9);
     for kind in [SpectrumKind::Amplitude, SpectrumKind::Power] {
         let silent = beamformer.spectrum(&[Complex::ZERO; 16], kind);
@@ -213,11 +213,11 @@ fn nothing_received_and_nothing_told_apart_are_black() {
 
 #[test]
 fn a_receiver_that_is_turned_sees_the_wave_turned_back() {
-    let array = Array { wavefront: Wavefront::Plane, ..measured_array() };
+    let array = Array { wavefront: ArrayWavefront::Plane, ..measured_array() };
     let beamformer = Beamformer::new(&array, 360, 90);
     let turn = DMat3::from_euler(glam::EulerRot::ZYX, 0.4, -1.1, 2.0);
     let arrival = turn * direction(211.0, 37.0);
-    let path = crate::path::Path {
+    let path = crate::path::PropagationPath {
         gain: Complex::ONE,
         length: 10.0,
         departure: -arrival,

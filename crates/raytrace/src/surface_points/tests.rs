@@ -98,7 +98,7 @@ fn the_seed_decides() {
 }
 
 #[test]
-fn the_file_is_read_back_and_says_what_it_is() {
+fn surface_point_file_round_trips_with_title() {
     let found = on(&wall(2.5, 6.0, 3.0), 1000, 0);
     let bytes = ply(&found, "scene: büro\r\n\nend_header\n");
     let head = "ply\nformat binary_little_endian 1.0\n\

@@ -26,7 +26,7 @@ fn message(transmitters: &Transmitters, count: usize, free: &dyn Fn(DVec3) -> Re
 }
 
 #[test]
-fn positions_are_in_the_box_and_in_the_file_as_they_are() {
+fn positions_are_in_box_and_file_is_exact() {
     let odd = [LOW.map(|v| v + 0.000_05), HIGH.map(|v| v - 0.000_03)];
     let [low, high] = odd;
     for transmitters in [
@@ -48,7 +48,7 @@ fn positions_are_in_the_box_and_in_the_file_as_they_are() {
 }
 
 #[test]
-fn a_longer_draw_begins_with_the_shorter_one_and_the_seed_decides() {
+fn longer_draw_extends_shorter_draw_of_same_seed() {
     let without_corner = |p: DVec3| if p.x > 0.3 && p.y < 0.0 { Err("inside `shelf`".to_owned()) } else { Ok(()) };
     for transmitters in [uniform_box(), walk()] {
         let long = transmitters.draw(3000, 5, &without_corner).unwrap();
@@ -103,7 +103,7 @@ fn fewer_samples_are_a_subset_of_the_grid_in_its_order() {
 }
 
 #[test]
-fn a_point_of_the_grid_inside_of_something_is_told() {
+fn reports_grid_position_inside_object() {
     let free = |p: DVec3| if p.x > 0.5 { Err("inside `desk 2`".to_owned()) } else { Ok(()) };
     assert_eq!(
         message(&grid([0.0; 3], [1.0, 0.2, 0.1], 0.1), 20, &free),
@@ -112,7 +112,7 @@ fn a_point_of_the_grid_inside_of_something_is_told() {
 }
 
 #[test]
-fn a_box_without_free_space_is_told() {
+fn reports_box_without_free_space() {
     let never = |_: DVec3| Err("inside `wardrobe`".to_owned());
     let advice = "move the box to where there is free space";
     let expected = "1000 positions in a row are not free, the last is inside `wardrobe`";
@@ -163,7 +163,7 @@ fn a_walk_reaches_every_part_of_its_box() {
 }
 
 #[test]
-fn settings_that_cannot_work_are_told() {
+fn reports_impossible_settings() {
     let at = |low: [f64; 3], high: [f64; 3]| Transmitters::Uniform { low, high };
     let walk = |step_m| Transmitters::Walk { low: [0.0; 3], high: [1.0; 3], step_m };
     let walk_advice = "give a length in metres from 0.001 to the longest side of the box, 1";
@@ -193,7 +193,7 @@ fn settings_that_cannot_work_are_told() {
 }
 
 #[test]
-fn ron_says_what_is_written() {
+fn ron_output_equals_input() {
     let text = "Grid(low: (0, 0, 0.5), high: (1, 1, 1.5), step_m: 0.25)";
     let read: Transmitters = ron::from_str(text).unwrap();
     assert_eq!(read, grid([0.0, 0.0, 0.5], [1.0, 1.0, 1.5], 0.25));

@@ -36,7 +36,7 @@ impl Polarized {
 /// With ŝ = k̂×n̂/|k̂×n̂|, p̂ᵢ = ŝ×k̂ᵢ, p̂ₒ = ŝ×k̂ₒ the reflected field is `te`·(E·ŝ)ŝ + `tm`·(E·p̂ᵢ)p̂ₒ; its phase is that at
 /// the front face.
 pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wavelength: f64) -> Polarized {
-    let face = Face::new(eta, cos_incidence);
+    let face = FaceOptics::new(eta, cos_incidence);
     let Some(depth) = thickness else { return face.each(Interface::reflection) };
     let path = face.phase(depth, wavelength);
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
@@ -52,7 +52,7 @@ pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wave
 /// T = (1 - r²)e^{-jq}/(1 - r²e^{-2jq}). The field becomes `te`·(E·ŝ)ŝ + `tm`·(E·p̂)p̂, p̂ the same before and after.
 /// Arguments as in [`reflection`]. The lateral displacement of the ray in the slab is not modelled.
 pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength: f64) -> Polarized {
-    let face = Face::new(eta, cos_incidence);
+    let face = FaceOptics::new(eta, cos_incidence);
     let path = face.phase(thickness, wavelength);
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
     let free = TAU * thickness / wavelength * cos_incidence.abs();
@@ -61,13 +61,13 @@ pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength
 }
 
 /// Quantities common to both polarisations: cos θ outside, η and s = √(η - sin²θ) inside.
-struct Face {
+struct FaceOptics {
     eta: Complex,
     cos: f64,
     root: Complex,
 }
 
-impl Face {
+impl FaceOptics {
     fn new(eta: Complex, cos_incidence: f64) -> Self {
         let cos = cos_incidence.abs();
         let root = (eta - 1.0 + cos * cos).sqrt();

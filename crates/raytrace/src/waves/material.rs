@@ -60,7 +60,7 @@ impl Material {
     }
 
     /// Whether the frequency lies in the range of validity.
-    pub fn vouches_for(&self, frequency_hz: f64) -> bool {
+    pub fn is_in_valid_range(&self, frequency_hz: f64) -> bool {
         let (low, high) = self.range_ghz;
         (low..=high).contains(&(frequency_hz / 1e9))
     }

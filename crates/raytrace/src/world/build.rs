@@ -2,7 +2,7 @@
 
 use super::contact::{self, is_near};
 use super::hierarchy::Hierarchy;
-use super::{Body, Edge, Face, Layer, Surface, Triangle, World};
+use super::{Edge, Face, SolidBody, Surface, SurfaceLayer, Triangle, World};
 use crate::mesh::Mesh;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -15,12 +15,12 @@ const FLATTEST_EDGE: f64 = 5.0 * PI / 180.0;
 
 /// Collects parts and builds a world.
 #[derive(Debug, Default)]
-pub struct Builder {
+pub struct WorldBuilder {
     pub(super) surfaces: Vec<Surface>,
     pub(super) faces: Vec<Face>,
     pub(super) edges: Vec<Edge>,
     pub(super) triangles: Vec<Triangle>,
-    bodies: Vec<Body>,
+    bodies: Vec<SolidBody>,
     /// Part index of each face.
     pub(super) parts: Vec<usize>,
     /// Part index of each edge.
@@ -30,7 +30,7 @@ pub struct Builder {
 }
 
 /// Part to add: the room first.
-pub struct Part<'a> {
+pub struct WorldPart<'a> {
     /// Its name.
     pub name: &'a str,
     /// Triangles with shared vertices; normals point to the side of the waves.
@@ -41,7 +41,7 @@ pub struct Part<'a> {
     pub describe: &'a dyn Fn(DVec3, usize) -> (String, u32),
 }
 
-impl Builder {
+impl WorldBuilder {
     /// Adds surface properties and returns their index.
     pub fn surface(&mut self, surface: Surface) -> u32 {
         self.surfaces.push(surface);
@@ -54,11 +54,11 @@ impl Builder {
     }
 
     /// Adds the room, or an object after it.
-    pub fn add(&mut self, part: &Part<'_>) {
+    pub fn add(&mut self, part: &WorldPart<'_>) {
         let layer = match (self.count, part.closed) {
-            (0, _) => Layer::Room,
-            (_, true) => Layer::Body,
-            (_, false) => Layer::Sheet,
+            (0, _) => SurfaceLayer::Room,
+            (_, true) => SurfaceLayer::SolidBody,
+            (_, false) => SurfaceLayer::Sheet,
         };
         let plain: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
         let shared = edges_of(part.mesh);
@@ -67,7 +67,7 @@ impl Builder {
         for (number, group) in groups.iter().enumerate() {
             let start = self.triangles.len();
             let face = Self::face(&plain, group, layer, number, part);
-            if layer == Layer::Body && self.is_hidden(&face) {
+            if layer == SurfaceLayer::SolidBody && self.is_hidden(&face) {
                 continue;
             }
             let id = self.faces.len() as u32;
@@ -86,7 +86,7 @@ impl Builder {
         if part.closed {
             let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
             let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
-            self.bodies.push(Body { name: part.name.into(), bounds: [low, high], triangles: plain });
+            self.bodies.push(SolidBody { name: part.name.into(), bounds: [low, high], triangles: plain });
         }
     }
 
@@ -108,7 +108,7 @@ impl Builder {
         Ok(World { surfaces, faces, edges, triangles, bodies, hierarchy })
     }
 
-    fn face(plain: &[Triangle], group: &[usize], layer: Layer, number: usize, part: &Part<'_>) -> Face {
+    fn face(plain: &[Triangle], group: &[usize], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
         let largest = group.iter().map(|&t| &plain[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
         let largest = largest.expect("a group has a triangle");
         let normal = largest.sides[0].cross(largest.sides[1]).normalize();

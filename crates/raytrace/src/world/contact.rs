@@ -155,7 +155,7 @@ mod tests {
     use crate::Complex;
     use crate::mesh::Mesh;
     use crate::scattering::Lobe;
-    use crate::world::{Builder, Part, Surface};
+    use crate::world::{Surface, WorldBuilder, WorldPart};
 
     /// Zigzag fan of `count` triangles about one vertex.
     fn fan(count: usize) -> Mesh {
@@ -168,8 +168,8 @@ mod tests {
     }
 
     #[test]
-    fn edges_of_a_fan_are_looked_at_in_a_bounded_number_of_boxes() {
-        let mut builder = Builder::default();
+    fn fan_edges_visit_bounded_number_of_boxes() {
+        let mut builder = WorldBuilder::default();
         let (eta, lobe) = (Complex::new(4.0, 0.0), Lobe::Lambertian);
         builder.surface(Surface { object: "a".into(), eta, thickness: Some(0.01), roughness: 0.0, lobe });
         let describe = |_: DVec3, _: usize| ("a".to_owned(), 0);
@@ -178,7 +178,7 @@ mod tests {
             triangles: vec![[0, 1, 2]],
         };
         for mesh in [room, fan(1_000)] {
-            builder.add(&Part { name: "a", mesh: &mesh, closed: false, describe: &describe });
+            builder.add(&WorldPart { name: "a", mesh: &mesh, closed: false, describe: &describe });
         }
         let hierarchy = Hierarchy::new(&builder.triangles);
         let contacts = Contacts::new(&builder.faces, &builder.triangles, &hierarchy, &builder.parts);

@@ -1,9 +1,9 @@
 //! Converts a scene file to a world: meshes of the room and its objects.
 
-use super::build::{Builder, Part};
+use super::build::{WorldBuilder, WorldPart};
 use super::{Surface, World};
 use crate::mesh::{self, MOST_TRIANGLES, Mesh};
-use crate::scene::{Finish, Object, Outline, Room, Scene};
+use crate::scene::{Finish, Object, Outline, Room, SceneFile};
 use earcut::Earcut;
 use glam::{DMat3, DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
@@ -13,8 +13,8 @@ use std::path::Path;
 ///
 /// # Errors
 /// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
-pub(crate) fn from_scene(scene: &Scene) -> Result<World> {
-    let mut builder = Builder::default();
+pub(crate) fn from_scene(scene: &SceneFile) -> Result<World> {
+    let mut builder = WorldBuilder::default();
     add_room(&mut builder, scene);
     for object in &scene.objects {
         add_object(&mut builder, scene, object)?;
@@ -30,7 +30,7 @@ pub(crate) fn from_scene(scene: &Scene) -> Result<World> {
     builder.build().map_err(|why| Error::Config(format!("scene `{}`: {why}", scene.name)))
 }
 
-impl Scene {
+impl SceneFile {
     /// Triangles of all surfaces except the ceiling, for a view from above; corner positions in metres.
     ///
     /// # Errors
@@ -43,9 +43,9 @@ impl Scene {
     }
 }
 
-fn surface(scene: &Scene, owner: &str, finish: &Finish) -> Surface {
+fn surface(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
     let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
-    if !material.vouches_for(scene.carrier_hz) {
+    if !material.is_in_valid_range(scene.carrier_hz) {
         tracing::debug!(
             "material `{}` is extrapolated to {} GHz; the table covers {} to {} GHz",
             finish.material,
@@ -63,7 +63,7 @@ fn surface(scene: &Scene, owner: &str, finish: &Finish) -> Surface {
     }
 }
 
-fn add_room(builder: &mut Builder, scene: &Scene) {
+fn add_room(builder: &mut WorldBuilder, scene: &SceneFile) {
     let Room { outline, walls, floor, ceiling } = &scene.room;
     let [walls, floor, ceiling] = [("walls", walls), ("floor", floor), ("ceiling", ceiling)]
         .map(|(owner, f)| builder.surface(surface(scene, owner, f)));
@@ -72,7 +72,7 @@ fn add_room(builder: &mut Builder, scene: &Scene) {
         z if z < -0.5 => ("ceiling".into(), ceiling),
         _ => (format!("wall {}", number + 1), walls),
     };
-    builder.add(&Part { name: "room", mesh: &shell(outline), closed: true, describe: &describe });
+    builder.add(&WorldPart { name: "room", mesh: &shell(outline), closed: true, describe: &describe });
 }
 
 /// Walls, floor and ceiling with normals inwards; the walls come first.
@@ -107,7 +107,7 @@ fn shell(outline: &Outline) -> Mesh {
     Mesh { vertices, triangles }
 }
 
-fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<()> {
+fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) -> Result<()> {
     let name = object.name();
     let upright = |from: &[f64; 2], to: &[f64; 2], [low, high]: &[f64; 2]| {
         let corner = |p: &[f64; 2], z: f64| DVec3::new(p[0], p[1], z);
@@ -131,12 +131,12 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
                 _ => format!("/side {}", number + 1),
             };
             let describe = |normal, number| described(&label, normal, number);
-            builder.add(&Part { name, mesh: &mesh, closed: true, describe: &describe });
+            builder.add(&WorldPart { name, mesh: &mesh, closed: true, describe: &describe });
         }
         Object::Panel { from, to, heights, .. } => {
             let mesh = Mesh { vertices: upright(from, to, heights).into(), triangles: vec![[0, 1, 2], [0, 2, 3]] };
             let describe = |normal, number| described(&|_, _| String::new(), normal, number);
-            builder.add(&Part { name, mesh: &mesh, closed: false, describe: &describe });
+            builder.add(&WorldPart { name, mesh: &mesh, closed: false, describe: &describe });
         }
         Object::Opening { .. } => {}
         Object::Mesh { file, scale, yaw_deg, shift, .. } => {
@@ -148,7 +148,7 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
             }
             let closed = mesh.is_closed();
             let describe = |normal, number| described(&|_, number| format!("/face {}", number + 1), normal, number);
-            builder.add(&Part { name, mesh: &mesh, closed, describe: &describe });
+            builder.add(&WorldPart { name, mesh: &mesh, closed, describe: &describe });
         }
     }
     Ok(())

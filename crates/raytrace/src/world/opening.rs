@@ -1,8 +1,8 @@
 //! Openings: holes in faces, and their rims.
 
-use super::build::Builder;
+use super::build::WorldBuilder;
 use super::contact::{TOUCHING, is_near};
-use super::{Edge, Face, Layer, Triangle};
+use super::{Edge, Face, SurfaceLayer, Triangle};
 use crate::images::{LEAST_AREA, area, clip};
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ const PLACES: usize = 16;
 /// Plane that bounds the opening: normal and offset, positive inside.
 type Plane = (DVec3, f64);
 
-impl Builder {
+impl WorldBuilder {
     /// Cuts a convex polygon, `hole`, out of every face in its plane. Its rims diffract; edges inside it are removed.
     ///
     /// # Errors
@@ -34,7 +34,7 @@ impl Builder {
             );
         }
         let surface = |face: &Face| &self.surfaces[face.surface as usize];
-        let is_solid = |face: &&Face| face.layer == Layer::Body && surface(face).thickness.is_none();
+        let is_solid = |face: &&Face| face.layer == SurfaceLayer::SolidBody && surface(face).thickness.is_none();
         if let Some(face) = hosts.iter().map(|f| &self.faces[*f]).find(is_solid) {
             let name = &surface(face).object;
             return Err(format!(

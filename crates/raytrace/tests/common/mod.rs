@@ -1,10 +1,10 @@
 //! Rooms of the tests.
 
-use pwrfgs_raytrace::Scene;
+use pwrfgs_raytrace::SceneFile;
 use std::path::Path;
 
 /// The room of the reference, empty, with specular reflections up to `order` alone.
-pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene {
+pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> SceneFile {
     let finish = |material: &str, thickness: f64| {
         let thickness = if slab { format!(", thickness_m: {thickness}") } else { String::new() };
         format!("(material: \"{material}\"{thickness})")
@@ -19,11 +19,11 @@ pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene
         finish("wood", 0.03),
         finish("plasterboard", 0.025),
     );
-    Scene::parse(&text, Path::new("reference.ron")).unwrap()
+    SceneFile::parse(&text, Path::new("reference.ron")).unwrap()
 }
 
 /// A scene from its objects, receiver and further fields; the room is a large box.
-pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagation: &str) -> Scene {
+pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagation: &str) -> SceneFile {
     let text = format!(
         "(name: \"law\", carrier_hz: 2e9, room: {room}, objects: [{objects}],
           receiver: (position: {receiver:?}, orientation: Quaternion(0, 0, 0, 1), array: (polarization: (0, 0, 1))),
@@ -31,7 +31,7 @@ pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagati
           propagation: ({propagation}))"
     );
     let text = text.replace("position: [", "position: (").replace("], orientation", "), orientation");
-    Scene::parse(&text, Path::new("law.ron")).unwrap()
+    SceneFile::parse(&text, Path::new("law.ron")).unwrap()
 }
 
 /// A small room with one of everything and two receivers; `more` are further fields.

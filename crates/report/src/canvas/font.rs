@@ -1,6 +1,6 @@
 //! Built-in font: width of text, outlines, and line breaks.
 
-use super::{Anchor, Path, Point, Step, TEXT, Text};
+use super::{Anchor, Point, Step, TEXT, Text, VectorPath};
 use std::sync::LazyLock;
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
@@ -19,7 +19,7 @@ pub fn text_width(words: &str) -> f64 {
 }
 
 /// Outlines of a text at its position.
-pub(super) fn outlines(text: &Text) -> Path {
+pub(super) fn outlines(text: &Text) -> VectorPath {
     let size = text.letters.size;
     let whole = size / TEXT * text_width(&text.words);
     let part = match text.anchor {
@@ -28,7 +28,7 @@ pub(super) fn outlines(text: &Text) -> Path {
         Anchor::End => 1.0,
     };
     let scale = size / f64::from(FACE.units_per_em());
-    let mut pen = Pen { at: text.at, along: -part * whole, scale, upright: text.upright, path: Path::default() };
+    let mut pen = Pen { at: text.at, along: -part * whole, scale, upright: text.upright, path: VectorPath::default() };
     for letter in text.words.chars() {
         let (glyph, width) = glyph(letter);
         FACE.outline_glyph(glyph, &mut pen);
@@ -44,7 +44,7 @@ struct Pen {
     along: f64,
     scale: f64,
     upright: bool,
-    path: Path,
+    path: VectorPath,
 }
 
 impl Pen {

@@ -5,7 +5,7 @@
 
 use super::font::outlines;
 use super::svg::Short;
-use super::{Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step};
+use super::{Canvas, Colour, Paint, Point, RasterImage, Shape, Step, VectorPath};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::fmt::Write as _;
@@ -60,7 +60,7 @@ struct Page<'a> {
     paint: Option<Paint>,
     /// Pairs of fill and stroke opacity in use.
     opacities: Vec<[f64; 2]>,
-    images: Vec<&'a Pixels>,
+    images: Vec<&'a RasterImage>,
 }
 
 impl<'a> Page<'a> {
@@ -74,7 +74,7 @@ impl<'a> Page<'a> {
                 Shape::Path(path, paint) => self.path(path, paint),
                 Shape::Circle(middle, radius, paint) => self.circle(*middle, *radius, paint),
                 Shape::Text(text) => self.path(&outlines(text), &Paint::fill(text.letters.colour)),
-                Shape::Pixels([x, y], [width, height], pixels) => {
+                Shape::RasterImage([x, y], [width, height], pixels) => {
                     let (k, bottom) = (self.images.len(), Short(y + height));
                     let [x, width, height] = [*x, *width, *height].map(Short);
                     self.images.push(pixels);
@@ -93,9 +93,9 @@ impl<'a> Page<'a> {
         }
     }
 
-    fn opacity(&mut self, wanted: [f64; 2]) -> usize {
-        self.opacities.iter().position(|known| *known == wanted).unwrap_or_else(|| {
-            self.opacities.push(wanted);
+    fn opacity(&mut self, expected: [f64; 2]) -> usize {
+        self.opacities.iter().position(|known| *known == expected).unwrap_or_else(|| {
+            self.opacities.push(expected);
             self.opacities.len() - 1
         })
     }
@@ -126,7 +126,7 @@ impl<'a> Page<'a> {
         }
     }
 
-    fn path(&mut self, path: &Path, paint: &Paint) {
+    fn path(&mut self, path: &VectorPath, paint: &Paint) {
         let operator = self.painted(paint);
         let mut last = [0.0; 2];
         for step in &path.0 {
@@ -164,7 +164,7 @@ impl<'a> Page<'a> {
 }
 
 /// Whether a colour is partly transparent.
-fn has_mask(pixels: &Pixels) -> bool {
+fn has_mask(pixels: &RasterImage) -> bool {
     pixels.rgba.chunks_exact(4).any(|p| p[3] < 255)
 }
 
@@ -204,7 +204,7 @@ impl File {
     }
 
     /// Adds an image and, if present, its mask.
-    fn image(&mut self, pixels: &Pixels) {
+    fn image(&mut self, pixels: &RasterImage) {
         let (width, height, smooth) = (pixels.width, pixels.height, pixels.smooth);
         let entries = |colours: &str| {
             format!(
@@ -236,11 +236,11 @@ impl File {
 
 #[cfg(test)]
 mod tests {
-    use crate::canvas::{Anchor, BLACK, Canvas, INK, Paint, Pixels, WHITE};
+    use crate::canvas::{Anchor, BLACK, Canvas, INK, Paint, RasterImage, WHITE};
     use std::io::Read as _;
 
-    fn place(bytes: &[u8], wanted: &str) -> Option<usize> {
-        bytes.windows(wanted.len()).position(|part| part == wanted.as_bytes())
+    fn place(bytes: &[u8], expected: &str) -> Option<usize> {
+        bytes.windows(expected.len()).position(|part| part == expected.as_bytes())
     }
 
     /// Checks the table of objects; returns text and decompressed stream of each object.
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn every_shape_is_written_and_every_object_is_where_the_table_says() {
+    fn pdf_contains_every_shape_and_valid_offsets() {
         let mut piece = Canvas::new(10.0, 10.0);
         piece.circle([5.0, 5.0], 5.0, Paint::fill(BLACK));
         let mut canvas = Canvas::new(100.0, 50.0);
@@ -276,7 +276,8 @@ mod tests {
         canvas.text([10.0, 10.0], Anchor::Start, "(η) \\ <");
         canvas.rect([50.0, 0.0], [10.0, 10.0], Paint::fill(INK.faint(0.5)).outlined(WHITE, 2.0));
         canvas.line(&[[0.0, 50.0], [100.0, 50.0]], Paint { dash: &[10.0, 5.0], ..Paint::stroke(BLACK, 4.0) });
-        let chess = |alpha| Pixels { width: 2, height: 1, rgba: vec![0, 0, 0, alpha, 9, 8, 7, 255], smooth: false };
+        let chess =
+            |alpha| RasterImage { width: 2, height: 1, rgba: vec![0, 0, 0, alpha, 9, 8, 7, 255], smooth: false };
         canvas.pixels([60.0, 20.0], [20.0, 20.0], chess(255));
         canvas.pixels([60.0, 20.0], [20.0, 20.0], chess(0));
         let pdf = canvas.pdf(25.4);

@@ -1,7 +1,7 @@
 //! Canvas as PNG.
 
 use super::font::outlines;
-use super::{Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step};
+use super::{Canvas, Colour, Paint, Point, RasterImage, Shape, Step, VectorPath};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use tiny_skia as skia;
@@ -42,7 +42,7 @@ fn draw(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Transform) 
                 let paint = Paint::fill(text.letters.colour);
                 draw_path(paper, outline(&outlines(text)), &paint, transform);
             }
-            Shape::Pixels(at, size, pixels) => draw_pixels(paper, *at, *size, pixels, transform),
+            Shape::RasterImage(at, size, pixels) => draw_pixels(paper, *at, *size, pixels, transform),
             Shape::Group([x, y], scale, shapes) => {
                 let inner = transform.pre_translate(*x as f32, *y as f32).pre_scale(*scale as f32, *scale as f32);
                 draw(paper, shapes, inner);
@@ -52,7 +52,7 @@ fn draw(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Transform) 
 }
 
 /// Converts a path; `None` if nothing is visible.
-fn outline(path: &Path) -> Option<skia::Path> {
+fn outline(path: &VectorPath) -> Option<skia::Path> {
     let mut builder = skia::PathBuilder::new();
     let short = |[x, y]: Point| (x as f32, y as f32);
     for step in &path.0 {
@@ -91,7 +91,7 @@ fn filling(colour: Colour) -> skia::Paint<'static> {
     paint
 }
 
-fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &Pixels, transform: skia::Transform) {
+fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &RasterImage, transform: skia::Transform) {
     let colours = pixels.rgba.chunks_exact(4).map(|p| skia::ColorU8::from_rgba(p[0], p[1], p[2], p[3]).premultiply());
     let bytes = colours.flat_map(|c| [c.red(), c.green(), c.blue(), c.alpha()]).collect();
     let size_in_pixels = skia::IntSize::from_wh(pixels.width as u32, pixels.height as u32);
@@ -104,7 +104,7 @@ fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &Pi
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Anchor, BLACK, INK, Letters};
+    use super::super::{Anchor, BLACK, INK, TextStyle};
     use super::*;
 
     /// Grey values and width of the image.
@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn text_becomes_outlines_and_pixels() {
         let mut canvas = Canvas::new(254.0, 127.0);
-        canvas.letters = Letters { size: 90.0, colour: BLACK };
+        canvas.letters = TextStyle { size: 90.0, colour: BLACK };
         canvas.text([10.0, 100.0], Anchor::Start, "η − <");
         let svg = canvas.svg_for_print(25.4);
         assert!(svg.starts_with("<svg ") && svg.contains("width=\"25.4mm\" height=\"12.70mm\""), "{svg}");
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn every_shape_is_where_it_belongs() {
+    fn png_draws_every_shape_in_place() {
         let mut piece = Canvas::new(10.0, 10.0);
         piece.circle([5.0, 5.0], 5.0, Paint::fill(BLACK));
         let mut canvas = Canvas::new(100.0, 100.0);
@@ -137,7 +137,7 @@ mod tests {
         canvas.rect([50.0, 0.0], [10.0, 10.0], Paint::fill(INK.faint(0.5)));
         canvas.line(&[[70.0, 5.0], [70.0, 5.0]], Paint { round: true, ..Paint::stroke(BLACK, 8.0) });
         canvas.line(&[[0.0, 50.0], [100.0, 50.0]], Paint { dash: &[10.0, 10.0], ..Paint::stroke(BLACK, 4.0) });
-        let chess = Pixels { width: 2, height: 1, rgba: [[0, 0, 0, 255], [255; 4]].concat(), smooth: false };
+        let chess = RasterImage { width: 2, height: 1, rgba: [[0, 0, 0, 255], [255; 4]].concat(), smooth: false };
         canvas.pixels([60.0, 80.0], [20.0, 20.0], chess);
         let picture = grey(&canvas, 100.0 * 25.4 / 300.0);
         let at = |x, y| picture.get_pixel(x, y).0[0];

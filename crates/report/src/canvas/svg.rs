@@ -2,10 +2,10 @@
 
 use super::font::outlines;
 use super::png::encoded;
-use super::{Anchor, Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step, Text};
+use super::{Anchor, Canvas, Colour, Paint, Point, RasterImage, Shape, Step, Text, VectorPath};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use pwrfgs_core::words;
+use pwrfgs_core::messages;
 use std::fmt::Write as _;
 
 impl Canvas {
@@ -56,7 +56,7 @@ impl Writer {
             }
             Shape::Text(text) if self.outlined => self.path(&outlines(text), Paint::fill(text.letters.colour)),
             Shape::Text(text) => self.text(text),
-            Shape::Pixels(at, size, pixels) => self.pixels(*at, *size, pixels),
+            Shape::RasterImage(at, size, pixels) => self.pixels(*at, *size, pixels),
             Shape::Group([x, y], scale, shapes) => {
                 self.painted(None);
                 let (x, y) = (Short(*x), Short(*y));
@@ -99,7 +99,7 @@ impl Writer {
         self.open = paint;
     }
 
-    fn path(&mut self, path: &Path, paint: Paint) {
+    fn path(&mut self, path: &VectorPath, paint: Paint) {
         self.painted(Some(paint));
         self.out.push_str("<path d=\"");
         let mut last = None;
@@ -138,7 +138,7 @@ impl Writer {
         self.put(format_args!(" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"));
     }
 
-    fn pixels(&mut self, [x, y]: Point, [width, height]: Point, pixels: &Pixels) {
+    fn pixels(&mut self, [x, y]: Point, [width, height]: Point, pixels: &RasterImage) {
         self.painted(None);
         let png = encoded(pixels.width as u32, pixels.height as u32, &pixels.rgba);
         let [x, y, width, height] = [x, y, width, height].map(Short);
@@ -164,7 +164,7 @@ impl std::fmt::Display for Short {
 /// Escapes text for XML and HTML, in elements and quoted attributes; keeps line breaks.
 pub fn xml(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
-    for c in words::plain(text).chars() {
+    for c in messages::escape_control(text).chars() {
         match c {
             '&' => out.push_str("&amp;"),
             '<' => out.push_str("&lt;"),

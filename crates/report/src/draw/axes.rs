@@ -16,7 +16,7 @@ use std::convert::Infallible;
 
 /// Axis of a chart.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Axis {
+pub(crate) struct ChartAxis {
     /// Name; empty if the heading contains it.
     pub name: String,
     /// Ends of the axis; by default those of the data with a margin.
@@ -26,14 +26,14 @@ pub(crate) struct Axis {
 }
 
 /// Axis with known ends, as logarithms if it is logarithmic.
-pub(super) struct Scale {
+pub(super) struct AxisScale {
     ends: (f64, f64),
     log: bool,
 }
 
-impl Scale {
+impl AxisScale {
     /// Returns `None` if there are no data.
-    pub(super) fn new(axis: &Axis, values: impl Iterator<Item = f64>) -> Option<Self> {
+    pub(super) fn new(axis: &ChartAxis, values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut scale = Self { ends: (0.0, 0.0), log: axis.log };
         scale.ends = if let Some((low, high)) = axis.ends {
             (scale.place(low), scale.place(high))
@@ -57,16 +57,16 @@ impl Scale {
 }
 
 /// Mapping of data to positions on the drawing.
-pub(super) struct Frame {
-    pub(super) x: Scale,
-    pub(super) y: Scale,
+pub(super) struct PlotArea {
+    pub(super) x: AxisScale,
+    pub(super) y: AxisScale,
     pub(super) left: f64,
     pub(super) top: f64,
     pub(super) right: f64,
     pub(super) bottom: f64,
 }
 
-impl Frame {
+impl PlotArea {
     /// Horizontal position of a value, limited to the plot area.
     pub(super) fn across(&self, x: f64) -> f64 {
         (self.left + (self.right - self.left) * self.x.part(self.x.place(x))).clamp(self.left, self.right)
@@ -80,14 +80,14 @@ impl Frame {
 
     /// Draws grid, ticks and names. For plotters, both axes count its own pixels, so that the ticks computed here are
     /// key points with known labels.
-    pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&Axis; 2]) {
+    pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
         let fine = |length: f64| (length * GRID).round() as i32;
         let (across, up) = (self.right - self.left, self.bottom - self.top);
         let apart = |all: &[Tick]| {
             let reach = |tick: &Tick| (across * self.x.part(tick.0), text_width(&tick.1) / 2.0);
             all.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
-        let key = |tick: Tick, scale: &Scale, length: f64| (fine(length * scale.part(tick.0)), tick.1);
+        let key = |tick: Tick, scale: &AxisScale, length: f64| (fine(length * scale.part(tick.0)), tick.1);
         let x_ticks = ticks(self.x.ends, x.log, &apart).into_iter().map(|t| key(t, &self.x, across));
         let y_ticks = ticks(self.y.ends, y.log, &|_| true).into_iter().map(|t| key(t, &self.y, up));
         let [(x_keys, x_labels), (y_keys, y_labels)]: [(Vec<i32>, Vec<String>); 2] = [x_ticks.unzip(), y_ticks.unzip()];
@@ -97,7 +97,7 @@ impl Frame {
         let line = |colour| Color::stroke_width(&plain(colour), GRID as u32);
         let letters = ("sans-serif", TEXT * GRID).into_font().color(&plain(INK));
         let (beside, below) = (canvas.width - self.right, canvas.height - height);
-        let root = Hand(canvas).into_drawing_area();
+        let root = PlottersBackend(canvas).into_drawing_area();
         let drawn = ChartBuilder::on(&root)
             .margin_left(fine(4.0))
             .margin_top(fine(self.top))
@@ -131,10 +131,10 @@ fn plain(colour: Colour) -> RGBColor {
 pub(super) const GRID: f64 = 100.0;
 
 /// Backend of plotters.
-pub(super) struct Hand<'a>(pub(super) &'a mut Canvas);
+pub(super) struct PlottersBackend<'a>(pub(super) &'a mut Canvas);
 
 /// Error of the backend; drawing into memory cannot fail.
-type Drawn = Result<(), DrawingErrorKind<Infallible>>;
+type DrawResult = Result<(), DrawingErrorKind<Infallible>>;
 
 fn point((x, y): BackendCoord) -> Point {
     [f64::from(x) / GRID, f64::from(y) / GRID]
@@ -149,37 +149,37 @@ fn stroke(style: &impl BackendStyle) -> Paint {
     Paint::stroke(colour(style.color()), f64::from(style.stroke_width()) / GRID)
 }
 
-impl DrawingBackend for Hand<'_> {
+impl DrawingBackend for PlottersBackend<'_> {
     type ErrorType = Infallible;
 
     fn get_size(&self) -> (u32, u32) {
         ((self.0.width * GRID) as u32, (self.0.height * GRID) as u32)
     }
 
-    fn ensure_prepared(&mut self) -> Drawn {
+    fn ensure_prepared(&mut self) -> DrawResult {
         Ok(())
     }
 
-    fn present(&mut self) -> Drawn {
+    fn present(&mut self) -> DrawResult {
         Ok(())
     }
 
-    fn draw_pixel(&mut self, at: BackendCoord, ink: BackendColor) -> Drawn {
+    fn draw_pixel(&mut self, at: BackendCoord, ink: BackendColor) -> DrawResult {
         self.0.rect(point(at), [1.0 / GRID; 2], Paint::fill(colour(ink)));
         Ok(())
     }
 
-    fn draw_line<S: BackendStyle>(&mut self, from: BackendCoord, to: BackendCoord, style: &S) -> Drawn {
+    fn draw_line<S: BackendStyle>(&mut self, from: BackendCoord, to: BackendCoord, style: &S) -> DrawResult {
         self.draw_path([from, to], style)
     }
 
-    fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(&mut self, path: I, style: &S) -> Drawn {
+    fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(&mut self, path: I, style: &S) -> DrawResult {
         let points: Vec<Point> = path.into_iter().map(point).collect();
         self.0.line(&points, stroke(style));
         Ok(())
     }
 
-    fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> Drawn {
+    fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> DrawResult {
         let [x, y] = point(at);
         // From the given position down to the base line; the centre is that of small letters.
         let down = TEXT
@@ -244,8 +244,8 @@ pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
 }
 
 /// At most `wanted` multiples of 1, 2 or 5 times a power of ten.
-fn multiples(low: f64, high: f64, wanted: f64) -> Vec<f64> {
-    let rough = (high - low) / wanted;
+fn multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
+    let rough = (high - low) / tick_count;
     let power = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough).unwrap_or(power);
     let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);

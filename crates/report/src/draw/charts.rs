@@ -3,29 +3,29 @@
 //! plotters lays out the axes (`axes.rs`). Lines, marks and names are drawn here, because plotters supports neither
 //! dash-dot lines nor names that avoid each other.
 
-pub(crate) use super::axes::Axis;
-use super::axes::{Frame, Scale};
+pub(crate) use super::axes::ChartAxis;
+use super::axes::{AxisScale, PlotArea};
 use super::marks::Style;
-use crate::canvas::{Anchor, Canvas, Colour, INK, Letters, Paint, Point, TEXT, cut, text_width};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, TextStyle, cut, text_width};
 use pwrfgs_train::Training;
 
 /// Dimensions of a chart.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Look {
+pub(crate) struct ChartStyle {
     /// Width, and height without the legend.
     pub(crate) size: Point,
     /// Margins for axes and names: left, top, right, bottom.
     pub(crate) margins: [f64; 4],
 }
 
-impl Look {
+impl ChartStyle {
     /// Chart for a page on a screen, which scales it.
     pub(crate) const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
     /// Chart for a print column.
     pub(crate) const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
 }
 
-impl Default for Look {
+impl Default for ChartStyle {
     fn default() -> Self {
         Self::SCREEN
     }
@@ -35,15 +35,15 @@ impl Default for Look {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Chart {
     /// Dimensions.
-    pub(crate) look: Look,
+    pub(crate) style: ChartStyle,
     /// Horizontal axis.
-    pub(crate) x: Axis,
+    pub(crate) x: ChartAxis,
     /// Vertical axis.
-    pub(crate) y: Axis,
+    pub(crate) y: ChartAxis,
     /// Shaded ranges of the horizontal axis.
     pub(crate) bands: Vec<Band>,
     /// Lines, top first.
-    pub(crate) lines: Vec<Line>,
+    pub(crate) lines: Vec<ChartLine>,
 }
 
 /// Shaded range with a name above it.
@@ -59,9 +59,9 @@ pub(crate) struct Band {
 
 /// Line with marks.
 #[derive(Clone, Debug)]
-pub(crate) struct Line {
+pub(crate) struct ChartLine {
     /// Name of the line.
-    pub(crate) name: Name,
+    pub(crate) name: LineName,
     /// Style of the line.
     pub(crate) style: Style,
     /// Points from left to right, or around an area. Infinite values are drawn at the end of the axis; others are
@@ -75,7 +75,7 @@ pub(crate) struct Line {
 
 /// Name of a line and its place.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Name {
+pub(crate) enum LineName {
     /// No name.
     Hidden,
     /// In the legend below the chart.
@@ -84,10 +84,10 @@ pub(crate) enum Name {
     AtEnd(String),
 }
 
-impl Line {
+impl ChartLine {
     /// Creates a line without name, marks and bars.
     pub(crate) fn new(points: Vec<(f64, f64)>, style: Style) -> Self {
-        Self { name: Name::Hidden, style, points, marks: Vec::new(), bars: Vec::new() }
+        Self { name: LineName::Hidden, style, points, marks: Vec::new(), bars: Vec::new() }
     }
 
     /// Creates a horizontal line over the whole width.
@@ -97,17 +97,17 @@ impl Line {
 
     /// Sets a name for the legend.
     pub(crate) fn named(self, name: &str) -> Self {
-        Self { name: Name::Legend(name.into()), ..self }
+        Self { name: LineName::Legend(name.into()), ..self }
     }
 
     /// Sets a name at the end of the line.
     pub(crate) fn named_at_end(self, name: &str) -> Self {
-        Self { name: Name::AtEnd(name.into()), ..self }
+        Self { name: LineName::AtEnd(name.into()), ..self }
     }
 
     /// Sample for the legend, if the line is listed there.
     fn symbol(&self) -> Option<Symbol> {
-        let Name::Legend(name) = &self.name else { return None };
+        let LineName::Legend(name) = &self.name else { return None };
         let (mut picture, end) = (Canvas::new(24.0, SYMBOL), [24.0, SYMBOL / 2.0]);
         self.style.draw_line(&mut picture, &[[0.0, end[1]], end]);
         self.style.draw_mark(&mut picture, [end[0] / 2.0, end[1]]);
@@ -123,15 +123,15 @@ impl Line {
 impl Chart {
     /// Draws the chart; `None` if there is nothing to draw.
     pub(crate) fn draw(&self) -> Option<Canvas> {
-        let places = || self.lines.iter().flat_map(Line::places);
-        let x = Scale::new(&self.x, places().map(|p| p.0))?;
-        let y = Scale::new(&self.y, places().map(|p| p.1))?;
-        let Look { size: [width, height], margins: [left, top, right, bottom] } = self.look;
-        let legend = Legend::new(self.lines.iter().filter_map(Line::symbol).collect(), width);
+        let places = || self.lines.iter().flat_map(ChartLine::places);
+        let x = AxisScale::new(&self.x, places().map(|p| p.0))?;
+        let y = AxisScale::new(&self.y, places().map(|p| p.1))?;
+        let ChartStyle { size: [width, height], margins: [left, top, right, bottom] } = self.style;
+        let legend = Legend::new(self.lines.iter().filter_map(ChartLine::symbol).collect(), width);
         let mut canvas = Canvas::new(width, height + legend.height());
         let names = self.at_ends().map(|(name, _)| text_width(name) + 12.0);
         let right = width - names.fold(right, f64::max).min(width / 2.0);
-        let frame = Frame { x, y, left, top, right, bottom: height - bottom };
+        let frame = PlotArea { x, y, left, top, right, bottom: height - bottom };
         self.draw_bands(&mut canvas, &frame);
         frame.draw(&mut canvas, height, [&self.x, &self.y]);
         self.draw_lines(&mut canvas, &frame);
@@ -141,15 +141,15 @@ impl Chart {
     }
 
     /// Names at the ends of lines.
-    fn at_ends(&self) -> impl Iterator<Item = (&str, &Line)> {
+    fn at_ends(&self) -> impl Iterator<Item = (&str, &ChartLine)> {
         self.lines.iter().filter_map(|l| match &l.name {
-            Name::AtEnd(name) => Some((name.as_str(), l)),
+            LineName::AtEnd(name) => Some((name.as_str(), l)),
             _ => None,
         })
     }
 
     /// Draws lines and bars, then all marks on top.
-    fn draw_lines(&self, canvas: &mut Canvas, frame: &Frame) {
+    fn draw_lines(&self, canvas: &mut Canvas, frame: &PlotArea) {
         let places = |places: &[(f64, f64)]| places.iter().filter_map(|p| frame.at(*p)).collect::<Vec<Point>>();
         for line in self.lines.iter().rev() {
             line.style.draw_line(canvas, &places(&line.points));
@@ -164,7 +164,7 @@ impl Chart {
         }
     }
 
-    fn draw_bands(&self, canvas: &mut Canvas, frame: &Frame) {
+    fn draw_bands(&self, canvas: &mut Canvas, frame: &PlotArea) {
         for band in &self.bands {
             let [a, b] = [band.x.0, band.x.1].map(|x| frame.across(x));
             if a >= b {
@@ -184,12 +184,12 @@ impl Chart {
     }
 
     /// Draws names at the ends of lines, moved apart if they would overlap.
-    fn draw_end_names(&self, canvas: &mut Canvas, frame: &Frame) {
-        let end = |(name, line): (_, &Line)| Some((name, line.points.iter().rev().find_map(|p| frame.at(*p))?[1]));
+    fn draw_end_names(&self, canvas: &mut Canvas, frame: &PlotArea) {
+        let end = |(name, line): (_, &ChartLine)| Some((name, line.points.iter().rev().find_map(|p| frame.at(*p))?[1]));
         let mut names: Vec<(&str, f64)> = self.at_ends().filter_map(end).collect();
         names.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let wanted: Vec<f64> = names.iter().map(|n| n.1).collect();
-        for ((name, end), y) in names.into_iter().zip(moved_apart(&wanted, 12.0, (frame.top, frame.bottom))) {
+        let targets: Vec<f64> = names.iter().map(|n| n.1).collect();
+        for ((name, end), y) in names.into_iter().zip(moved_apart(&targets, 12.0, (frame.top, frame.bottom))) {
             canvas.line(&[[frame.right + 1.0, end], [frame.right + 6.0, y]], Paint::stroke(INK, 0.5));
             let left = frame.right + 8.0;
             canvas.text([left, y + 0.27 * TEXT], Anchor::Start, cut(name, canvas.width - left));
@@ -199,12 +199,12 @@ impl Chart {
 
 /// Positions at least `step` apart and within `ends` if possible, each close to `wanted` (ascending): one pass up and
 /// one pass down.
-fn moved_apart(wanted: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
-    let mut places = wanted.to_vec();
+fn moved_apart(targets: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
+    let mut places = targets.to_vec();
     for k in 1..places.len() {
         places[k] = places[k].max(places[k - 1] + step);
     }
-    let mut limit = ends.1.max(ends.0 + step * (wanted.len() as f64 - 1.0));
+    let mut limit = ends.1.max(ends.0 + step * (targets.len() as f64 - 1.0));
     for place in places.iter_mut().rev() {
         *place = place.min(limit);
         limit = *place - step;
@@ -261,7 +261,7 @@ impl Legend {
 
     /// Draws the legend below `top`, column by column.
     pub(crate) fn draw(&self, canvas: &mut Canvas, top: f64) {
-        canvas.letters = Letters { size: SIZE, ..canvas.letters };
+        canvas.letters = TextStyle { size: SIZE, ..canvas.letters };
         for (k, Symbol { picture, meaning }) in self.symbols.iter().enumerate() {
             let (x, middle) = (self.columns[k / self.rows], top + 4.0 + ROW * ((k % self.rows) as f64 + 0.5));
             canvas.put([x, middle - SYMBOL / 2.0], 1.0, picture);
@@ -288,7 +288,7 @@ const CORNERS: usize = 4_000;
 
 /// Corners of a step function through `points`: each value holds until the next step. For many points, the ends
 /// and extremes of short ranges remain.
-pub(crate) fn stairs(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+pub(crate) fn decimate_steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut drawn: Vec<(f64, f64)> = Vec::new();
     for (i, &(step, n)) in points.iter().enumerate() {
         let changes = |k: usize| points.get(k).is_none_or(|p| p.1 != n);
@@ -322,26 +322,26 @@ mod tests {
 
     fn chart() -> Chart {
         let style = Style { marker: Some(Marker::Star), ..Style::line(BLACK, 2.0, Stroke::DASHED) };
-        let mut line = Line::new(vec![(1.0, 0.5), (10.0, 0.75), (f64::NAN, 0.1)], style);
+        let mut line = ChartLine::new(vec![(1.0, 0.5), (10.0, 0.75), (f64::NAN, 0.1)], style);
         line.marks.clone_from(&line.points);
         line.bars.push([(10.0, 0.7), (10.0, 0.8)]);
-        line.name = Name::Legend("with a mask".into());
-        let mut level = Line::new(vec![(1.0, 0.6), (10.0, 0.6)], Style::line(INK, 1.0, Stroke::FULL));
-        level.name = Name::AtEnd("5-NN".into());
+        line.name = LineName::Legend("with a mask".into());
+        let mut level = ChartLine::new(vec![(1.0, 0.6), (10.0, 0.6)], Style::line(INK, 1.0, Stroke::FULL));
+        level.name = LineName::AtEnd("5-NN".into());
         Chart {
-            look: Look::COLUMN,
-            x: Axis { name: "N".into(), log: true, ..Axis::default() },
-            y: Axis { name: "SSIM".into(), ..Axis::default() },
+            style: ChartStyle::COLUMN,
+            x: ChartAxis { name: "N".into(), log: true, ..ChartAxis::default() },
+            y: ChartAxis { name: "SSIM".into(), ..ChartAxis::default() },
             bands: vec![Band { name: "densify", x: (1.0, 5.0), colour: INK }],
             lines: vec![line, level],
         }
     }
 
     #[test]
-    fn an_empty_chart_is_no_chart() {
-        let ends = Axis { ends: Some((0.0, 1.0)), ..Axis::default() };
+    fn chart_without_points_is_none() {
+        let ends = ChartAxis { ends: Some((0.0, 1.0)), ..ChartAxis::default() };
         assert!(Chart { x: ends.clone(), y: ends, ..Chart::default() }.draw().is_none());
-        let nowhere = Line::new(vec![(f64::NAN, 1.0)], Style::line(BLACK, 1.0, Stroke::FULL));
+        let nowhere = ChartLine::new(vec![(f64::NAN, 1.0)], Style::line(BLACK, 1.0, Stroke::FULL));
         assert!(Chart { lines: vec![nowhere], ..Chart::default() }.draw().is_none());
     }
 
@@ -356,7 +356,7 @@ mod tests {
 
     #[test]
     fn names_at_ends_keep_apart() {
-        let apart = |wanted: &[f64], ends| moved_apart(wanted, 10.0, ends);
+        let apart = |targets: &[f64], ends| moved_apart(targets, 10.0, ends);
         assert_eq!(apart(&[10.0, 12.0, 13.0, 80.0], (0.0, 100.0)), [10.0, 20.0, 30.0, 80.0]);
         assert_eq!(apart(&[90.0, 95.0, 99.0], (0.0, 100.0)), [80.0, 90.0, 100.0]);
         assert_eq!(apart(&[5.0, 5.0, 5.0], (0.0, 15.0)), [0.0, 10.0, 20.0], "too many for the room");
@@ -382,14 +382,14 @@ mod tests {
     #[test]
     fn a_step_function_has_corners_alone() {
         let points = [(1.0, 5.0), (2.0, 5.0), (3.0, 5.0), (4.0, 2.0), (5.0, 2.0)];
-        assert_eq!(stairs(&points), [(1.0, 5.0), (3.0, 5.0), (4.0, 5.0), (4.0, 2.0), (5.0, 2.0)]);
-        assert!(stairs(&[]).is_empty());
+        assert_eq!(decimate_steps(&points), [(1.0, 5.0), (3.0, 5.0), (4.0, 5.0), (4.0, 2.0), (5.0, 2.0)]);
+        assert!(decimate_steps(&[]).is_empty());
     }
 
     #[test]
     fn of_very_many_corners_the_extremes_remain() {
         let points: Vec<(f64, f64)> = (0..100_000).map(|k| (f64::from(k), f64::from(k * 7_919 % 1_000))).collect();
-        let drawn = stairs(&points);
+        let drawn = decimate_steps(&points);
         assert!((1_000..=CORNERS).contains(&drawn.len()), "{} corners", drawn.len());
         assert_eq!((drawn[0], drawn.last()), (points[0], points.last()));
         assert!(drawn.windows(2).all(|pair| pair[0].0 <= pair[1].0));

@@ -1,6 +1,6 @@
 //! Line styles: colour, stroke and marker each distinguish lines, also in greyscale.
 
-use crate::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
+use crate::canvas::{Canvas, Colour, Paint, Point, VectorPath, WHITE};
 
 /// Colours for the colour-blind (Okabe and Ito, without yellow, which is hard to see on white); neighbours differ in
 /// lightness.
@@ -150,7 +150,7 @@ impl Style {
         match self.stroke {
             Stroke::None => {}
             Stroke::Dots => {
-                let mut dots = Path::default();
+                let mut dots = VectorPath::default();
                 points.iter().for_each(|at| dots.add(&[*at; 2]));
                 canvas.path(dots, Paint { round: true, ..Paint::stroke(self.colour, self.width) });
             }
@@ -175,7 +175,7 @@ impl Style {
     /// Draws a bar from `a` to `b` with a cap at each end.
     pub(crate) fn draw_bar(&self, canvas: &mut Canvas, [a, b]: [Point; 2]) {
         let [dx, dy] = if a[1] == b[1] { [0.0, 3.0] } else { [3.0, 0.0] };
-        let mut bar = Path::of(&[a, b]);
+        let mut bar = VectorPath::of(&[a, b]);
         for [x, y] in [a, b] {
             bar.add(&[[x - dx, y - dy], [x + dx, y + dy]]);
         }

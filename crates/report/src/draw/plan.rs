@@ -2,7 +2,7 @@
 //! map with colour bar, axes and receivers.
 
 use super::axes::{few_ticks, label, linear_ticks};
-use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Path, Pixels, Point, WHITE};
+use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, VectorPath, WHITE};
 use pwrfgs_core::colour::{Rgb, cyclic, sequential};
 
 /// Minimum ratio of the shorter to the longer side of a frame, so that a corridor stays visible.
@@ -14,7 +14,7 @@ const RECEIVER: f64 = 5.4;
 
 /// Mapping of metres to positions on the drawing.
 #[derive(Clone, Debug)]
-pub(crate) struct Plan {
+pub(crate) struct FloorPlan {
     low: Point,
     high: Point,
     /// Names of the axes, such as x and y.
@@ -25,7 +25,7 @@ pub(crate) struct Plan {
     pub(crate) size: Point,
 }
 
-impl Plan {
+impl FloorPlan {
     /// Creates the mapping for the area between two corners, in metres, for a given width and maximum map height.
     pub(crate) fn new([low, high]: [Point; 2], names: [&'static str; 2], width: f64, most_height: f64) -> Self {
         let [low, high] = no_line(low, high);
@@ -102,8 +102,8 @@ impl Plan {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
         let far = low.abs().max(high.abs()) > 9_999.0;
         let from = if far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
-        let wanted = (((high - low) * self.scale / 34.0) as usize).max(2);
-        let ticks = few_ticks(low - from, high - from, wanted).into_iter().map(|v| (v + from, label(v))).collect();
+        let tick_count = (((high - low) * self.scale / 34.0) as usize).max(2);
+        let ticks = few_ticks(low - from, high - from, tick_count).into_iter().map(|v| (v + from, label(v))).collect();
         (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
     }
 
@@ -123,7 +123,7 @@ impl Plan {
 
     /// Draws surface points, faintly.
     pub(crate) fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
-        let mut path = Path::default();
+        let mut path = VectorPath::default();
         points.into_iter().filter(|p| self.holds(*p)).for_each(|p| path.add(&[self.place(p); 2]));
         canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).faint(0.6), 1.5) });
     }
@@ -160,7 +160,7 @@ const ARROWS: f64 = 26.0;
 
 /// Colour map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Colours {
+pub enum Palette {
     /// From dark (smallest) to light (largest).
     Sequential,
     /// Cyclic, for angles in degrees.
@@ -169,7 +169,7 @@ pub enum Colours {
 
 /// Values over a plane.
 #[derive(Clone, Debug)]
-pub struct Heat<'a> {
+pub struct Heatmap<'a> {
     /// Title above the map.
     pub title: String,
     /// Unit below the colour bar.
@@ -185,21 +185,21 @@ pub struct Heat<'a> {
     /// Values, row by row, lowest row first; NaN if unknown.
     pub values: &'a [f32],
     /// Colour map.
-    pub colours: Colours,
+    pub colours: Palette,
     /// Positions of receivers.
     pub receivers: Vec<Point>,
     /// Vector per value, some of which are drawn as arrows; empty for none.
     pub arrows: &'a [[f32; 2]],
 }
 
-impl Heat<'_> {
+impl Heatmap<'_> {
     /// Draws the map.
     pub fn draw(&self) -> Canvas {
         let rows = self.values.len() / self.columns.max(1);
         let half = self.step / 2.0;
         let end = |k: usize, count: usize| self.first[k] + self.step * (count.max(1) as f64 - 0.5);
         let corners = [self.first.map(|v| v - half), [end(0, self.columns), end(1, rows)]];
-        let plan = Plan::new(corners, self.names, WIDTH, MOST_HEIGHT);
+        let plan = FloorPlan::new(corners, self.names, WIDTH, MOST_HEIGHT);
         let mut map = plan.canvas();
         let [a, b] = [plan.place([corners[0][0], corners[1][1]]), plan.place([corners[1][0], corners[0][1]])];
         let (low, high) = self.range();
@@ -217,7 +217,7 @@ impl Heat<'_> {
 
     /// Range of the colours.
     fn range(&self) -> (f64, f64) {
-        if self.colours == Colours::Cyclic {
+        if self.colours == Palette::Cyclic {
             return (0.0, 360.0);
         }
         let finite = self.values.iter().copied().filter(|v| v.is_finite()).map(f64::from);
@@ -232,24 +232,24 @@ impl Heat<'_> {
     fn colour(&self, value: f64, (low, high): (f64, f64)) -> Rgb {
         match self.colours {
             _ if !value.is_finite() => NOTHING,
-            Colours::Sequential => sequential((value - low) / (high - low)),
-            Colours::Cyclic => cyclic(value / 360.0),
+            Palette::Sequential => sequential((value - low) / (high - low)),
+            Palette::Cyclic => cyclic(value / 360.0),
         }
     }
 
-    fn pixels(&self, rows: usize, low: f64, high: f64) -> Pixels {
+    fn pixels(&self, rows: usize, low: f64, high: f64) -> RasterImage {
         let upwards = (0..rows).rev().flat_map(|row| &self.values[row * self.columns..][..self.columns]);
         let rgba = upwards.map(|v| self.colour(f64::from(*v), (low, high))).flat_map(|[r, g, b]| [r, g, b, 255]);
-        Pixels { width: self.columns, height: rows, rgba: rgba.collect(), smooth: false }
+        RasterImage { width: self.columns, height: rows, rgba: rgba.collect(), smooth: false }
     }
 
-    fn draw_arrows(&self, canvas: &mut Canvas, plan: &Plan) {
+    fn draw_arrows(&self, canvas: &mut Canvas, plan: &FloorPlan) {
         if self.arrows.len() != self.values.len() {
             return;
         }
         let [o, x] = [self.first, [self.first[0] + self.step, self.first[1]]].map(|p| plan.place(p));
         let stride = (ARROWS / (x[0] - o[0]).max(1e-9)).ceil().max(1.0) as usize;
-        let (mut lines, rows) = (Path::default(), self.values.len() / self.columns);
+        let (mut lines, rows) = (VectorPath::default(), self.values.len() / self.columns);
         for row in (stride / 2..rows).step_by(stride) {
             for column in (stride / 2..self.columns).step_by(stride) {
                 let [u, v] = self.arrows[row * self.columns + column].map(f64::from);
@@ -276,10 +276,10 @@ impl Heat<'_> {
         let left = (canvas.width - width) / 2.0;
         let value = |k: i32| low + (high - low) * f64::from(k) / 255.0;
         let rgba = (0..256).map(|k| self.colour(value(k), (low, high))).flat_map(|[r, g, b]| [r, g, b, 255]).collect();
-        canvas.framed([left, top], [width, 9.0], Pixels { width: 256, height: 1, rgba, smooth: false });
+        canvas.framed([left, top], [width, 9.0], RasterImage { width: 256, height: 1, rgba, smooth: false });
         let numbers = match self.colours {
-            Colours::Cyclic => vec![0.0, 90.0, 180.0, 270.0, 360.0],
-            Colours::Sequential => linear_ticks(low, high),
+            Palette::Cyclic => vec![0.0, 90.0, 180.0, 270.0, 360.0],
+            Palette::Sequential => linear_ticks(low, high),
         };
         let stride = numbers.len().div_ceil(7).max(1);
         canvas.letters.size = 10.0;
@@ -298,7 +298,7 @@ mod tests {
 
     #[test]
     fn a_metre_is_as_long_across_as_upwards() {
-        let plan = Plan::new([[0.0, 0.0], [8.0, 4.0]], ["x", "y"], 300.0, 400.0);
+        let plan = FloorPlan::new([[0.0, 0.0], [8.0, 4.0]], ["x", "y"], 300.0, 400.0);
         let [o, x, y] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|p| plan.place(p));
         assert!((x[0] - o[0] - (o[1] - y[1])).abs() < 1e-9);
         assert!(plan.holds([8.0, 4.0]) && !plan.holds([8.1, 4.0]));
@@ -313,7 +313,7 @@ mod tests {
     fn nothing_a_line_and_map_coordinates_are_drawn() {
         let far = [[5_399_990.0, 1.0], [5_399_998.0, 1.0], [f64::NAN, f64::INFINITY]];
         for (places, title) in [(vec![], "x [m]"), (vec![[1.0, 2.0]], "x [m]"), (far.to_vec(), "x − 5400000 [m]")] {
-            let plan = Plan::new(Plan::corners(places), ["x", "y"], 200.0, 200.0);
+            let plan = FloorPlan::new(FloorPlan::corners(places), ["x", "y"], 200.0, 200.0);
             let mut canvas = plan.canvas();
             plan.axes(&mut canvas);
             let svg = canvas.svg("map", "");
@@ -327,8 +327,8 @@ mod tests {
         let broken = [f32::NAN, f32::INFINITY, -60.0, -61.0, -70.0, f32::NEG_INFINITY];
         let none = [f32::NAN; 6];
         for values in [&flat, &broken, &none] {
-            for colours in [Colours::Sequential, Colours::Cyclic] {
-                let heat = Heat {
+            for colours in [Palette::Sequential, Palette::Cyclic] {
+                let heat = Heatmap {
                     title: "received power".into(),
                     unit: "dBm".into(),
                     names: ["x", "y"],

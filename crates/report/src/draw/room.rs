@@ -6,12 +6,12 @@ mod view;
 
 use super::charts::{SYMBOL, Symbol};
 use super::plan::draw_receiver;
-use crate::canvas::{BLACK, Canvas, Colour, Paint, Path, Point, WHITE};
+use crate::canvas::{BLACK, Canvas, Colour, Paint, Point, VectorPath, WHITE};
 use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Pose, Real, Values, evenly};
 use pwrfgs_experiment::text::{grouped, number};
 use pwrfgs_model::Snapshot;
 use std::fmt::Write as _;
-use view::{Place, View, facing};
+use view::{RoomPoint, RoomView, facing};
 
 /// Maximum numbers of drawn elements.
 const POINTS: usize = 3_000;
@@ -34,40 +34,40 @@ pub(crate) struct Panel {
 }
 
 /// Parts shared by all panels: limits, point cloud, transmitters and receiver.
-pub(crate) struct Room {
-    view: View,
+pub(crate) struct RoomFigure {
+    view: RoomView,
     /// Axes, point cloud, transmitters and receiver.
     behind: Canvas,
     /// Arrow of the receiver; none for several receivers, which are squares.
-    receiver: Option<Receiver>,
+    receiver: Option<ReceiverArrow>,
     /// Largest radius of a Gaussian.
     radius: f64,
     has_test: bool,
     has_points: bool,
 }
 
-impl Room {
+impl RoomFigure {
     /// Creates a frame around the scene and the Gaussians of all `clouds`, except far outliers. `text` is the text
     /// height.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
         let (low, high) = limits(data, clouds);
-        let mut view = View::new(low, high, text);
+        let mut view = RoomView::new(low, high, text);
         view.origin = data.scene.origin.0;
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
         let mut behind = view.canvas();
         draw_points(&mut behind, &view, data);
-        let mut draw = |part: &[usize], colour, add: fn(&mut Path, Point, f64), radius| {
-            let mut path = Path::default();
+        let mut draw = |part: &[usize], colour, add: fn(&mut VectorPath, Point, f64), radius| {
+            let mut path = VectorPath::default();
             evenly(part, TRANSMITTERS).into_iter().for_each(|i| add(&mut path, view.place(data.sample(i).tx), radius));
             behind.path(path, Paint::stroke(colour, 0.8));
         };
-        draw(&partition.train, TRAINING, Path::add_plus, 1.6);
-        draw(&partition.test, TEST, Path::add_cross, 1.3);
+        draw(&partition.train, TRAINING, VectorPath::add_plus, 1.6);
+        draw(&partition.test, TEST, VectorPath::add_cross, 1.3);
         let poses: Vec<Pose> = data.scene.receivers.iter().map(|r| data.scene.origin.world_pose(r.pose)).collect();
         let mut receiver = None;
         if let [pose] = &poses[..] {
-            let only = Receiver::new(pose, &view, 0.14 * longest(low, high));
+            let only = ReceiverArrow::new(pose, &view, 0.14 * longest(low, high));
             only.draw(&mut behind, view.place(pose.position));
             receiver = Some(only);
         } else {
@@ -80,7 +80,7 @@ impl Room {
     /// Panel with the Gaussians of one snapshot.
     pub(crate) fn panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
         let n = snapshot.means.len();
-        let mut shown: Vec<(Place, f64)> = scattered(n)
+        let mut shown: Vec<(RoomPoint, f64)> = scattered(n)
             .into_iter()
             .map(|i| (snapshot.place(i), f64::from(snapshot.opacities[i])))
             .filter(|(mean, _)| self.view.holds(*mean))
@@ -104,11 +104,11 @@ impl Room {
     }
 
     /// Draws the background, then Gaussians from far to near.
-    fn draw(&self, shown: &mut [(Place, f64)]) -> Canvas {
+    fn draw(&self, shown: &mut [(RoomPoint, f64)]) -> Canvas {
         shown.sort_by(|a, b| self.view.nearness(a.0).total_cmp(&self.view.nearness(b.0)));
         let mut canvas = self.behind.clone();
         if shown.len() <= STEMS {
-            let mut stems = Path::default();
+            let mut stems = VectorPath::default();
             for (p, _) in &*shown {
                 stems.add(&[self.view.place(*p), self.view.place([p[0], p[1], self.view.floor()])]);
             }
@@ -126,7 +126,7 @@ impl Room {
 
     /// Symbols with their meanings.
     pub(crate) fn legend(&self) -> Vec<Symbol> {
-        let symbol = |meaning: &str, path: Path, paint| {
+        let symbol = |meaning: &str, path: VectorPath, paint| {
             let mut picture = Canvas::new(12.0, SYMBOL);
             picture.path(path, paint);
             Symbol { picture, meaning: meaning.to_owned() }
@@ -136,7 +136,7 @@ impl Room {
             self.draw_gaussian(&mut circles, [x, 7.0], opacity);
         }
         let mut all = vec![Symbol { picture: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
-        let (mut dots, mut plus, mut cross) = (Path::default(), Path::default(), Path::default());
+        let (mut dots, mut plus, mut cross) = (VectorPath::default(), VectorPath::default(), VectorPath::default());
         [[3.0, 5.0], [9.0, 7.0], [4.0, 10.0]].iter().for_each(|dot| dots.add(&[*dot; 2]));
         plus.add_plus([6.0, 7.0], 3.0);
         cross.add_cross([6.0, 7.0], 2.5);
@@ -153,7 +153,7 @@ impl Room {
                 draw_receiver(&mut picture, [7.0, SYMBOL / 2.0]);
                 Symbol { picture, meaning: "receivers".into() }
             },
-            Receiver::symbol,
+            ReceiverArrow::symbol,
         ));
         all
     }
@@ -175,8 +175,8 @@ impl Room {
 }
 
 /// Draws the point cloud, fainter towards the viewer, so that objects behind stay visible.
-fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
-    let mut layers = [(); 3].map(|()| Path::default());
+fn draw_points(canvas: &mut Canvas, view: &RoomView, data: &Dataset) {
+    let mut layers = [(); 3].map(|()| VectorPath::default());
     for point in evenly(&data.scene.points, POINTS) {
         let p = data.scene.origin.world(point);
         if view.holds(p) {
@@ -204,7 +204,7 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
 /// Corners of the frame, slightly wider than its content and never flat. It contains the scene; without a point cloud
 /// also the central 90 % of each of `clouds`, because the walls are unknown; and every Gaussian within one scene
 /// length of the scene. Gaussians farther away would make the scene too small.
-fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
+fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
     let (low, high) = data.scene.bounds;
     let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
     if data.scene.points.is_empty() {
@@ -236,7 +236,7 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
 }
 
 /// Longest edge of a box; 1 if it has none.
-fn longest(low: Place, high: Place) -> f64 {
+fn longest(low: RoomPoint, high: RoomPoint) -> f64 {
     let longest = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
     if longest > 0.0 { longest } else { 1.0 }
 }
@@ -256,16 +256,16 @@ const RADIUS: f64 = 5.0;
 /// Arrow along the boresight. Along the line of sight it is drawn as in physics: a ring with a dot for an arrow towards
 /// the viewer, with a cross for an arrow away from the viewer.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Receiver {
+pub(super) struct ReceiverArrow {
     /// Projection of the arrow on the drawing.
     along: Point,
     /// 1 if the boresight points to the viewer, -1 if it points away.
     facing: f64,
 }
 
-impl Receiver {
+impl ReceiverArrow {
     /// Creates an arrow of this length, metres.
-    pub(super) fn new(pose: &Pose, view: &View, length: f64) -> Self {
+    pub(super) fn new(pose: &Pose, view: &RoomView, length: f64) -> Self {
         let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
         let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
         let (from, to) = (view.place(pose.position), view.place(end));
@@ -279,7 +279,7 @@ impl Receiver {
             if self.facing > 0.0 {
                 canvas.circle(at, 2.0, Paint::fill(BLACK));
             } else {
-                let mut feathers = Path::default();
+                let mut feathers = VectorPath::default();
                 feathers.add_cross(at, RADIUS * 0.7);
                 canvas.path(feathers, Paint::stroke(BLACK, 1.4));
             }

@@ -1,8 +1,10 @@
 //! Spectra as maps (azimuth by elevation) and as polar sky plots, with axes in degrees.
 
-use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Letters, Paint, Path, Pixels, Point, WHITE};
+use crate::canvas::{
+    Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, TextStyle, VectorPath, WHITE,
+};
 use pwrfgs_core::colour::{Rgb, diverging, sequential};
-use pwrfgs_core::{Axis, Image, ImagePlane};
+use pwrfgs_core::{AngleAxis, Image, ImagePlane};
 
 /// Width of the drawing of a map.
 const MAP: f64 = 360.0;
@@ -10,18 +12,18 @@ const MAP: f64 = 360.0;
 const SKY: f64 = 95.0;
 const SKY_PIXELS: usize = 380;
 /// Text height on a page.
-const TEXT: Letters = Letters { size: 10.5, colour: INK };
+const TEXT: TextStyle = TextStyle { size: 10.5, colour: INK };
 
 /// Colour scale.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Scale {
+pub(crate) enum ColourScale {
     /// Power from 0 to 1.
     Power,
     /// Signed error up to this size.
     Error(f64),
 }
 
-impl Scale {
+impl ColourScale {
     fn colour(self, value: f64) -> Rgb {
         match self {
             Self::Power => sequential(value),
@@ -41,7 +43,7 @@ impl Scale {
         let (low, high) = self.range();
         let colours = (0..256).map(|i| self.colour(low + (high - low) * f64::from(i) / 255.0));
         let rgba = colours.flat_map(|[r, g, b]| [r, g, b, 255]).collect();
-        canvas.framed([left, top], [width, 8.0], Pixels { width: 256, height: 1, rgba, smooth: false });
+        canvas.framed([left, top], [width, 8.0], RasterImage { width: 256, height: 1, rgba, smooth: false });
         for part in [0.0, 0.5, 1.0] {
             let (x, value) = (left + width * part, low + (high - low) * part);
             let sign = if value > 0.0 && low < 0.0 { "+" } else { "" };
@@ -84,7 +86,7 @@ impl Mark {
             match self {
                 Self::Measured(_) => canvas.circle(at, 6.0, paint),
                 Self::Predicted(_) => {
-                    let mut cross = Path::default();
+                    let mut cross = VectorPath::default();
                     cross.add_cross(at, 4.0);
                     canvas.path(cross, paint);
                 }
@@ -100,22 +102,22 @@ impl Mark {
 }
 
 /// Spectrum as an image, elevation upwards.
-pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Pixels {
+pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> RasterImage {
     let (width, height) = (image.width, image.height);
     let upwards = plane.angles.is_none_or(|(_, elevation)| elevation.step > 0.0);
     let row = |row: usize| if upwards { height - 1 - row } else { row };
     let values = (0..height).flat_map(|k| &image.pixels[row(k) * width..][..width]);
     let rgba = values.map(|value| scale.colour(*value as f64)).flat_map(|[r, g, b]| [r, g, b, 255]).collect();
-    Pixels { width, height, rgba, smooth: false }
+    RasterImage { width, height, rgba, smooth: false }
 }
 
 /// Map: azimuth to the right, elevation upwards, in degrees; in pixels if the plane has no angles.
-pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Canvas {
+pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Canvas {
     let height = MAP * image.height as f64 / image.width as f64;
     let (left, top) = (44.0, 8.0);
     let mut canvas = Canvas::new(418.0, top + height + 34.0);
     canvas.letters = TEXT;
-    canvas.framed([left, top], [MAP, height], Pixels { smooth: true, ..pixels(image, plane, scale) });
+    canvas.framed([left, top], [MAP, height], RasterImage { smooth: true, ..pixels(image, plane, scale) });
     draw_azimuth(&mut canvas, plane, [left, top + height], MAP);
     draw_elevation(&mut canvas, plane, [left, top], height);
     canvas.letters.colour = Colour::hex(0x7a_808b);
@@ -133,14 +135,14 @@ pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
 
 /// Sky plot: zenith (boresight) in the centre, horizon at the rim, azimuth counter-clockwise from the x axis of the
 /// receiver on the right. `None` if the plane has no angles.
-pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<Canvas> {
+pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Option<Canvas> {
     let (azimuth, elevation) = plane.angles?;
     let middle @ [cx, cy] = [125.0, 114.0];
     let mut canvas = Canvas::new(250.0, 228.0);
     canvas.pixels([cx - SKY, cy - SKY], [2.0 * SKY; 2], sky_pixels(image, plane, scale)?);
     canvas.circle(middle, SKY, Paint::stroke(INK, 0.7));
     let (ring, text) = scale.contrast();
-    canvas.letters = Letters { size: 9.0, colour: text };
+    canvas.letters = TextStyle { size: 9.0, colour: text };
     for elevation in [30.0, 60.0] {
         let radius = SKY * (1.0 - elevation / 90.0);
         canvas.circle(middle, radius, Paint::stroke(ring, 0.7));
@@ -166,7 +168,7 @@ pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
 }
 
 /// Image of the sky disc, transparent outside.
-fn sky_pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Option<Pixels> {
+fn sky_pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> Option<RasterImage> {
     let (azimuth, elevation) = plane.angles?;
     let size = SKY_PIXELS;
     let half = size as f64 / 2.0;
@@ -184,7 +186,7 @@ fn sky_pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Option<Pixels>
         // The rim fades over one pixel.
         pixel.copy_from_slice(&[r, g, b, (255.0 * ((1.0 - radius) * half).min(1.0)) as u8]);
     }
-    Some(Pixels { width: size, height: size, rgba, smooth: true })
+    Some(RasterImage { width: size, height: size, rgba, smooth: true })
 }
 
 /// Interpolated value between pixels; beyond the border the nearest pixel, or the opposite side if azimuth is periodic.
@@ -202,7 +204,7 @@ fn bilinear(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
 
 /// Range of values along an axis of `n` pixels, from edge to edge.
 pub(super) struct Ruler {
-    axis: Axis,
+    axis: AngleAxis,
     low: f64,
     high: f64,
     /// Unit after each number.
@@ -211,7 +213,7 @@ pub(super) struct Ruler {
 
 /// Axes of a spectrum, azimuth first.
 pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
-    let pixel = Axis { first: 0.0, step: 1.0 };
+    let pixel = AngleAxis { first: 0.0, step: 1.0 };
     let (azimuth, elevation) = plane.angles.unwrap_or((pixel, pixel));
     let unit = if plane.angles.is_some() { "°" } else { "" };
     [Ruler::new(azimuth, plane.width, unit), Ruler::new(elevation, plane.height, unit)]
@@ -223,7 +225,7 @@ pub(crate) fn names(plane: &ImagePlane) -> [&'static str; 2] {
 }
 
 impl Ruler {
-    fn new(axis: Axis, n: usize, unit: &'static str) -> Self {
+    fn new(axis: AngleAxis, n: usize, unit: &'static str) -> Self {
         let ends = [-0.5, n as f64 - 0.5].map(|pixel| axis.first + axis.step * pixel);
         Self { axis, low: ends[0].min(ends[1]), high: ends[0].max(ends[1]), unit }
     }
@@ -305,12 +307,12 @@ mod tests {
     fn a_plane_without_angles_has_no_sky() {
         let plane = ImagePlane { width: 4, height: 2, wraps: false, angles: None, sampling: Sampling::WHOLE };
         let image = Image::zeros(4, 2);
-        assert!(sky(&image, &plane, Scale::Power, &[]).is_none());
-        let map = map(&image, &plane, Scale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);
+        assert!(sky(&image, &plane, ColourScale::Power, &[]).is_none());
+        let map = map(&image, &plane, ColourScale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);
         assert!(map.svg("map", "").contains(">column<"));
     }
 
-    const DEGREE: Axis = Axis { first: 0.0, step: 1.0 };
+    const DEGREE: AngleAxis = AngleAxis { first: 0.0, step: 1.0 };
 
     #[test]
     fn multiples_of_the_usual_plane() {

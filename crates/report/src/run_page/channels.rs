@@ -5,7 +5,7 @@ mod virtual_map;
 
 use super::examples::Example;
 use crate::canvas::{BLACK, Colour};
-use crate::draw::charts::{Axis, Chart, Line, Look};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine, ChartStyle};
 use crate::draw::marks::{Marker, Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, evenly, gains_of};
@@ -17,7 +17,7 @@ const DOTS: usize = 150;
 const MEASURED: Colour = BLACK;
 const PREDICTED: Colour = Colour::hex(0xd5_5e00);
 /// Dimensions of three charts in a row.
-const LOOK: Look = Look { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
+const LOOK: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
 /// Examples and the map of virtual transmitters.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
@@ -38,7 +38,7 @@ fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
 }
 
 /// Measured: solid dark line with dots; predicted: dashed with crosses. Print needs no colour.
-fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<Line> {
+fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<ChartLine> {
     vec![
         marked(predicted, PREDICTED, Stroke::DASHED, Marker::Cross, "predicted"),
         marked(measured, MEASURED, Stroke::FULL, Marker::Circle, "measured"),
@@ -46,17 +46,17 @@ fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<Line> {
 }
 
 /// Line with marks if they are few enough to distinguish, or if it is a single point.
-fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> Line {
+fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
     let has_marks = points.len() <= 70 || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
     let marks = if has_marks { points.clone() } else { Vec::new() };
-    Line { marks, ..Line::new(points, style) }.named(name)
+    ChartLine { marks, ..ChartLine::new(points, style) }.named(name)
 }
 
 /// Chart of a measured and a predicted line.
-fn chart(title: &str, x: &str, y: &str, lines: Vec<Line>) -> Option<Value> {
-    let axis = |name: &str| Axis { name: name.into(), ..Axis::default() };
-    let svg = Chart { look: LOOK, x: axis(x), y: axis(y), lines, ..Chart::default() }.draw()?.svg("chart", title);
+fn chart(title: &str, x: &str, y: &str, lines: Vec<ChartLine>) -> Option<Value> {
+    let axis = |name: &str| ChartAxis { name: name.into(), ..ChartAxis::default() };
+    let svg = Chart { style: LOOK, x: axis(x), y: axis(y), lines, ..Chart::default() }.draw()?.svg("chart", title);
     Some(context! { title, svg })
 }
 
@@ -102,10 +102,10 @@ fn plane(run: &LoadedRun<'_>) -> Option<Value> {
         marked(measured.clone(), MEASURED, Stroke::None, Marker::Circle, "measured"),
     ];
     let joined = Style::line(Colour::hex(0x8d_94a1), 0.8, Stroke::FULL);
-    lines.extend(measured.iter().zip(&predicted).map(|(a, b)| Line::new(vec![*a, *b], joined)));
-    let axis = |name: &str| Axis { name: name.into(), ends: Some((-reach, reach)), log: false };
-    let look = Look { size: [470.0, 450.0], ..LOOK };
-    let chart = Chart { look, x: axis("real part"), y: axis("imaginary part"), lines, ..Chart::default() };
+    lines.extend(measured.iter().zip(&predicted).map(|(a, b)| ChartLine::new(vec![*a, *b], joined)));
+    let axis = |name: &str| ChartAxis { name: name.into(), ends: Some((-reach, reach)), log: false };
+    let style = ChartStyle { size: [470.0, 450.0], ..LOOK };
+    let chart = Chart { style, x: axis("real part"), y: axis("imaginary part"), lines, ..Chart::default() };
     if measured.is_empty() || reach <= 0.0 {
         return None;
     }
@@ -123,7 +123,7 @@ pub(super) struct Gains {
 }
 
 /// Measured and predicted line.
-pub(super) type Pair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
+pub(super) type LinePair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
 
 impl Gains {
     pub(super) fn of(rows: &Image) -> Self {
@@ -149,7 +149,11 @@ pub(super) fn square([re, im]: &[f64; 2]) -> f64 {
 }
 
 /// Magnitude and phase of both, with name of the horizontal axis and shown antenna.
-pub(super) fn lines(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> ([Pair; 2], String, Option<usize>) {
+pub(super) fn lines(
+    measured: &Gains,
+    predicted: &Gains,
+    frequencies: &[f64],
+) -> ([LinePair; 2], String, Option<usize>) {
     let over_antennas = measured.subcarriers == 1;
     let k = if over_antennas { 0 } else { measured.strongest() };
     let pick = |gains: &Gains| if over_antennas { gains.values.clone() } else { gains.antenna(k).to_vec() };

@@ -1,7 +1,7 @@
 //! Curves of the page: loss and N over the steps, validation score, and distribution of test scores.
 
 use crate::canvas::Colour;
-use crate::draw::charts::{Axis, Chart, Line, phases, stairs};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine, decimate_steps, phases};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, Headline};
@@ -33,14 +33,14 @@ pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
 }
 
 /// Chart over the steps with the three phases of algorithm 1 shaded.
-fn over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<Line>) -> Chart {
+fn over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<ChartLine>) -> Chart {
     let training = &run.record.pipeline.training;
-    let x = Axis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
-    Chart { x, y: Axis { log, ..Axis::default() }, bands: phases(training), lines, ..Chart::default() }
+    let x = ChartAxis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
+    Chart { x, y: ChartAxis { log, ..ChartAxis::default() }, bands: phases(training), lines, ..Chart::default() }
 }
 
-fn line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> Line {
-    Line::new(points, Style::line(colour, width, Stroke::FULL))
+fn line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine {
+    ChartLine::new(points, Style::line(colour, width, Stroke::FULL))
 }
 
 fn figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
@@ -60,14 +60,14 @@ fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let range: Vec<_> = upper.chain(stretches.iter().rev().map(|s| fold(s, f64::min))).collect();
     let mut lines = vec![line(mean, MODEL_COLOUR, 2.0)];
     if points.len() > stretches.len() {
-        lines.push(Line::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
+        lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
     figure("Training loss", &over_steps(run, true, lines))
 }
 
 /// N on a logarithmic axis.
 fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
-    let lines = vec![line(stairs(points), MODEL_COLOUR, 2.0)];
+    let lines = vec![line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
     figure(title, &over_steps(run, true, lines))
@@ -84,7 +84,7 @@ fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
         line(column(rows, 2), LIGHT, 2.0).named("model, median"),
     ];
     for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
-        lines.push(Line::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
+        lines.push(ChartLine::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
     let task = run.data.task();
     let title = format!("Validation {}: {}", task.counted[1], task.headline.name);
@@ -107,12 +107,12 @@ pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
     middle.marks = median;
     let lines = vec![
         middle,
-        Line::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)),
-        Line::new(vec![(0.0, 0.0), (last, last)], Style::line(Colour::hex(FLOOR_COLOURS[0]), 1.5, Stroke::DASHED))
+        ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)),
+        ChartLine::new(vec![(0.0, 0.0), (last, last)], Style::line(Colour::hex(FLOOR_COLOURS[0]), 1.5, Stroke::DASHED))
             .named("error = spread"),
     ];
-    let x = Axis { name: "spread of the members, RMS".into(), ends: Some((0.0, last)), log: false };
-    let y = Axis { name: "error of the mean, RMS".into(), ends: None, log: false };
+    let x = ChartAxis { name: "spread of the members, RMS".into(), ends: Some((0.0, last)), log: false };
+    let y = ChartAxis { name: "error of the mean, RMS".into(), ends: None, log: false };
     let chart = Chart { x, y, lines, ..Chart::default() };
     let rank = measured.rank_correlation();
     let svg = chart.draw()?.svg("chart", "Error against the spread of the members");
@@ -149,8 +149,8 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
         let colour = if own { MODEL_COLOUR } else { floors.next().unwrap_or(MODEL_COLOUR) };
         lines.push(line(points, colour, if own { 3.0 } else { 2.0 }).named(name));
     }
-    let x = Axis { name: headline.name.into(), ends: Some(ends), log: false };
-    let y = Axis { ends: Some((0.0, 1.0)), ..Axis::default() };
+    let x = ChartAxis { name: headline.name.into(), ends: Some(ends), log: false };
+    let y = ChartAxis { ends: Some((0.0, 1.0)), ..ChartAxis::default() };
     let title = format!("Share of test {} below an {}", task.counted[1], headline.short);
     figure(title, &Chart { x, y, lines, ..Chart::default() })
 }

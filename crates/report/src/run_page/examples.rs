@@ -1,6 +1,6 @@
 //! `Example`: best, median and worst prediction of a test link.
 
-use crate::draw::spectra::{self, Mark, Scale};
+use crate::draw::spectra::{self, ColourScale, Mark};
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Query, Result};
 use pwrfgs_experiment::{LoadedRun, scores::MODEL};
@@ -72,12 +72,12 @@ pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
 const CHUNK: usize = 512;
 
 /// Calls `look` for each link with its measurement and prediction, in order.
-pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut look: impl FnMut(usize, &Image, &Image)) {
+pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut visit: impl FnMut(usize, &Image, &Image)) {
     let (model, data) = (run.model.prepare(), run.data);
     for chunk in links.chunks(CHUNK) {
         let queries: Vec<Query<'_>> = chunk.iter().map(|&i| data.query(i)).collect();
         for (&i, predicted) in chunk.iter().zip(model.predict_many(&queries)) {
-            look(i, &data.image(i), &predicted);
+            visit(i, &data.image(i), &predicted);
         }
     }
 }
@@ -101,9 +101,9 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
             ssim => format!("{score:.3}"),
             peaks => peaks(run, truth, prediction),
             panels => vec![
-                panel("Ground truth", truth, Scale::Power, &marks[..1]),
-                panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
-                panel("Predicted − truth", error, Scale::Error(limit), &[]),
+                panel("Ground truth", truth, ColourScale::Power, &marks[..1]),
+                panel("Predicted", &prediction.clamped(), ColourScale::Power, &marks),
+                panel("Predicted − truth", error, ColourScale::Error(limit), &[]),
             ],
             ..example.words(run)
         }

@@ -1,7 +1,7 @@
 //! Interactive part of the page: a room to rotate, samples to browse and, for one small model, a transmitter to
 //! move. All data are in the page; without scripts, this part is not shown.
 
-use crate::live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
+use crate::live::{PartitionedData, STAGE, STYLE, TensorBundle, bundle, gaussians, origin, room};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
@@ -36,7 +36,7 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let spectra = run.data.task().has_pixels;
     let model = model_bytes(run);
     let gaussians = shows(run.model).then(|| {
-        let origin = origin(&run.model.members()[0].stages.frame, Some(run.data));
+        let origin = origin(&run.model.members()[0].stages.setup, Some(run.data));
         gaussians(run.model, origin, None).to_bytes()
     });
     let chosen = if spectra { chosen(run, model.is_some()) } else { Vec::new() };
@@ -74,7 +74,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let [only] = run.model.members() else { return None };
     let name = name_of(only.stages.deformation()?);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
-    let drawn = only.stages.frame.receivers.len() == 1 && run.data.task().has_pixels;
+    let drawn = only.stages.setup.receivers.len() == 1 && run.data.task().has_pixels;
     let small = only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES;
     (known && drawn && small).then(|| file::to_bytes(only))
 }
@@ -108,37 +108,37 @@ fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a
     run.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
 }
 
-fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> Pack {
+fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     let mut scores = vec![f64::NAN; run.data.len()];
     scored(run).for_each(|(i, score)| scores[i] = score);
-    let known = Known { data: run.data, partition: run.partition, scores: &scores, links };
-    let mut pack = room(&run.model.members()[0].stages.frame, Some(known), &[], POINTS);
+    let known = PartitionedData { data: run.data, partition: run.partition, scores: &scores, links };
+    let mut tensors = room(&run.model.members()[0].stages.setup, Some(known), &[], POINTS);
     let ellipsoids = run.model.is_drawn_as(Appearance::Ellipsoids);
-    pack.note["sides"] = json!([{
+    tensors.note["sides"] = json!([{
         "name": run.record.pipeline.name,
         "gaussians": shows(run.model).then(|| run.model.gaussians()),
         "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
         "moments": [],
     }]);
-    pack
+    tensors
 }
 
 /// Measurement of each selected link and, unless the page predicts, its prediction; 8 bits per pixel. Named by
 /// index in `links`.
-fn spectra_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> Pack {
+fn spectra_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
     let places: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
-    let mut pack = Pack::new(json!({ "links": places }));
-    let put = |pack: &mut Pack, name: String, image: &Image| {
-        pack.put_bytes(&name, &[image.height, image.width], image.to_bytes());
+    let mut tensors = TensorBundle::new(json!({ "links": places }));
+    let put = |tensors: &mut TensorBundle, name: String, image: &Image| {
+        tensors.put_bytes(&name, &[image.height, image.width], image.to_bytes());
     };
     let queries: Vec<Query<'_>> = chosen.iter().map(|&i| run.data.query(i)).collect();
     let pictures = if predicted { run.model.prepare().predict_many(&queries) } else { Vec::new() };
     for (k, (place, &i)) in places.iter().zip(chosen).enumerate() {
-        put(&mut pack, format!("truth.{place}"), &run.data.image(i));
+        put(&mut tensors, format!("truth.{place}"), &run.data.image(i));
         if let Some(picture) = pictures.get(k) {
-            put(&mut pack, format!("predicted.{place}"), picture);
+            put(&mut tensors, format!("predicted.{place}"), picture);
         }
     }
-    pack
+    tensors
 }

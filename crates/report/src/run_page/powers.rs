@@ -2,10 +2,10 @@
 
 use super::examples::Example;
 use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, Paint};
-use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
-use crate::draw::plan::{Plan, draw_receiver};
-use crate::draw::spectra::Scale;
+use crate::draw::plan::{FloorPlan, draw_receiver};
+use crate::draw::spectra::ColourScale;
 use minijinja::{Value, context};
 use pwrfgs_core::{colour::diverging, evenly};
 use pwrfgs_experiment::{LoadedRun, statistics::quantile};
@@ -18,13 +18,13 @@ const BLUE: Colour = Colour::hex(0x18_4ea3);
 
 /// Test link: measured and predicted power, dBm.
 #[derive(Clone, Copy)]
-struct Heard {
+struct PowerPair {
     link: usize,
     measured: f64,
     predicted: f64,
 }
 
-impl Heard {
+impl PowerPair {
     /// Error, positive if the prediction is too high, dB.
     fn error(&self) -> f64 {
         self.predicted - self.measured
@@ -33,21 +33,21 @@ impl Heard {
 
 /// Figures, maps and examples.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
-    let mut heard = Vec::with_capacity(run.partition.test.len());
+    let mut pairs = Vec::with_capacity(run.partition.test.len());
     super::examples::each(run, &run.partition.test, |link, truth, prediction| {
-        heard.push(Heard { link, measured: truth.pixels[0] as f64, predicted: prediction.pixels[0] as f64 });
+        pairs.push(PowerPair { link, measured: truth.pixels[0] as f64, predicted: prediction.pixels[0] as f64 });
     });
-    heard.retain(|own| own.error().is_finite());
-    let mut errors: Vec<f64> = heard.iter().map(Heard::error).collect();
+    pairs.retain(|own| own.error().is_finite());
+    let mut errors: Vec<f64> = pairs.iter().map(PowerPair::error).collect();
     errors.sort_by(f64::total_cmp);
-    let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&heard)].into_iter().flatten().collect();
+    let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&pairs)].into_iter().flatten().collect();
     context! {
         figures,
         median => signed(quantile(&errors, 0.5)),
         mean => signed(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
-        dots => heard.len().min(DOTS),
-        links => heard.len(),
-        maps => maps(run, &heard),
+        dots => pairs.len().min(DOTS),
+        links => pairs.len(),
+        maps => maps(run, &pairs),
         examples => examples(run, chosen),
     }
 }
@@ -76,37 +76,38 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     outline.push((edge(counts.len()), 0.0));
     let most = counts.iter().map(|&count| share(count)).fold(0.0, f64::max);
     let median = quantile(errors, 0.5);
-    let upright = |x: f64, stroke| Line::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(BLACK, 1.3, stroke));
+    let upright = |x: f64, stroke| ChartLine::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(BLACK, 1.3, stroke));
     let lines = vec![
         upright(0.0, Stroke::FULL),
         upright(median, Stroke::DASHED).named(&format!("median, {} dB", signed(median))),
-        Line::new(outline.clone(), Style::line(BLUE, 1.2, Stroke::FULL)),
-        Line::new(outline, Style::line(BLUE, 1.0, Stroke::Area)),
+        ChartLine::new(outline.clone(), Style::line(BLUE, 1.2, Stroke::FULL)),
+        ChartLine::new(outline, Style::line(BLUE, 1.0, Stroke::Area)),
     ];
-    let x = Axis { name: "predicted − measured, dB".into(), ends: Some((edge(0), edge(counts.len()))), log: false };
+    let x =
+        ChartAxis { name: "predicted − measured, dB".into(), ends: Some((edge(0), edge(counts.len()))), log: false };
     let name = format!("test links per {step} dB, %");
-    let y = Axis { name, ends: Some((0.0, 1.05 * most.max(1e-9))), log: false };
+    let y = ChartAxis { name, ends: Some((0.0, 1.05 * most.max(1e-9))), log: false };
     let title = "Errors of the model";
     (!errors.is_empty()).then_some(())?;
     Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
 }
 
 /// Predicted against measured power, with the line of equality.
-fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
-    let dots: Vec<(f64, f64)> = evenly(heard, DOTS).iter().map(|own| (own.measured, own.predicted)).collect();
+fn scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
+    let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|own| (own.measured, own.predicted)).collect();
     let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
     let air = (0.04 * (high - low)).max(1.0);
     let ends = (low - air, high + air);
     let lines = vec![
-        Line::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(BLACK, 1.3, Stroke::DASHED))
+        ChartLine::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(BLACK, 1.3, Stroke::DASHED))
             .named("predicted = measured"),
-        Line::new(dots, Style::line(BLUE.faint(0.55), 2.6, Stroke::Dots)),
+        ChartLine::new(dots, Style::line(BLUE.faint(0.55), 2.6, Stroke::Dots)),
     ];
-    let axis = |name: &str| Axis { name: name.into(), ends: Some(ends), log: false };
+    let axis = |name: &str| ChartAxis { name: name.into(), ends: Some(ends), log: false };
     let chart = Chart { x: axis("measured, dBm"), y: axis("predicted, dBm"), lines, ..Chart::default() };
     let title = "Predicted against measured";
-    if heard.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
+    if pairs.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
 }
 
 /// Best, median and worst link as rows.
@@ -133,16 +134,16 @@ const WIDTH: f64 = 290.0;
 const MOST_HEIGHT: f64 = 250.0;
 
 /// Maps of the shown receivers; none without positions.
-fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
+fn maps(run: &LoadedRun<'_>, pairs: &[PowerPair]) -> Option<Value> {
     let data = run.data;
-    if !data.placed || heard.is_empty() {
+    if !data.placed || pairs.is_empty() {
         return None;
     }
     let receivers = &data.scene.receivers;
-    let mut of_each: Vec<Vec<Heard>> = vec![Vec::new(); receivers.len()];
-    heard.iter().for_each(|own| of_each[data.links[own.link].receiver].push(*own));
+    let mut of_each: Vec<Vec<PowerPair>> = vec![Vec::new(); receivers.len()];
+    pairs.iter().for_each(|own| of_each[data.links[own.link].receiver].push(*own));
     let with_links: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
-    let mut sizes: Vec<f64> = heard.iter().map(|own| own.error().abs()).collect();
+    let mut sizes: Vec<f64> = pairs.iter().map(|own| own.error().abs()).collect();
     sizes.sort_by(f64::total_cmp);
     // A few large errors would make all others white.
     let limit = quantile(&sizes, 0.95).ceil().max(1.0);
@@ -151,7 +152,7 @@ fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
         let svg = map_of(run, r, &of_each[r], limit).svg("map", &format!("errors at {name}"));
         context! { name, svg, links => of_each[r].len() }
     };
-    let scale = Scale::Error(limit);
+    let scale = ColourScale::Error(limit);
     Some(context! {
         maps => with_links.iter().take(MAPS).map(map).collect::<Vec<_>>(),
         unshown => with_links.len().saturating_sub(MAPS),
@@ -163,23 +164,23 @@ fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
 }
 
 /// Map of one receiver, in the frame of all transmitters that it received.
-fn map_of(run: &LoadedRun<'_>, receiver: usize, heard: &[Heard], limit: f64) -> Canvas {
+fn map_of(run: &LoadedRun<'_>, receiver: usize, pairs: &[PowerPair], limit: f64) -> Canvas {
     let data = run.data;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
     let own = data.scene.origin.world_pose(data.scene.receivers[receiver].pose).position;
     let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.tx));
-    let plan = Plan::new(Plan::corners(links().chain([flat(own)])), ["x", "y"], WIDTH, MOST_HEIGHT);
+    let plan = FloorPlan::new(FloorPlan::corners(links().chain([flat(own)])), ["x", "y"], WIDTH, MOST_HEIGHT);
     let mut canvas = plan.canvas();
     let points = evenly(&data.scene.points, POINTS);
     plan.points(&mut canvas, points.into_iter().map(|p| flat(data.scene.origin.world(p))));
-    let mut shown = evenly(heard, SHOWN);
+    let mut shown = evenly(pairs, SHOWN);
     shown.sort_by(|a, b| a.error().abs().total_cmp(&b.error().abs())); // the worst on top
     for own in &shown {
         draw_error(&mut canvas, plan.place(flat(data.sample(own.link).tx)), own.error() / limit);
     }
     plan.receiver(&mut canvas, flat(own));
     plan.axes(&mut canvas);
-    Plan::widened(&canvas, WIDTH)
+    FloorPlan::widened(&canvas, WIDTH)
 }
 
 /// Triangle that points up for too high and down for too low predictions, larger for larger errors, so that the sign
@@ -222,7 +223,7 @@ mod tests {
     #[test]
     fn no_link_equal_links_and_wild_ones_are_drawn_or_left_out() {
         assert!(histogram(&[]).is_none() && scatter(&[]).is_none());
-        let one = Heard { link: 0, measured: -60.0, predicted: -60.0 };
+        let one = PowerPair { link: 0, measured: -60.0, predicted: -60.0 };
         for errors in [vec![0.0], vec![0.0; 9], vec![-300.0, 0.1, 0.2, 4000.0]] {
             if let Some((_, svg)) = histogram(&errors) {
                 assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");

@@ -1,7 +1,7 @@
 //! Score tables of the page, of all predictors and per receiver.
 
 use minijinja::{Value, context};
-use pwrfgs_experiment::scores::{Cell, MetricRow, ScoreTable};
+use pwrfgs_experiment::scores::{MetricRow, ScoreCell, ScoreTable};
 use pwrfgs_experiment::{LoadedRun, statistics::Summary, text::number};
 
 /// Groups of columns, one per metric: per-sample metrics first, then single values such as latency.
@@ -30,7 +30,7 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     };
     // Value of the whole model, or why there is none.
     let whole = metric.cells.first().filter(|_| !samples).map(|cell| match cell {
-        Cell::NotApplicable(why) => format!("n/a: {why}"),
+        ScoreCell::NotApplicable(why) => format!("n/a: {why}"),
         cell => format!("{} {unit}", cell.numbers().first().map_or_else(String::new, |v| number(*v))),
     });
     let rows: Vec<Vec<(String, &str)>> =
@@ -67,7 +67,7 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     }
     let predictors: Vec<(&String, &[f64])> =
         scores.predictors.iter().filter_map(|(name, _)| Some((name, scores.samples(name, headline.key)?))).collect();
-    let heard: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
+    let receiving: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
     let row = |&r: &usize| {
         let summaries: Vec<Summary> = predictors
             .iter()
@@ -86,13 +86,13 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
             .collect();
         context! { name => receivers[r].name.clone(), links => of_each[r].len(), cells }
     };
-    (!predictors.is_empty() && !heard.is_empty()).then(|| {
+    (!predictors.is_empty() && !receiving.is_empty()).then(|| {
         context! {
             metric => headline.name,
             predictors => predictors.iter().map(|(name, _)| (*name).clone()).collect::<Vec<_>>(),
-            rows => heard.iter().take(ROWS).map(row).collect::<Vec<_>>(),
-            unshown => heard.len().saturating_sub(ROWS),
-            silent => receivers.len() - heard.len(),
+            rows => receiving.iter().take(ROWS).map(row).collect::<Vec<_>>(),
+            unshown => receiving.len().saturating_sub(ROWS),
+            silent => receivers.len() - receiving.len(),
         }
     })
 }
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn a_bound_is_neither_best_nor_second_and_a_single_rival_no_best() {
-        let cell = |v: f64| Cell::Samples(Summary { mean: v, median: v, p10: v });
+        let cell = |v: f64| ScoreCell::Samples(Summary { mean: v, median: v, tail10: v });
         let cells = vec![cell(0.7), cell(0.99), cell(0.8)];
         let row = MetricRow { key: "ssim".into(), unit: String::new(), higher_is_better: true, cells };
         let marks = |bounds: &[&str]| -> Vec<String> {

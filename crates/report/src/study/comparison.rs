@@ -2,7 +2,7 @@
 
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
-use pwrfgs_experiment::{CEILING, Record, Setting, Variant, distinct, text::Lines};
+use pwrfgs_experiment::{CEILING, Record, Setting, StudyVariant, distinct, text::Lines};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -14,9 +14,9 @@ pub(super) const TRAINED_ON: &str = "trained_on";
 
 /// Type of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub(super) enum Kind {
+pub(super) enum RowKind {
     /// Trained models.
-    Variant,
+    StudyVariant,
     /// Baseline.
     Floor,
     /// Oracle baseline, which uses the scene of simulated data: not ranked.
@@ -25,7 +25,7 @@ pub(super) enum Kind {
     Ceiling,
 }
 
-impl Kind {
+impl RowKind {
     /// Value in the CSV file.
     pub(super) fn name(self) -> &'static str {
         ["variant", "floor", "bound", "ceiling"][self as usize]
@@ -34,9 +34,9 @@ impl Kind {
 
 /// One predictor over the seeds.
 #[derive(Clone, Debug)]
-pub(super) struct Row<'a> {
+pub(super) struct ComparisonRow<'a> {
     pub(super) label: &'a str,
-    pub(super) kind: Kind,
+    pub(super) kind: RowKind,
     /// First variant with bit-identical models.
     pub(super) twin: Option<&'a str>,
     /// Name in `scores.csv`.
@@ -47,21 +47,21 @@ pub(super) struct Row<'a> {
 
 /// Statistic over the samples of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Statistic {
+pub(super) enum SummaryStatistic {
     /// Mean over test samples.
     Mean,
     /// Median over test samples.
     Median,
     /// Percentile at the worse end: the 10th if larger is better, else the 90th.
-    P10,
+    Tail10,
     /// Value of the whole model.
     Whole,
 }
 
-impl Statistic {
+impl SummaryStatistic {
     /// Value in the CSV file.
     pub(super) fn name(self) -> &'static str {
-        ["mean", "median", "p10", "value"][self as usize]
+        ["mean", "median", "tail10", "value"][self as usize]
     }
 
     /// Index among the numbers of a cell.
@@ -69,23 +69,27 @@ impl Statistic {
         match self {
             Self::Mean | Self::Whole => 0,
             Self::Median => 1,
-            Self::P10 => 2,
+            Self::Tail10 => 2,
         }
     }
 
     /// Words above a column.
     pub(super) fn words(self, higher_is_better: bool) -> &'static str {
         match self {
-            Self::P10 if higher_is_better => "10th percentile",
-            Self::P10 => "90th percentile",
+            Self::Tail10 if higher_is_better => "10th percentile",
+            Self::Tail10 => "90th percentile",
             _ => self.name(),
         }
     }
 }
 
 /// Statistics of a metric.
-pub(super) fn statistics(metric: &MetricRow) -> &'static [Statistic] {
-    if metric.is_per_sample() { &[Statistic::Mean, Statistic::Median, Statistic::P10] } else { &[Statistic::Whole] }
+pub(super) fn statistics(metric: &MetricRow) -> &'static [SummaryStatistic] {
+    if metric.is_per_sample() {
+        &[SummaryStatistic::Mean, SummaryStatistic::Median, SummaryStatistic::Tail10]
+    } else {
+        &[SummaryStatistic::Whole]
+    }
 }
 
 /// Whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
@@ -98,19 +102,19 @@ pub(super) fn is_time(metric: &MetricRow) -> bool {
     metric.key.starts_with("latency") || metric.key == TRAINING
 }
 
-impl Row<'_> {
+impl ComparisonRow<'_> {
     /// Values of the runs that have one.
-    pub(super) fn values(&self, metric: &MetricRow, statistic: Statistic) -> Vec<f64> {
+    pub(super) fn values(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Vec<f64> {
         let of_run = |run: &&Record| match statistic {
-            Statistic::Whole if metric.key == TRAINING => {
-                (self.kind == Kind::Variant).then_some(run.facts.training_seconds)
+            SummaryStatistic::Whole if metric.key == TRAINING => {
+                (self.kind == RowKind::StudyVariant).then_some(run.facts.training_seconds)
             }
-            Statistic::Whole if metric.key == TRAINED_ON => {
+            SummaryStatistic::Whole if metric.key == TRAINED_ON => {
                 let [train, validation, _] = run.facts.samples;
                 match self.kind {
-                    Kind::Variant => Some(train as f64),
-                    Kind::Floor => Some((train + validation) as f64),
-                    Kind::Bound | Kind::Ceiling => None,
+                    RowKind::StudyVariant => Some(train as f64),
+                    RowKind::Floor => Some((train + validation) as f64),
+                    RowKind::Bound | RowKind::Ceiling => None,
                 }
             }
             _ => run.scores.table.numbers(self.predictor, &metric.key)?.get(statistic.place()).copied(),
@@ -119,9 +123,9 @@ impl Row<'_> {
     }
 
     /// Mean and deviation over seeds. A baseline on a split that is equal for all seeds has no deviation.
-    pub(super) fn spread(&self, metric: &MetricRow, statistic: Statistic) -> Option<Spread> {
+    pub(super) fn spread(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Option<Spread> {
         let spread = Spread::of(&self.values(metric, statistic))?;
-        let same = self.kind != Kind::Variant && spread.deviation == Some(0.0);
+        let same = self.kind != RowKind::StudyVariant && spread.deviation == Some(0.0);
         Some(if same { Spread { deviation: None, ..spread } } else { spread })
     }
 
@@ -131,7 +135,12 @@ impl Row<'_> {
 
     /// Difference of this row from `reference`, paired by seed and test sample; pairs without finite difference are
     /// omitted.
-    pub(super) fn less(&self, reference: &Row<'_>, metric: &MetricRow, blocks: &Blocks) -> Option<Difference> {
+    pub(super) fn less(
+        &self,
+        reference: &ComparisonRow<'_>,
+        metric: &MetricRow,
+        blocks: &Blocks,
+    ) -> Option<Difference> {
         let of_seed = |run: &&Record| {
             let own = self.samples(run.facts.seed, metric)?;
             let other = reference.samples(run.facts.seed, metric)?;
@@ -145,7 +154,7 @@ impl Row<'_> {
 #[derive(Clone, Debug)]
 pub(super) struct Comparison<'a> {
     pub(super) setting: &'a Setting,
-    pub(super) rows: Vec<Row<'a>>,
+    pub(super) rows: Vec<ComparisonRow<'a>>,
     /// Metrics in the order of the runs, then training set and training time.
     pub(super) metrics: Vec<MetricRow>,
     pub(super) blocks: Blocks,
@@ -153,11 +162,17 @@ pub(super) struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     pub(super) fn new(setting: &'a Setting) -> Self {
-        let variant = |(k, v): (usize, &'a Variant)| {
+        let variant = |(k, v): (usize, &'a StudyVariant)| {
             let twin = setting.twin(k).map(|first| first.label.as_str());
-            Row { label: &v.label, kind: Kind::Variant, twin, predictor: MODEL, runs: v.runs.iter().collect() }
+            ComparisonRow {
+                label: &v.label,
+                kind: RowKind::StudyVariant,
+                twin,
+                predictor: MODEL,
+                runs: v.runs.iter().collect(),
+            }
         };
-        let mut rows: Vec<Row<'a>> = setting.variants.iter().enumerate().map(variant).collect();
+        let mut rows: Vec<ComparisonRow<'a>> = setting.variants.iter().enumerate().map(variant).collect();
         let variants = rows.len();
         for run in setting.runs() {
             for name in run.scores.table.baselines() {
@@ -167,13 +182,13 @@ impl<'a> Comparison<'a> {
                     Some(row) => row.runs.push(run),
                     None => {
                         let bound = run.scores.table.bounds.iter().any(|bound| bound == name);
-                        let kind = if bound { Kind::Bound } else { Kind::Floor };
-                        rows.push(Row { label: name, kind, twin: None, predictor: name, runs: vec![run] });
+                        let kind = if bound { RowKind::Bound } else { RowKind::Floor };
+                        rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
                     }
                 }
             }
         }
-        rows[variants..].sort_by_key(|row| row.kind == Kind::Bound);
+        rows[variants..].sort_by_key(|row| row.kind == RowKind::Bound);
         let mut ceiling: Vec<&Record> = Vec::new();
         for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {
             if !ceiling.iter().any(|other| other.facts.seed == run.facts.seed) {
@@ -181,7 +196,13 @@ impl<'a> Comparison<'a> {
             }
         }
         if !ceiling.is_empty() {
-            rows.push(Row { label: CEILING, kind: Kind::Ceiling, twin: None, predictor: CEILING, runs: ceiling });
+            rows.push(ComparisonRow {
+                label: CEILING,
+                kind: RowKind::Ceiling,
+                twin: None,
+                predictor: CEILING,
+                runs: ceiling,
+            });
         }
         let mut metrics: Vec<MetricRow> = Vec::new();
         for metric in setting.runs().flat_map(|run| &run.scores.table.metrics) {
@@ -197,7 +218,7 @@ impl<'a> Comparison<'a> {
         Self { setting, rows, metrics, blocks: Blocks::new(&places) }
     }
 
-    pub(super) fn row(&self, label: &str) -> Option<&Row<'a>> {
+    pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
         self.rows.iter().find(|row| row.label == label)
     }
 
@@ -223,7 +244,7 @@ impl<'a> Comparison<'a> {
     pub(super) fn ambiguous(&self) -> Vec<String> {
         let key = self.setting.headline().key;
         let mut all = Vec::new();
-        for row in self.rows.iter().filter(|row| [Kind::Floor, Kind::Bound].contains(&row.kind)) {
+        for row in self.rows.iter().filter(|row| [RowKind::Floor, RowKind::Bound].contains(&row.kind)) {
             let differs = |run: &&Record| {
                 let shown = row.runs.iter().find(|shown| shown.facts.seed == run.facts.seed)?;
                 let [a, b] = [run, shown].map(|run| run.scores.value(row.predictor, key));
@@ -242,7 +263,7 @@ impl<'a> Comparison<'a> {
 
     /// Groups of variants with bit-identical models, by label.
     pub(super) fn twins(&self) -> Vec<String> {
-        let group = |first: &Row<'a>| {
+        let group = |first: &ComparisonRow<'a>| {
             let others = self.rows.iter().filter(|row| row.twin == Some(first.label)).map(|row| row.label);
             [first.label].into_iter().chain(others).collect::<Vec<_>>()
         };
@@ -260,7 +281,7 @@ const HEADER: &str = "setting simulated variant kind metric unit statistic value
 /// `report.csv`: one line per number: all metrics of all rows of all settings, with references.
 ///
 /// Columns: setting, simulated, variant, kind (`variant`, `floor` for a baseline, `bound` for an oracle baseline,
-/// `ceiling`), metric, unit, statistic (`mean`, `median`, `p10` over test samples, the last at the worse end; `value`
+/// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
 /// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
 /// seeds, empty for one), n (seeds), reference, low and high (ends of the interval of a difference).
 pub(super) fn csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
@@ -269,7 +290,7 @@ pub(super) fn csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a
     for (comparison, reference) in comparisons {
         let setting = comparison.setting;
         let simulated = setting.simulated.to_string();
-        let mut put = |row: &Row<'_>, metric: &MetricRow, rest: [&str; 7]| {
+        let mut put = |row: &ComparisonRow<'_>, metric: &MetricRow, rest: [&str; 7]| {
             let [statistic, value, std, n, reference, low, high] = rest;
             let MetricRow { key, unit, .. } = metric;
             let (title, kind) = (&setting.title, row.kind.name());

@@ -11,16 +11,16 @@ mod rate;
 mod tradeoff;
 
 use crate::canvas::Canvas;
-use crate::draw::charts::{Chart, Look};
+use crate::draw::charts::{Chart, ChartStyle};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
-use pwrfgs_experiment::{Setting, Silent};
+use pwrfgs_experiment::{NoopObserver, Setting};
 use serde::Serialize;
 use std::path::Path;
 
 /// Widths of one print column, and of two with the gap between them.
-const COLUMN: f64 = Look::COLUMN.size[0];
+const COLUMN: f64 = ChartStyle::COLUMN.size[0];
 const PAGE: f64 = COLUMN * 181.9 / 88.9;
 /// Millimetres per drawing unit.
 const MM: f64 = 88.9 / COLUMN;
@@ -61,11 +61,11 @@ impl Figure {
 
     /// Creates a chart in one column; `None` if there is nothing to draw. `words` are for its caption.
     fn chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
-        let mut look = Look::COLUMN;
+        let mut style = ChartStyle::COLUMN;
         if !chart.bands.is_empty() {
-            look.margins[1] = 40.0; // for the names of the phases
+            style.margins[1] = 40.0; // for the names of the phases
         }
-        Chart { look, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
+        Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
 
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
@@ -81,7 +81,7 @@ impl Figure {
 
 /// Figures, and the reason why some are missing.
 #[derive(Clone, Debug, Default)]
-pub struct Drawn {
+pub struct FigureSet {
     /// Figures that could be drawn.
     pub figures: Vec<Figure>,
     /// Reason why figures that need data and models (room, spectra, rate ratio) are missing.
@@ -92,14 +92,14 @@ pub struct Drawn {
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
 /// All figures for which there are numbers. `progress` counts figures.
-pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
+pub fn all(setting: &Setting, progress: Progress<'_>) -> FigureSet {
     let from_scores = [
         gaussians::figure,
         tradeoff::first_metric,
         tradeoff::rate_ratio,
-        tradeoff::race::<0>,
-        tradeoff::race::<1>,
-        tradeoff::race::<2>,
+        tradeoff::pareto::<0>,
+        tradeoff::pareto::<1>,
+        tradeoff::pareto::<2>,
         latency::figure,
         errors::distribution,
         errors::distance,
@@ -112,7 +112,7 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         figures.extend(make(setting));
         progress(done + 1, count);
     }
-    let drawn = setting.variants[0].runs[0].load_data(&mut Silent).and_then(|data| {
+    let drawn = setting.variants[0].runs[0].load_data(&mut NoopObserver).and_then(|data| {
         let mut drawn = Vec::new();
         for (done, make) in from_data.iter().enumerate() {
             drawn.extend(make(setting, &data)?);
@@ -127,5 +127,5 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         "is no figure of the room"
     };
     let left_out = left_out.map(|e| format!("There {missing}: {e}."));
-    Drawn { figures, left_out }
+    FigureSet { figures, left_out }
 }

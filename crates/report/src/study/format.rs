@@ -1,8 +1,8 @@
 //! Formats of the report: HTML and LaTeX by templates, and aligned text for a terminal.
 
-use super::page::Page;
-use super::tables::{Column, Line, Mark, Shown, Table};
-use crate::canvas::plain;
+use super::page::StudyPage;
+use super::tables::{FormattedValue, RankMark, Table, TableColumn, TableLine};
+use crate::canvas::single_line;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
@@ -11,12 +11,12 @@ use pwrfgs_experiment::text::aligned;
 use std::fmt::Write as _;
 
 /// Names and texts of all documents: `report.html`, `report.tex` with one file per table.
-pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
+pub(super) fn documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     let (mut all, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {
-        let (mut said, mut tables) = (Vec::new(), Vec::new());
+        let (mut message, mut tables) = (Vec::new(), Vec::new());
         for table in &section.tables {
-            let t = shown(table, &mut said);
+            let t = shown(table, &mut message);
             let context = context! { t => t.clone(), setting => section.title.clone(), name => section.name.clone() };
             all.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
             tables.push(t);
@@ -37,11 +37,12 @@ pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
 
 /// Table for a template: groups neighbouring columns of one title and lines of one kind; separates the sentences of the
 /// legend that no table above contains.
-fn shown<'a>(table: &'a Table, said: &mut Vec<&'a str>) -> Value {
-    let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !said.contains(s)).collect();
-    said.extend(&fresh);
-    let groups: Vec<&[Column]> = table.columns.chunk_by(|a, b| (&a.title, a.arrow) == (&b.title, b.arrow)).collect();
-    let sections: Vec<&[Line]> = table.lines.chunk_by(|a, b| a.kind == b.kind).collect();
+fn shown<'a>(table: &'a Table, message: &mut Vec<&'a str>) -> Value {
+    let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !message.contains(s)).collect();
+    message.extend(&fresh);
+    let groups: Vec<&[TableColumn]> =
+        table.columns.chunk_by(|a, b| (&a.title, a.arrow) == (&b.title, b.arrow)).collect();
+    let sections: Vec<&[TableLine]> = table.lines.chunk_by(|a, b| a.kind == b.kind).collect();
     context! {
         groups => Serde(groups),
         sections => Serde(sections),
@@ -53,7 +54,7 @@ fn shown<'a>(table: &'a Table, said: &mut Vec<&'a str>) -> Value {
 }
 
 /// Tables of every setting that fit a terminal.
-pub(super) fn text(page: &Page) -> String {
+pub(super) fn text(page: &StudyPage) -> String {
     let mut out = String::new();
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
@@ -70,14 +71,14 @@ pub(super) fn text(page: &Page) -> String {
     out.truncate(out.trim_end().len());
     out.push('\n');
     out.extend(page.left_out.iter().map(|why| format!("left out: {why}\n")));
-    out.split_inclusive('\n').map(|line| plain(line.trim_end_matches('\n')) + "\n").collect()
+    out.split_inclusive('\n').map(|line| single_line(line.trim_end_matches('\n')) + "\n").collect()
 }
 
-fn cell(shown: &Shown) -> String {
+fn cell(shown: &FormattedValue) -> String {
     let mark = match shown.mark {
-        Mark::None => " ",
-        Mark::Best | Mark::Clear => "*",
-        Mark::Second => "+",
+        RankMark::None => " ",
+        RankMark::Best | RankMark::Clear => "*",
+        RankMark::Second => "+",
     };
     let more = match (&shown.interval, shown.deviation.as_str()) {
         (Some((low, high)), _) => format!(" [{low}, {high}]"),
@@ -89,43 +90,48 @@ fn cell(shown: &Shown) -> String {
 
 /// Aligned text: labels left, numbers right, below two header lines.
 fn lines(table: &Table) -> Vec<Vec<String>> {
-    let head = |of: fn(&Column) -> String| [String::new()].into_iter().chain(table.columns.iter().map(of)).collect();
+    let head =
+        |of: fn(&TableColumn) -> String| [String::new()].into_iter().chain(table.columns.iter().map(of)).collect();
     let heads = [head(|c| format!("{} {} ", c.title, c.arrow)), head(|c| format!("{} ", c.detail))];
-    let line = |line: &Line| [plain(&line.label)].into_iter().chain(line.cells.iter().map(cell)).collect();
+    let line = |line: &TableLine| [single_line(&line.label)].into_iter().chain(line.cells.iter().map(cell)).collect();
     heads.into_iter().chain(table.lines.iter().map(line)).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::comparison::Kind;
+    use super::super::comparison::RowKind;
     use super::super::page::Section;
     use super::*;
 
-    fn shown(value: &str, deviation: &str, mark: Mark) -> Shown {
-        Shown { value: value.into(), deviation: deviation.into(), mark, ..Shown::default() }
+    fn shown(value: &str, deviation: &str, mark: RankMark) -> FormattedValue {
+        FormattedValue { value: value.into(), deviation: deviation.into(), mark, ..FormattedValue::default() }
     }
 
     /// Page of one section with one table.
-    fn page(columns: Vec<Column>, lines: Vec<Line>) -> Page {
+    fn page(columns: Vec<TableColumn>, lines: Vec<TableLine>) -> StudyPage {
         let table = Table { name: "scores", title: "50 % of a_b".into(), columns, lines, legend: vec!["a<b".into()] };
         let title = "office (simulated)".to_owned();
         let section = Section { name: "1".into(), title, tables: vec![table], ..Section::default() };
-        Page { title: "a & b".into(), sections: vec![section], ..Page::default() }
+        StudyPage { title: "a & b".into(), sections: vec![section], ..StudyPage::default() }
     }
 
-    fn document(page: &Page, name: &str) -> String {
+    fn document(page: &StudyPage, name: &str) -> String {
         documents(page).unwrap().into_iter().find(|(found, _)| found == name).unwrap().1
     }
 
     #[test]
     fn a_latex_table_has_rules_groups_and_marks() {
-        let column = |title: &str, detail: &str| Column { title: title.into(), detail: detail.into(), arrow: "↑" };
+        let column =
+            |title: &str, detail: &str| TableColumn { title: title.into(), detail: detail.into(), arrow: "↑" };
         let line = |label: &str, kind, value, mark| {
-            let cells = vec![shown(value, "", mark), shown("1", "", Mark::None), Shown::default()];
-            Line { label: label.into(), kind, cells }
+            let cells = vec![shown(value, "", mark), shown("1", "", RankMark::None), FormattedValue::default()];
+            TableLine { label: label.into(), kind, cells }
         };
         let columns = vec![column("SSIM", "mean"), column("SSIM", "median"), column("η", "mean")];
-        let lines = vec![line("a_b", Kind::Variant, "0.9", Mark::Best), line("5-NN", Kind::Floor, "0.8", Mark::Second)];
+        let lines = vec![
+            line("a_b", RowKind::StudyVariant, "0.9", RankMark::Best),
+            line("5-NN", RowKind::Floor, "0.8", RankMark::Second),
+        ];
         let table = document(&page(columns, lines), "tables/1-scores.tex");
         for part in [
             "{\\usebox0}\\else\\usebox0\\fi}\n\\begin{table}[htbp]\n",
@@ -141,8 +147,9 @@ mod tests {
 
     #[test]
     fn nothing_in_a_label_is_html() {
-        let line = Line { label: "<i>".into(), kind: Kind::Variant, cells: vec![shown("1", "", Mark::None)] };
-        let text = document(&page(vec![Column::default()], vec![line]), "report.html");
+        let line =
+            TableLine { label: "<i>".into(), kind: RowKind::StudyVariant, cells: vec![shown("1", "", RankMark::None)] };
+        let text = document(&page(vec![TableColumn::default()], vec![line]), "report.html");
         assert!(text.contains("<h1>a &amp; b</h1>") && text.contains("<td>&lt;i&gt;</td>"), "{text}");
     }
 }

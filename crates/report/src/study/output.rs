@@ -4,7 +4,7 @@
 //! non-empty folder without such a list is rejected.
 
 use super::format;
-use super::page::Page;
+use super::page::StudyPage;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::{Observer, Study};
@@ -35,7 +35,7 @@ struct Owned {
 pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
     refuse_links(out)?;
     let before = owned(out)?;
-    let page = Page::new(study, reference, observer)?;
+    let page = StudyPage::new(study, reference, observer)?;
     let files = files(&page)?;
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
@@ -62,7 +62,7 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
 }
 
 /// Names and bytes of all files except [`OWN`].
-fn files(page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
+fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = vec![("report.csv".into(), page.csv.clone().into())];
     files.extend(format::documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
     for section in &page.sections {
@@ -126,8 +126,8 @@ mod tests {
         owned(folder.path()).unwrap();
         owned(&folder.path().join("missing")).unwrap();
         std::fs::write(folder.path().join("thesis.tex"), "x").unwrap();
-        let said = owned(folder.path()).unwrap_err();
-        assert!(said.is_input() && said.to_string().contains("`thesis.tex`"), "{said}");
+        let message = owned(folder.path()).unwrap_err();
+        assert!(message.is_input() && message.to_string().contains("`thesis.tex`"), "{message}");
         assert!(owned(&folder.path().join("thesis.tex")).unwrap_err().is_input());
         own(folder.path(), BTreeSet::from(["report.csv".into()])).unwrap();
         owned(folder.path()).unwrap();
@@ -135,22 +135,25 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn nothing_is_written_or_removed_through_a_link() {
+    fn refuses_to_write_or_remove_through_symlink() {
         let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let precious = elsewhere.path().join("1-old.svg");
         std::fs::write(&precious, "mine").unwrap();
         own(folder.path(), BTreeSet::from(["figures/1-old.svg".to_owned()])).unwrap();
         own(elsewhere.path(), BTreeSet::new()).unwrap();
         let study = Study { title: "none".into(), ..Study::default() };
-        let write = |out: &Path| write(&study, None, out, &mut pwrfgs_experiment::Silent);
+        let write = |out: &Path| write(&study, None, out, &mut pwrfgs_experiment::NoopObserver);
         let whole = |name: &str| {
             let link = folder.path().join(name);
             std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();
             link
         };
         for link in [whole("figures"), whole("tables")] {
-            let said = write(folder.path()).unwrap_err();
-            assert!(said.is_input() && said.to_string().contains("symbolic link; reports are not written"), "{said}");
+            let message = write(folder.path()).unwrap_err();
+            assert!(
+                message.is_input() && message.to_string().contains("symbolic link; reports are not written"),
+                "{message}"
+            );
             std::fs::remove_file(link).unwrap();
         }
         assert!(write(&whole("report")).unwrap_err().is_input());
@@ -165,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_of_foreign_files_is_no_list() {
+    fn rejects_file_list_with_foreign_paths() {
         for name in ["../../precious", "/etc/hosts", "tables/../../a.tex", "figures/x.gif", "notes.md"] {
             let folder = tempfile::tempdir().unwrap();
             own(folder.path(), BTreeSet::from([name.to_owned()])).unwrap();

@@ -1,7 +1,7 @@
-//! `Page`: content of the report, independent of the format.
+//! `StudyPage`: content of the report, independent of the format.
 
-use super::comparison::{Comparison, Kind, Row, csv};
-use super::figures::{self, Drawn, Figure};
+use super::comparison::{Comparison, ComparisonRow, RowKind, csv};
+use super::figures::{self, Figure, FigureSet};
 use super::tables::{self, Table};
 use crate::templates::sentences;
 use minijinja::{Value, context};
@@ -12,7 +12,7 @@ use serde::Serialize;
 
 /// Report of a study.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Page {
+pub(super) struct StudyPage {
     pub(super) title: String,
     /// Sections, one per setting.
     pub(super) sections: Vec<Section>,
@@ -43,7 +43,7 @@ pub(super) struct Section {
     pub(super) notes: Vec<String>,
 }
 
-impl Page {
+impl StudyPage {
     /// Creates the page of all settings of a study, with the reference of this label or the first variant of each
     /// setting.
     pub(super) fn new(study: &Study, reference: Option<&str>, observer: &mut dyn Observer) -> Result<Self> {
@@ -79,22 +79,22 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
 }
 
 impl Section {
-    fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: Drawn) -> Self {
+    fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: FigureSet) -> Self {
         let setting = comparison.setting;
         let named = reference.and_then(|label| comparison.row(label));
-        let compared: &Row<'_> = named.unwrap_or(&comparison.rows[0]);
+        let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
         let same_machine = runs.iter().all(|r| r.facts.machine == runs[0].facts.machine);
         let samples = [0, 1, 2].map(|k| {
             let of = runs.iter().map(|r| r.facts.samples[k]);
             vec![of.clone().min(), of.max()]
         });
-        let mut said = sentences(
+        let mut message = sentences(
             "lead.txt",
             context! {
                 variants => setting.variants.len(),
                 runs => runs.len(),
-                floors => comparison.rows.iter().filter(|row| [Kind::Floor, Kind::Bound].contains(&row.kind)).count(),
+                floors => comparison.rows.iter().filter(|row| [RowKind::Floor, RowKind::Bound].contains(&row.kind)).count(),
                 samples => Vec::from(samples),
                 simulated => setting.simulated,
                 observations => setting.task().counted[1],
@@ -107,7 +107,7 @@ impl Section {
                 twins => comparison.twins(),
             },
         );
-        let mut warnings = said.split_off(1);
+        let mut warnings = message.split_off(1);
         warnings.extend(comparison.holes());
         warnings.extend(comparison.ambiguous());
         warnings.extend(drawn.left_out);
@@ -121,7 +121,7 @@ impl Section {
         Self {
             name: (index + 1).to_string(),
             title: setting.title.clone(),
-            lead: said.concat(),
+            lead: message.concat(),
             reference: compared.label.to_owned(),
             warnings,
             tables: tables.into_iter().flatten().collect(),

@@ -6,11 +6,11 @@ mod scores;
 pub(super) use differences::differences;
 pub(super) use scores::{further, latency, scores};
 
-use super::comparison::{Kind, Row};
+use super::comparison::{ComparisonRow, RowKind};
 use crate::templates::sentences;
 use minijinja::context;
 use pwrfgs_experiment::text::{grouped, number};
-use pwrfgs_experiment::{Race, Setting, statistics::Spread};
+use pwrfgs_experiment::{ParetoComparison, Setting, statistics::Spread};
 use serde::Serialize;
 
 /// Table of numbers.
@@ -20,15 +20,15 @@ pub(super) struct Table {
     pub(super) name: &'static str,
     /// Title, which marks simulated data.
     pub(super) title: String,
-    pub(super) columns: Vec<Column>,
-    pub(super) lines: Vec<Line>,
+    pub(super) columns: Vec<TableColumn>,
+    pub(super) lines: Vec<TableLine>,
     /// Sentences below the table.
     pub(super) legend: Vec<String>,
 }
 
 /// Head of a column.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub(super) struct Column {
+pub(super) struct TableColumn {
     /// Quantity; neighbouring columns with the same quantity are joined.
     pub(super) title: String,
     /// Statistic and unit.
@@ -39,29 +39,29 @@ pub(super) struct Column {
 
 /// Row of a table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Line {
+pub(super) struct TableLine {
     pub(super) label: String,
     /// Type of the row; rows of one type are adjacent.
-    pub(super) kind: Kind,
+    pub(super) kind: RowKind,
     /// Cells, one per column.
-    pub(super) cells: Vec<Shown>,
+    pub(super) cells: Vec<FormattedValue>,
 }
 
 /// Printed number; empty if there is none.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub(super) struct Shown {
+pub(super) struct FormattedValue {
     pub(super) value: String,
     /// Deviation, or empty.
     pub(super) deviation: String,
     /// Ends of the interval, if any.
     pub(super) interval: Option<(String, String)>,
-    pub(super) mark: Mark,
+    pub(super) mark: RankMark,
 }
 
 /// Mark of a number, never by colour alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Mark {
+pub(super) enum RankMark {
     #[default]
     None,
     /// Best of its column.
@@ -80,16 +80,16 @@ fn title(words: &str, setting: &Setting) -> String {
     )
 }
 
-impl Line {
+impl TableLine {
     /// Creates a row. The label marks baselines, oracle baselines (with a dagger) and variants whose models are
     /// bit-identical to those of an earlier variant.
-    fn new(row: &Row<'_>, cells: Vec<Shown>) -> Self {
-        let Row { label, kind, .. } = *row;
+    fn new(row: &ComparisonRow<'_>, cells: Vec<FormattedValue>) -> Self {
+        let ComparisonRow { label, kind, .. } = *row;
         let label = match (kind, row.twin) {
             (_, Some(twin)) => format!("{label} ≡ {twin}"),
-            (Kind::Variant | Kind::Ceiling, None) => label.to_owned(),
-            (Kind::Floor, None) => format!("{label} (baseline)"),
-            (Kind::Bound, None) => format!("{label} †"),
+            (RowKind::StudyVariant | RowKind::Ceiling, None) => label.to_owned(),
+            (RowKind::Floor, None) => format!("{label} (baseline)"),
+            (RowKind::Bound, None) => format!("{label} †"),
         };
         Self { label, kind, cells }
     }
@@ -98,49 +98,50 @@ impl Line {
 impl Table {
     /// Whether any number is marked as best.
     pub(super) fn is_marked(&self) -> bool {
-        self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
+        self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == RankMark::Best)
     }
 
-    fn has(&self, kind: Kind) -> bool {
+    fn has(&self, kind: RowKind) -> bool {
         self.lines.iter().any(|line| line.kind == kind)
     }
 }
 
 /// Score and rank of each method at each number of Gaussians, best mean rank first; `None` without equal numbers.
 pub(super) fn ranks(setting: &Setting) -> Option<Table> {
-    let race = Race::of(setting)?;
+    let pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
     let arrow = if headline.higher { "↑" } else { "↓" };
-    let column = |n: &usize| Column {
+    let column = |n: &usize| TableColumn {
         title: format!("N = {}", grouped(*n as i64)),
         detail: format!("{} (rank)", headline.name),
         arrow,
     };
-    let mut columns: Vec<Column> = race.numbers.iter().map(column).collect();
-    columns.push(Column { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
-    let lines = race.ways.iter().map(|way| {
+    let mut columns: Vec<TableColumn> = pareto.numbers.iter().map(column).collect();
+    columns.push(TableColumn { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
+    let lines = pareto.families.iter().map(|way| {
         let cell = |place: &Option<_>| {
-            place.map_or_else(Shown::default, |(score, rank): (Spread, usize)| Shown {
+            place.map_or_else(FormattedValue::default, |(score, rank): (Spread, usize)| FormattedValue {
                 value: format!("{} ({rank})", number(score.mean)),
                 deviation: score.deviation.map_or_else(String::new, number),
                 mark: match rank {
-                    1 => Mark::Best,
-                    2 => Mark::Second,
-                    _ => Mark::None,
+                    1 => RankMark::Best,
+                    2 => RankMark::Second,
+                    _ => RankMark::None,
                 },
-                ..Shown::default()
+                ..FormattedValue::default()
             })
         };
-        let mut cells: Vec<Shown> = way.places.iter().map(cell).collect();
+        let mut cells: Vec<FormattedValue> = way.places.iter().map(cell).collect();
         let mean = way.mean_rank();
         let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
-        cells.push(Shown { value, ..Shown::default() });
-        Line { label: way.name.clone(), kind: Kind::Variant, cells }
+        cells.push(FormattedValue { value, ..FormattedValue::default() });
+        TableLine { label: way.name.clone(), kind: RowKind::StudyVariant, cells }
     });
-    let lines: Vec<Line> = lines.collect();
+    let lines: Vec<TableLine> = lines.collect();
     let mut table =
         Table { name: "ranks", title: title("Ranks at equal N", setting), columns, lines, legend: Vec::new() };
     let (least, most) = setting.seeds();
-    table.legend = sentences("legend.txt", context! { name => "ranks", ways => race.ways.len(), least, most });
+    table.legend =
+        sentences("legend.txt", context! { name => "ranks", families => pareto.families.len(), least, most });
     Some(table)
 }

@@ -4,8 +4,8 @@ use super::*;
 use dfdx::prelude::{AsArray, Backward, SumTo};
 use pwrfgs::core::{ExtraColumn, sigmoid};
 
-fn moment(step: u64, phase: Phase) -> Moment {
-    Moment::new(step, phase, 7)
+fn context(step: u64, phase: Phase) -> StepContext {
+    StepContext::new(step, phase, 7)
 }
 
 /// Gaussians with these gate logits.
@@ -17,7 +17,7 @@ fn gated(logits: &[Real]) -> GaussianCloud {
 }
 
 fn gate(mask: &GumbelMask, logits: &[Real], step: u64) -> Vec<Real> {
-    mask.gate(&Traced::new(&gated(logits)), &moment(step, Phase::Densify)).unwrap().factor().as_vec()
+    mask.gate(&TracedCloud::new(&gated(logits)), &context(step, Phase::Densify)).unwrap().factor().as_vec()
 }
 
 #[test]
@@ -42,22 +42,22 @@ fn the_gate_is_a_relaxed_coin() {
 }
 
 #[test]
-fn coins_are_thrown_anew_at_every_step_and_the_same_when_a_run_goes_on() {
+fn noise_depends_on_step_and_is_reproduced_on_resume() {
     let mask = GumbelMask::default();
     let logits = [0.5; 50];
     assert_eq!(gate(&mask, &logits, 9), gate(&mask, &logits, 9));
     let (a, b) = (gate(&mask, &logits, 9), gate(&mask, &logits, 10));
     assert!(a.iter().zip(&b).all(|(a, b)| a != b));
-    let other = Moment { seed: 8, ..moment(9, Phase::Densify) };
-    assert_ne!(mask.gate(&Traced::new(&gated(&logits)), &other).unwrap().factor().as_vec(), a);
+    let other = StepContext { seed: 8, ..context(9, Phase::Densify) };
+    assert_ne!(mask.gate(&TracedCloud::new(&gated(&logits)), &other).unwrap().factor().as_vec(), a);
 }
 
 #[test]
 fn the_derivative_has_its_closed_form() {
     let mask = GumbelMask { temperature: 0.5, ..GumbelMask::default() };
     let logits = [0.0, 0.3, 1.0, 2.0, -0.2, 5.0];
-    let traced = Traced::new(&gated(&logits));
-    let gate = mask.gate(&traced, &moment(3, Phase::Prune)).unwrap().factor();
+    let traced = TracedCloud::new(&gated(&logits));
+    let gate = mask.gate(&traced, &context(3, Phase::Prune)).unwrap().factor();
     let y = gate.as_vec();
     // Cotangents that differ, so that a mixed-up order would show.
     let weights: Vec<Real> = (0..logits.len()).map(|i| i as Real - 2.5).collect();
@@ -74,8 +74,8 @@ fn the_derivative_has_its_closed_form() {
 fn the_penalty_presses_on_every_gate() {
     let mask = GumbelMask { lambda: 0.03, ..GumbelMask::default() };
     let logits = [3.0, 0.0, -0.5, 1.0];
-    let traced = Traced::new(&gated(&logits));
-    let penalty = mask.penalty(&traced, &moment(3, Phase::Prune)).unwrap();
+    let traced = TracedCloud::new(&gated(&logits));
+    let penalty = mask.penalty(&traced, &context(3, Phase::Prune)).unwrap();
     assert!((penalty.array() - 0.03 * logits.map(sigmoid).iter().sum::<Real>() / 4.0).abs() < 1e-7);
     for (found, m) in penalty.backward().get(traced.leaf(COLUMN)).as_vec().iter().zip(logits) {
         let s = sigmoid(m);
@@ -84,13 +84,13 @@ fn the_penalty_presses_on_every_gate() {
 }
 
 #[test]
-fn what_is_drawn_is_kept_and_what_is_kept_is_drawn() {
+fn kept_gaussians_equal_drawn_gaussians() {
     // At the lowest temperature, where gates are closest to 0; at the edge, and far from it.
     let mask = GumbelMask { temperature: 0.2, ..GumbelMask::default() };
     let near = (-2000..2000).map(|i| i as Real * Real::EPSILON);
     let logits: Vec<Real> = near.chain([-0.0, 9.0, -9.0, Real::MIN_POSITIVE, -Real::MIN_POSITIVE]).collect();
     let cloud = gated(&logits);
-    let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &moment(1, Phase::Prune));
+    let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &context(1, Phase::Prune));
     assert!(kept.contains(&true) && kept.contains(&false));
     for step in 1..50 {
         let drawn: Vec<bool> = gate(&mask, &logits, step).iter().map(|y| *y != 0.0).collect();
@@ -98,15 +98,15 @@ fn what_is_drawn_is_kept_and_what_is_kept_is_drawn() {
     }
     // The largest noise.
     assert!(sigmoid(logistic(0.0) / 0.2) > 0.0 && logistic(1.0).is_finite());
-    assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &moment(0, Phase::Prune)), logits);
+    assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &context(0, Phase::Prune)), logits);
 }
 
 #[test]
-fn fine_tuning_has_no_gate_and_keeps_all() {
+fn fine_tuning_has_no_gate_and_removes_none() {
     let (mask, cloud) = (GumbelMask::default(), GaussianCloud::zeros(3));
-    let (traced, moment) = (Traced::new(&cloud), moment(9, Phase::Finetune));
-    assert!(mask.gate(&traced, &moment).is_none() && mask.penalty(&traced, &moment).is_none());
-    assert_eq!(mask.keep(&cloud, &CloudStats::zeros(3), &moment), [true; 3]);
+    let (traced, context) = (TracedCloud::new(&cloud), context(9, Phase::Finetune));
+    assert!(mask.gate(&traced, &context).is_none() && mask.penalty(&traced, &context).is_none());
+    assert_eq!(mask.keep(&cloud, &CloudStats::zeros(3), &context), [true; 3]);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Quantities of a map and their arrays.
 
-use super::plane::Grid;
+use super::plane::PlaneGrid;
 use clap::ValueEnum;
 use pwrfgs::model::Prepared;
 use pwrfgs_core::{Error, Image, Query, Real, Result, Task, Vec3};
@@ -12,7 +12,7 @@ const STEP: usize = 2_048;
 
 /// Quantity of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Of {
+pub(crate) enum MapQuantity {
     /// Received power in dBm, or the mean power of a channel's gains in dB
     Power,
     /// The strongest pixel of a spectrum
@@ -25,7 +25,7 @@ pub(crate) enum Of {
 
 /// Array of a map.
 #[derive(Clone, Debug)]
-pub(super) struct Layer {
+pub(super) struct MapLayer {
     /// Start of the names of its files.
     pub(super) name: &'static str,
     /// Quantity in words.
@@ -40,13 +40,13 @@ pub(super) struct Layer {
 }
 
 /// Quantities to map: `of`, or the default of the model.
-pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
+pub(super) fn quantities(model: &Prepared<'_>, of: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
     let has_angles = model.plane().angles.is_some();
     let task = model.task();
-    let (fitting, names): (&[Of], _) = match (task.has_pixels, has_angles) {
-        (true, true) => (&[Of::Direction, Of::Level, Of::Mean], "direction, level or mean"),
-        (true, false) => (&[Of::Level, Of::Mean], "level or mean (its pixels have no angles)"),
-        (false, _) => (&[Of::Power], "power"),
+    let (fitting, names): (&[MapQuantity], _) = match (task.has_pixels, has_angles) {
+        (true, true) => (&[MapQuantity::Direction, MapQuantity::Level, MapQuantity::Mean], "direction, level or mean"),
+        (true, false) => (&[MapQuantity::Level, MapQuantity::Mean], "level or mean (its pixels have no angles)"),
+        (false, _) => (&[MapQuantity::Power], "power"),
     };
     if let Some(wrong) = of.iter().find(|asked| !fitting.contains(asked)) {
         let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
@@ -80,12 +80,12 @@ impl Summary {
 /// Computes all arrays of a map; `progress` receives the number of finished positions.
 pub(super) fn layers(
     model: &Prepared<'_>,
-    grid: &Grid,
+    grid: &PlaneGrid,
     receivers: &[usize],
-    of: &[Of],
+    of: &[MapQuantity],
     mut progress: impl FnMut(usize),
-) -> Vec<Layer> {
-    let mut layers: Vec<Layer> = receivers.iter().flat_map(|&r| empty(model.task(), r, of)).collect();
+) -> Vec<MapLayer> {
+    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty(model.task(), r, of)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
     let places: Vec<usize> = (0..grid.len()).collect();
     for some in places.chunks((STEP / receivers.len().max(1)).max(1)) {
@@ -107,8 +107,8 @@ pub(super) fn layers(
 }
 
 /// Empty arrays of a receiver.
-fn empty(task: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
-    let layer = |(name, words, unit)| Layer {
+fn empty(task: Task, receiver: usize, of: &[MapQuantity]) -> Vec<MapLayer> {
+    let layer = |(name, words, unit)| MapLayer {
         name,
         words,
         unit,
@@ -117,11 +117,11 @@ fn empty(task: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
         arrows: Vec::new(),
     };
     let [level, unit] = task.level_name;
-    let names = |of: &Of| match of {
-        Of::Power => vec![("power", level, unit)],
-        Of::Level => vec![("level", level, unit)],
-        Of::Mean => vec![("mean", "mean level of the spectrum", "")],
-        Of::Direction => vec![
+    let names = |of: &MapQuantity| match of {
+        MapQuantity::Power => vec![("power", level, unit)],
+        MapQuantity::Level => vec![("level", level, unit)],
+        MapQuantity::Mean => vec![("mean", "mean level of the spectrum", "")],
+        MapQuantity::Direction => vec![
             ("azimuth", "azimuth of the strongest direction", "degrees"),
             ("elevation", "elevation of the strongest direction", "degrees"),
         ],
@@ -130,7 +130,7 @@ fn empty(task: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
 }
 
 /// Adds a position to the arrays of its receiver.
-fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, layers: &mut [Layer]) {
+fn put(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
     let plane = model.plane();
     let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
     for layer in layers {
@@ -152,9 +152,15 @@ fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, lay
 }
 
 /// Largest power of all receivers at each position, if there are several.
-fn strongest(task: Task, layers: &[Layer], receivers: usize) -> Option<Layer> {
+fn strongest(task: Task, layers: &[MapLayer], receivers: usize) -> Option<MapLayer> {
     let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);
     let values = (0..first.values.len()).map(largest).collect();
-    Some(Layer { name: "strongest", words: "power at the strongest receiver", receiver: None, values, ..first.clone() })
+    Some(MapLayer {
+        name: "strongest",
+        words: "power at the strongest receiver",
+        receiver: None,
+        values,
+        ..first.clone()
+    })
 }

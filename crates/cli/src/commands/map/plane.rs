@@ -9,14 +9,14 @@ const MOST: f64 = 4e6;
 
 /// Plane with one fixed coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Plane {
+pub(super) struct MapPlane {
     /// Index of the fixed coordinate: 0 for x.
     pub(super) axis: usize,
     /// Value of the fixed coordinate, metres.
     pub(super) at: f64,
 }
 
-impl Plane {
+impl MapPlane {
     /// Parses `z=1.2`.
     pub(super) fn parse(text: &str) -> Result<Self> {
         let wrong = || {
@@ -61,9 +61,9 @@ impl Plane {
 
 /// Extent of a map: low and high of the first and second free coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Bounds(pub(super) [[f64; 2]; 2]);
+pub(super) struct PlaneBounds(pub(super) [[f64; 2]; 2]);
 
-impl Bounds {
+impl PlaneBounds {
     /// Parses `x0,x1,y0,y1`.
     pub(super) fn parse(text: &str, names: [&str; 2]) -> Result<Self> {
         let [a, b] = names;
@@ -107,17 +107,22 @@ impl Bounds {
 
 /// Grid of positions on a plane, row by row, lowest row first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Grid {
-    pub(super) plane: Plane,
+pub(super) struct PlaneGrid {
+    pub(super) plane: MapPlane,
     pub(super) first: [f64; 2],
     pub(super) step: f64,
     pub(super) columns: usize,
     pub(super) rows: usize,
 }
 
-impl Grid {
+impl PlaneGrid {
     /// Creates the grid from the low ends of the bounds, with `layers` values per position.
-    pub(super) fn new(plane: Plane, Bounds([across, up]): Bounds, step: f64, layers: usize) -> Result<Self> {
+    pub(super) fn new(
+        plane: MapPlane,
+        PlaneBounds([across, up]): PlaneBounds,
+        step: f64,
+        layers: usize,
+    ) -> Result<Self> {
         if !(step.is_finite() && step >= 1e-6) {
             return Err(Error::Config(format!(
                 "--step {step}: expected a grid spacing in metres, at least 1e-6, such as 0.1"
@@ -152,28 +157,28 @@ mod tests {
 
     #[test]
     fn planes_and_bounds_are_read_or_refused() {
-        assert_eq!(Plane::parse("Z= -1.5").unwrap(), Plane { axis: 2, at: -1.5 });
+        assert_eq!(MapPlane::parse("Z= -1.5").unwrap(), MapPlane { axis: 2, at: -1.5 });
         for wrong in ["", "z", "w=1", "z=", "z=NaN", "z=1e9", "z=1,2"] {
-            assert!(Plane::parse(wrong).unwrap_err().is_input(), "{wrong}");
+            assert!(MapPlane::parse(wrong).unwrap_err().is_input(), "{wrong}");
         }
-        assert_eq!(Bounds::parse("0, 8,-1,6", ["x", "y"]).unwrap().0, [[0.0, 8.0], [-1.0, 6.0]]);
+        assert_eq!(PlaneBounds::parse("0, 8,-1,6", ["x", "y"]).unwrap().0, [[0.0, 8.0], [-1.0, 6.0]]);
         for wrong in ["", "0,1,2", "1,0,0,1", "0,1,0,inf", "0,1,0,1,2"] {
-            assert!(Bounds::parse(wrong, ["x", "y"]).is_err(), "{wrong}");
+            assert!(PlaneBounds::parse(wrong, ["x", "y"]).is_err(), "{wrong}");
         }
     }
 
     #[test]
     fn the_grid_goes_from_low_to_high() {
-        let plane = Plane { axis: 1, at: 9.0 };
-        let grid = Grid::new(plane, Bounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
+        let plane = MapPlane { axis: 1, at: 9.0 };
+        let grid = PlaneGrid::new(plane, PlaneBounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
         assert_eq!((grid.columns, grid.rows), (4, 3));
         let last = grid.place(11);
         assert!((last[0] - 0.3).abs() < 1e-12 && last[1] == 9.0 && (last[2] - 1.2).abs() < 1e-12, "{last:?}");
         for step in [0.0, -1.0, f64::NAN, 1e-5] {
-            assert!(Grid::new(plane, Bounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
+            assert!(PlaneGrid::new(plane, PlaneBounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
         }
-        assert_eq!(Bounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
-        assert_eq!(Bounds([[-0.3, 1.0], [0.0, 0.1]]).outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
-        assert_eq!(Bounds::around(vec![[f64::NAN; 2]], &[]).0, [[-1.0, 1.0]; 2]);
+        assert_eq!(PlaneBounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
+        assert_eq!(PlaneBounds([[-0.3, 1.0], [0.0, 0.1]]).outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
+        assert_eq!(PlaneBounds::around(vec![[f64::NAN; 2]], &[]).0, [[-1.0, 1.0]; 2]);
     }
 }

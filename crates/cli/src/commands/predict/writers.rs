@@ -18,7 +18,7 @@ const SPREAD: &str = "-spread";
 
 /// Row of `predictions.csv`: transmitter and receiver.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Row<'a> {
+pub(super) struct PredictionRow<'a> {
     /// Number of the row, from 1.
     pub(super) number: usize,
     pub(super) tx: [f64; 3],
@@ -27,7 +27,7 @@ pub(super) struct Row<'a> {
     pub(super) name: Option<&'a str>,
 }
 
-impl Row<'_> {
+impl PredictionRow<'_> {
     /// First columns of the row.
     fn begin(&self) -> String {
         let ([x, y, z], number) = (self.tx, self.number);
@@ -37,7 +37,7 @@ impl Row<'_> {
 }
 
 /// Prediction of one row.
-pub(super) struct Drawn {
+pub(super) struct PredictionImage {
     pub(super) image: Image,
     /// Standard deviation over the members of an ensemble.
     pub(super) spread: Option<Image>,
@@ -50,7 +50,13 @@ pub(super) trait Writer {
     fn header(&self) -> String;
 
     /// Writes the next rows and adds their lines to the list.
-    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()>;
+    fn take(
+        &mut self,
+        folder: &OutputFolder<'_>,
+        rows: &[PredictionRow<'_>],
+        drawn: &[PredictionImage],
+        list: &mut String,
+    ) -> Result<()>;
 
     /// Completes all files except the list.
     fn finish(self: Box<Self>) -> Result<()>;
@@ -58,7 +64,7 @@ pub(super) trait Writer {
 
 /// Creates the writer for `count` predictions of `model`.
 pub(super) fn writer<'a>(
-    folder: &Folder<'_>,
+    folder: &OutputFolder<'_>,
     model: &Prepared<'a>,
     count: usize,
     stacked: bool,
@@ -81,7 +87,7 @@ struct Spectra<'a> {
 }
 
 impl<'a> Spectra<'a> {
-    fn begin(folder: &Folder<'_>, model: &Prepared<'a>, count: usize, stacked: bool) -> Result<Self> {
+    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'a>, count: usize, stacked: bool) -> Result<Self> {
         let plane = model.plane();
         let size = [count, plane.height, plane.width];
         let names = ["spectra.npy", "spread.npy"].into_iter().take(model.models().count().min(2)).filter(|_| stacked);
@@ -96,12 +102,18 @@ impl Writer for Spectra<'_> {
         format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,milliseconds\n")
     }
 
-    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
+    fn take(
+        &mut self,
+        folder: &OutputFolder<'_>,
+        rows: &[PredictionRow<'_>],
+        drawn: &[PredictionImage],
+        list: &mut String,
+    ) -> Result<()> {
         let images: Vec<&Image> = drawn.iter().map(|drawn| &drawn.image).collect();
         let spreads: Vec<&Image> = drawn.iter().filter_map(|drawn| drawn.spread.as_ref()).collect();
         let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads)];
         for (k, (suffix, gain, images)) in kinds.iter().enumerate() {
-            let one = |(image, row): (&&Image, &Row<'_>)| {
+            let one = |(image, row): (&&Image, &PredictionRow<'_>)| {
                 let name = name(row.number) + suffix;
                 if self.stacks.is_empty() {
                     folder.array(&name, image)?;
@@ -125,7 +137,7 @@ impl Writer for Spectra<'_> {
 }
 
 /// Line of `predictions.csv`; without angles if the image plane has none.
-fn line(plane: &ImagePlane, row: &Row<'_>, image: &Image, milliseconds: f64) -> String {
+fn line(plane: &ImagePlane, row: &PredictionRow<'_>, image: &Image, milliseconds: f64) -> String {
     let strongest = image.argmax();
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
     let angles = plane.azimuth_elevation_deg(column, line);
@@ -144,8 +156,14 @@ impl Writer for Powers {
         format!("row,x,y,z,receiver,dbm,{}ms\n", if self.has_spread { "spread_db," } else { "" })
     }
 
-    fn take(&mut self, _: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
-        for (row, Drawn { image, spread, milliseconds }) in rows.iter().zip(drawn) {
+    fn take(
+        &mut self,
+        _: &OutputFolder<'_>,
+        rows: &[PredictionRow<'_>],
+        drawn: &[PredictionImage],
+        list: &mut String,
+    ) -> Result<()> {
+        for (row, PredictionImage { image, spread, milliseconds }) in rows.iter().zip(drawn) {
             let spread = spread.as_ref().map_or_else(String::new, |spread| format!("{},", spread.pixels[0]));
             _ = writeln!(list, "{},{},{spread}{milliseconds:.3}", row.begin(), image.pixels[0]);
         }
@@ -164,7 +182,7 @@ struct Channels {
 }
 
 impl Channels {
-    fn begin(folder: &Folder<'_>, model: &Prepared<'_>, count: usize, stacked: bool) -> Result<Self> {
+    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'_>, count: usize, stacked: bool) -> Result<Self> {
         let size = [count, model.plane().height / 2, model.plane().width];
         let mut stacks = Vec::new();
         if stacked {
@@ -182,8 +200,14 @@ impl Writer for Channels {
         "row,x,y,z,receiver,db,ms\n".into()
     }
 
-    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
-        for (row, Drawn { image, spread, milliseconds }) in rows.iter().zip(drawn) {
+    fn take(
+        &mut self,
+        folder: &OutputFolder<'_>,
+        rows: &[PredictionRow<'_>],
+        drawn: &[PredictionImage],
+        list: &mut String,
+    ) -> Result<()> {
+        for (row, PredictionImage { image, spread, milliseconds }) in rows.iter().zip(drawn) {
             let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
             let spread = spread.as_ref().map(lengths);
             if let Some(stack) = self.stacks.first_mut() {
@@ -213,12 +237,12 @@ fn lengths(parts: &Image) -> Image {
 }
 
 /// Output folder.
-pub(super) struct Folder<'a> {
+pub(super) struct OutputFolder<'a> {
     pub(super) path: &'a Path,
     pub(super) has_png: bool,
 }
 
-impl Folder<'_> {
+impl OutputFolder<'_> {
     /// Writes `NAME.npy`.
     fn array(&self, name: &str, image: &Image) -> Result<()> {
         let mut npy = npy_header(Number::F32, &[image.height, image.width]);
@@ -265,16 +289,16 @@ struct Stack {
 
 impl Stack {
     /// Creates an array of floats.
-    fn floats(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
+    fn floats(folder: &OutputFolder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
         Self::create(folder, name, &npy_header(Number::F32, &shape))
     }
 
     /// Creates an array of complex numbers.
-    fn complex(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
+    fn complex(folder: &OutputFolder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
         Self::create(folder, name, &npy_header_as(COMPLEX, &shape))
     }
 
-    fn create(folder: &Folder<'_>, name: &str, header: &[u8]) -> Result<Self> {
+    fn create(folder: &OutputFolder<'_>, name: &str, header: &[u8]) -> Result<Self> {
         let path = folder.path.join(name);
         let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
         let mut stack = Self { path, file: BufWriter::new(file) };

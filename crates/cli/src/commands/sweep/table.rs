@@ -1,27 +1,27 @@
 //! Runs of a sweep on a terminal: live lines per run and in total, and an aligned table.
 
 use crate::output::{Verbosity, bars, note};
-use crate::progress::Progress;
+use crate::progress::RunProgress;
 use indicatif::{ProgressBar, ProgressStyle};
-use pwrfgs::experiment::sweep::{Board, JOINED, Plan, State};
+use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepObserver, SweepPlan};
 use pwrfgs::experiment::text::{aligned, duration, grouped, number};
-use pwrfgs::experiment::{Facts, Observer, Outcome};
+use pwrfgs::experiment::{Facts, Observer, RunOutcome};
 use pwrfgs_core::{Error, Result, Task};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::time::Instant;
 
 /// Observer that shows the progress of a sweep.
-pub(super) struct Table<'a> {
-    plan: &'a Plan,
+pub(super) struct SweepTable<'a> {
+    plan: &'a SweepPlan,
     verbosity: Verbosity,
     /// Bar over all runs.
     bar: ProgressBar,
     begun: Instant,
 }
 
-impl<'a> Table<'a> {
-    pub(super) fn new(plan: &'a Plan, runs: usize, verbosity: Verbosity) -> Self {
+impl<'a> SweepTable<'a> {
+    pub(super) fn new(plan: &'a SweepPlan, runs: usize, verbosity: Verbosity) -> Self {
         let style = ProgressStyle::with_template("{bar:24.green/dim} {pos}/{len} runs  {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar())
             .progress_chars("━╸─");
@@ -37,14 +37,14 @@ impl<'a> Table<'a> {
     }
 
     /// Line about the end of a run.
-    fn line(&self, run: usize, end: &Result<Outcome>) -> String {
+    fn line(&self, run: usize, end: &Result<RunOutcome>) -> String {
         let name = &self.plan.runs[run].folder;
         match end {
-            Ok(Outcome::Finished { already: true, .. }) => format!("{name}: already finished"),
-            Ok(Outcome::Finished { scores, .. }) => {
+            Ok(RunOutcome::Finished { already: true, .. }) => format!("{name}: already finished"),
+            Ok(RunOutcome::Finished { scores, .. }) => {
                 let score = |key| scores.of_model(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.plan.state(run) {
-                    State::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
+                    RunStage::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
                     _ => String::new(),
                 };
                 let words = [scores.task.headline.key, "eta_0db", "gaussians"]
@@ -53,20 +53,20 @@ impl<'a> Table<'a> {
                     .collect::<String>();
                 format!("{name}: done{words}{time}")
             }
-            Ok(Outcome::Interrupted { step }) => format!("{name}: stopped after step {step}"),
-            Ok(Outcome::Unscored) => format!("{name}: stopped before scoring"),
+            Ok(RunOutcome::Interrupted { step }) => format!("{name}: stopped after step {step}"),
+            Ok(RunOutcome::Unscored) => format!("{name}: stopped before scoring"),
             Err(Error::Busy(_)) => format!("{name}: skipped, another process is working on it"),
             Err(error) => format!("{name}: failed: {error}"),
         }
     }
 }
 
-impl Board for Table<'_> {
+impl SweepObserver for SweepTable<'_> {
     fn starts(&self, run: usize) -> Box<dyn Observer> {
-        Box::new(Progress::of_run(&self.plan.runs[run].folder, self.verbosity))
+        Box::new(RunProgress::of_run(&self.plan.runs[run].folder, self.verbosity))
     }
 
-    fn ends(&self, run: usize, end: &Result<Outcome>) {
+    fn ends(&self, run: usize, end: &Result<RunOutcome>) {
         self.bar.inc(1);
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * all.saturating_sub(done) as f64;
@@ -79,9 +79,9 @@ impl Board for Table<'_> {
 }
 
 /// Table of the progress of `runs`; `queued` names the runs in the queue of a scheduler.
-pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> String {
-    let states: Vec<State> = runs.iter().map(|&run| plan.state(run)).collect();
-    let ends = states.iter().filter_map(|state| if let State::Finished(end) = state { Some(end) } else { None });
+pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>) -> String {
+    let states: Vec<RunStage> = runs.iter().map(|&run| plan.state(run)).collect();
+    let ends = states.iter().filter_map(|state| if let RunStage::Finished(end) = state { Some(end) } else { None });
     let task = ends.clone().next().map_or_else(Task::default, |end| end.0.task);
     let head = ["run", "state", "step", "N", task.headline.short, "eta_0db", "time"];
     let mut lines = vec![head.map(str::to_owned).to_vec()];
@@ -94,12 +94,12 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
         line[1] = state.name().into();
         let waits = queued.contains(name);
         match state {
-            State::Waiting if waits => line[1] = "queued".into(),
-            State::Waiting => {}
-            State::Stopped { step } if waits => (line[1], line[2]) = ("queued again".into(), of(*step)),
-            State::Running { step } | State::Stopped { step } => line[2] = of(*step),
-            State::Failed(why) => line[1] = format!("failed: {why}"),
-            State::Finished(end) => {
+            RunStage::Waiting if waits => line[1] = "queued".into(),
+            RunStage::Waiting => {}
+            RunStage::Stopped { step } if waits => (line[1], line[2]) = ("queued again".into(), of(*step)),
+            RunStage::Running { step } | RunStage::Stopped { step } => line[2] = of(*step),
+            RunStage::Failed(why) => line[1] = format!("failed: {why}"),
+            RunStage::Finished(end) => {
                 let (scores, facts) = &**end;
                 let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
                 (line[2], line[3]) = (of(facts.steps), grouped(facts.gaussians as i64));
@@ -118,7 +118,7 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
 }
 
 /// Table of all runs with estimated seconds.
-pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
         let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };

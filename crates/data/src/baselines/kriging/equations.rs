@@ -2,7 +2,7 @@
 //! Learning, 2006, sections 2.2 and 2.7 with an unknown mean; Cressie, Statistics for Spatial Data, 1993): correlation,
 //! prediction and trend.
 
-use super::super::log_distance::{Law, log_distance, points};
+use super::super::log_distance::{PathLoss, log_distance, points};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Cholesky, Dataset, Query, Real, Sampling};
 
@@ -44,7 +44,7 @@ pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]
 
 /// Correlation function over distance in units of the length scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum CorrelationKind {
     /// exp(-d), Matern 1/2: continuous and rough.
     Exponential,
     /// (1 + sqrt(3) d) exp(-sqrt(3) d): differentiable once.
@@ -53,7 +53,7 @@ pub(super) enum Kind {
     SquaredExponential,
 }
 
-impl Kind {
+impl CorrelationKind {
     pub(super) const ALL: [Self; 3] = [Self::Exponential, Self::Matern32, Self::SquaredExponential];
 
     /// Name for use in a sentence.
@@ -81,7 +81,7 @@ impl Kind {
 /// Gaussian process of variance 1 with measurement noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Correlation {
-    pub(super) kind: Kind,
+    pub(super) kind: CorrelationKind,
     /// Length scales of x, y and z, metres.
     pub(super) scales_m: [f64; 3],
     /// Noise variance, relative to the process variance.
@@ -98,13 +98,13 @@ impl Correlation {
 /// Trend that is subtracted from every observation.
 pub(super) struct Trend<'a> {
     pub(super) data: &'a Dataset,
-    pub(super) law: Option<Law>,
+    pub(super) law: Option<PathLoss>,
 }
 
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
     pub(super) fn of(data: &'a Dataset, links: &[usize]) -> Self {
-        Self { data, law: data.task().is_scalar.then(|| Law::fit(&points(data, links))) }
+        Self { data, law: data.task().is_scalar.then(|| PathLoss::fit(&points(data, links))) }
     }
 
     /// Power of the path-loss model for a link, dBm; 0 without a model.

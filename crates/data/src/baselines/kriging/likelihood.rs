@@ -1,7 +1,7 @@
 //! Maximum-likelihood fit of correlation, length scales and noise.
 
 use super::super::neighbours::Nearest;
-use super::equations::{Correlation, Kind, Trend, solve};
+use super::equations::{Correlation, CorrelationKind, Trend, solve};
 use pwrfgs_core::{Real, evenly, neighbours, rng};
 use rayon::prelude::*;
 
@@ -22,27 +22,27 @@ const SCALE: [f64; 2] = [1e-2, 1e4];
 const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 
 /// Samples to predict, each with its nearest neighbours.
-pub(super) struct Cases {
-    all: Vec<Case>,
+pub(super) struct HeldOutCases {
+    all: Vec<HeldOutCase>,
     /// Whether the samples are powers: single numbers suffice only for Matern 3/2 with one common length scale.
     powers: bool,
     /// Median distance from a sample to its neighbours, metres.
     typical_m: f64,
 }
 
-struct Case {
+struct HeldOutCase {
     at: [f64; 3],
     places: Vec<[f64; 3]>,
     /// Sums over pixels of products of two spectra: the predicted one (first) and its neighbours, square.
     products: Vec<f64>,
 }
 
-impl Cases {
+impl HeldOutCases {
     /// Predicts the `validation` samples from the `train` samples.
     pub(super) fn new(trend: &Trend<'_>, train: Vec<usize>, validation: &[usize]) -> Self {
         let place = |i: usize| trend.data.sample(i).tx;
         let nearest = Nearest::new(train, 3, place);
-        let case = |&i: &usize| Case::new(trend, i, &nearest.find(&place(i), FROM).1);
+        let case = |&i: &usize| HeldOutCase::new(trend, i, &nearest.find(&place(i), FROM).1);
         Self::of(evenly(validation, CASES).par_iter().map(case).collect(), false)
     }
 
@@ -55,13 +55,13 @@ impl Cases {
         let place = |i: usize| trend.data.sample(i).tx;
         let case = |n: usize| {
             let before = Nearest::new(order[..n].to_vec(), 3, place);
-            Case::new(trend, order[n], &before.find(&place(order[n]), FROM_POWERS).1)
+            HeldOutCase::new(trend, order[n], &before.find(&place(order[n]), FROM_POWERS).1)
         };
         Self::of((1..order.len()).into_par_iter().map(case).collect(), true)
     }
 
-    fn of(all: Vec<Case>, powers: bool) -> Self {
-        let mut distances: Vec<f64> = all.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
+    fn of(all: Vec<HeldOutCase>, powers: bool) -> Self {
+        let mut distances: Vec<f64> = all.iter().map(HeldOutCase::reach_m).filter(|reach| *reach > 0.0).collect();
         distances.sort_by(f64::total_cmp);
         Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, powers }
     }
@@ -77,7 +77,7 @@ impl Cases {
     }
 }
 
-impl Case {
+impl HeldOutCase {
     fn new(trend: &Trend<'_>, sample: usize, from: &[(f64, usize)]) -> Self {
         let data = trend.data;
         let stride = ((data.width * data.height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
@@ -117,19 +117,19 @@ impl Case {
 }
 
 /// Finds the most likely correlation: coordinate search with step factors from 4 down to 1.09.
-pub(super) fn most_likely(cases: &Cases) -> Correlation {
+pub(super) fn most_likely(cases: &HeldOutCases) -> Correlation {
     let of_kind = |kind| {
         let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
         if cases.all.is_empty() { (0.0, start) } else { search(cases, start) }
     };
     if cases.powers {
-        return of_kind(Kind::Matern32).1;
+        return of_kind(CorrelationKind::Matern32).1;
     }
-    let found = Kind::ALL.map(of_kind);
+    let found = CorrelationKind::ALL.map(of_kind);
     found.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("three were tried").1
 }
 
-fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
+fn search(cases: &HeldOutCases, start: Correlation) -> (f64, Correlation) {
     let mut best = (cases.log_likelihood(&start), start);
     for step in STEPS {
         // Each round but the last improves the likelihood; the limit covers noise in the last digits.

@@ -1,7 +1,7 @@
 //! Comparison with closed forms and scikit-learn 1.9.1.
 
-use super::equations::Kind;
-use super::likelihood::{Cases, most_likely};
+use super::equations::CorrelationKind;
+use super::likelihood::{HeldOutCases, most_likely};
 use super::*;
 use crate::splits::testing::line_of_samples;
 use pwrfgs_core::{Pose, Sample, Spectra, rng};
@@ -19,9 +19,9 @@ fn close(a: f64, b: f64, by: f64) {
 fn predictions_are_those_of_scikit_learn() {
     let values = [1.0, 2.0, 4.0, 3.0, 7.0, 5.0];
     let known = [
-        (Kind::Exponential, 3.794_441_619, 0.427_204_996),
-        (Kind::Matern32, 3.806_622_089, 0.179_903_980),
-        (Kind::SquaredExponential, 3.551_534_306, 0.093_223_336),
+        (CorrelationKind::Exponential, 3.794_441_619, 0.427_204_996),
+        (CorrelationKind::Matern32, 3.806_622_089, 0.179_903_980),
+        (CorrelationKind::SquaredExponential, 3.551_534_306, 0.093_223_336),
     ];
     for (kind, mean, variance) in known {
         let correlation = Correlation { kind, scales_m: [0.5, 0.8, 1.2], noise: 0.05 };
@@ -36,7 +36,7 @@ fn predictions_are_those_of_scikit_learn() {
 /// With one position the weight is 1 and the variance that of a difference; two at equal distance have weight 1/2 each.
 #[test]
 fn one_and_two_places_have_a_closed_form() {
-    let correlation = Correlation { kind: Kind::Exponential, scales_m: [1.0; 3], noise: 0.25 };
+    let correlation = Correlation { kind: CorrelationKind::Exponential, scales_m: [1.0; 3], noise: 0.25 };
     let one = solve(&correlation, &[[0.0; 3]], [0.7, 0.0, 0.0]);
     assert_eq!(one.weights, [1.0]);
     close(one.variance, 2.0 * (1.0 + 0.25 - (-0.7f64).exp()), 1e-12);
@@ -46,8 +46,8 @@ fn one_and_two_places_have_a_closed_form() {
 }
 
 #[test]
-fn without_noise_what_was_measured_is_returned_and_coinciding_places_do_no_harm() {
-    for kind in Kind::ALL {
+fn kriging_without_noise_interpolates_and_accepts_coincident_positions() {
+    for kind in CorrelationKind::ALL {
         let correlation = Correlation { kind, scales_m: [1.0; 3], noise: 1e-9 };
         let found = solve(&correlation, &PLACES, PLACES[3]);
         close(found.weights[3], 1.0, 1e-4);
@@ -81,12 +81,12 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 }
 
 #[test]
-fn likelihood_finds_what_the_samples_were_drawn_from() {
-    for kind in [Kind::Exponential, Kind::SquaredExponential] {
+fn likelihood_recovers_true_parameters() {
+    for kind in [CorrelationKind::Exponential, CorrelationKind::SquaredExponential] {
         let truth = Correlation { kind, scales_m: [0.3, 0.3, 1.2], noise: 0.1 };
         let data = drawn(&truth, 260);
         let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
-        let cases = Cases::new(&Trend::of(&data, &[]), train, &validation);
+        let cases = HeldOutCases::new(&Trend::of(&data, &[]), train, &validation);
         let found = most_likely(&cases);
         println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
         assert_eq!(found.kind, kind);
@@ -101,9 +101,9 @@ fn likelihood_finds_what_the_samples_were_drawn_from() {
 /// Density of one sample given its neighbours, written out.
 #[test]
 fn the_likelihood_is_that_of_its_predictions() {
-    let truth = Correlation { kind: Kind::Matern32, scales_m: [0.5; 3], noise: 0.2 };
+    let truth = Correlation { kind: CorrelationKind::Matern32, scales_m: [0.5; 3], noise: 0.2 };
     let data = drawn(&truth, 12);
-    let cases = Cases::new(&Trend::of(&data, &[]), (0..10).collect(), &[10, 11]);
+    let cases = HeldOutCases::new(&Trend::of(&data, &[]), (0..10).collect(), &[10, 11]);
     let mut terms = Vec::new();
     for i in [10, 11] {
         let places: Vec<[f64; 3]> = (0..10).map(|j| truth.scaled(data.sample(j).tx)).collect();
@@ -122,10 +122,10 @@ fn the_likelihood_is_that_of_its_predictions() {
 
 #[test]
 fn predictions_follow_from_the_numbers_of_the_note() {
-    let truth = Correlation { kind: Kind::SquaredExponential, scales_m: [0.08, 0.3, 1.2], noise: 0.001 };
+    let truth = Correlation { kind: CorrelationKind::SquaredExponential, scales_m: [0.08, 0.3, 1.2], noise: 0.001 };
     let data = drawn(&truth, 120);
     let all: Vec<usize> = (0..100).collect();
-    let fitted = Kriging::default().fit(&data, Known::train(&all)).unwrap();
+    let fitted = Kriging::default().fit(&data, FittingSet::train(&all)).unwrap();
     let note = fitted.note().unwrap();
     let words: Vec<&str> = note.split([' ', ',']).filter(|word| word.parse::<f64>().is_ok()).collect();
     for word in &words {
@@ -134,7 +134,7 @@ fn predictions_follow_from_the_numbers_of_the_note() {
     }
     let numbers: Vec<f64> = words.iter().map(|word| word.parse().unwrap()).collect();
     let [x, y, z, noise] = numbers[..] else { panic!("{note}") };
-    let kind = Kind::ALL.into_iter().rev().find(|kind| note.contains(kind.words())).unwrap();
+    let kind = CorrelationKind::ALL.into_iter().rev().find(|kind| note.contains(kind.words())).unwrap();
     let correlation = Correlation { kind, scales_m: [x, y, z], noise };
     let nearest = Nearest::new(all, 3, |i| correlation.scaled(data.sample(i).tx));
     let again = Process { trend: Trend::of(&data, &[]), nearest, correlation, neighbours: 48 };
@@ -149,7 +149,7 @@ fn few_samples_and_equal_ones_are_no_accident() {
     let data = line_of_samples(12);
     for count in [1, 2, 3, 12] {
         let all: Vec<usize> = (0..count).collect();
-        let fitted = Kriging::default().fit(&data, Known::train(&all)).unwrap();
+        let fitted = Kriging::default().fit(&data, FittingSet::train(&all)).unwrap();
         let picture = fitted.predict([3.5, 0.0, 0.0].into());
         assert!(picture.pixels.iter().all(|p| p.is_finite()), "{count}");
         assert!(fitted.note().unwrap().contains("length scales of"));
@@ -162,7 +162,7 @@ fn few_samples_and_equal_ones_are_no_accident() {
         Spectra::grey((2, 2), vec![51; 120]).unwrap(),
     );
     let same = same.unwrap();
-    let fitted = Kriging::default().fit(&same, Known::train(&(0..30).collect::<Vec<_>>())).unwrap();
+    let fitted = Kriging::default().fit(&same, FittingSet::train(&(0..30).collect::<Vec<_>>())).unwrap();
     assert!(fitted.predict([1.0; 3].into()).pixels.iter().all(|p| (p - 0.2).abs() < 1e-5));
-    assert!(Kriging::default().fit(&same, Known::default()).is_err());
+    assert!(Kriging::default().fit(&same, FittingSet::default()).is_err());
 }

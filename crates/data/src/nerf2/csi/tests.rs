@@ -66,8 +66,8 @@ fn uplinks_are_features_and_downlinks_observations() {
     assert!((scaled - 47.0 / 30f64.hypot(31.0)).abs() < 1e-6);
     folder.write("train_index.txt", "0\n2\n");
     folder.write("test_index.txt", "1\n");
-    let said = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
-    assert!(said.to_string().contains("has no transmitter positions"), "{said}");
+    let shown = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
+    assert!(shown.to_string().contains("has no transmitter positions"), "{shown}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
     let placed = folder.load().unwrap();
     assert!(placed.placed && placed.sample(3).tx == [4.0, 5.0, 6.0]);
@@ -82,7 +82,7 @@ fn uplinks_are_features_and_downlinks_observations() {
 }
 
 #[test]
-fn mistakes_are_told_with_their_place() {
+fn reports_position_of_invalid_input() {
     let folder = Folder::new();
     let arrays = [
         (complex(&[3, 2, 3], vec![1.0; 36]), "has 3 subcarriers, expected an even number: uplink, then downlink"),
@@ -106,8 +106,8 @@ fn mistakes_are_told_with_their_place() {
     let good = fs::read(folder.0.path().join("csidata.npy")).unwrap();
     for (bytes, message) in arrays {
         folder.write("csidata.npy", bytes);
-        let said = folder.fault();
-        assert!(said.starts_with(&format!("DIR/csidata.npy: {message}")), "{said}");
+        let shown = folder.fault();
+        assert!(shown.starts_with(&format!("DIR/csidata.npy: {message}")), "{shown}");
     }
     folder.write("csidata.npy", good);
     let texts = [
@@ -124,7 +124,7 @@ fn mistakes_are_told_with_their_place() {
     for (name, text, message) in texts {
         let folder = Folder::new();
         folder.write(name, text);
-        let said = folder.fault();
-        assert!(said.starts_with(message), "{said}");
+        let shown = folder.fault();
+        assert!(shown.starts_with(message), "{shown}");
     }
 }

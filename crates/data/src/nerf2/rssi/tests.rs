@@ -57,7 +57,7 @@ fn a_good_folder_is_read() {
 }
 
 #[test]
-fn mistakes_are_told_with_their_place() {
+fn reports_position_of_invalid_input() {
     let folder = Folder::new();
     let cases = [
         (
@@ -116,8 +116,8 @@ fn mistakes_are_told_with_their_place() {
         ("test_index.txt", "-1\n", "DIR/test_index.txt:1:1: `-1` is not a row of tx_pos.csv"),
     ];
     for (name, text, message) in cases {
-        let said = folder.fault(name, text);
-        assert!(said.starts_with(message), "{said}");
+        let shown = folder.fault(name, text);
+        assert!(shown.starts_with(message), "{shown}");
     }
     fs::remove_file(folder.0.path().join("gateway_rssi.csv")).unwrap();
     assert!(folder.try_load().unwrap_err().to_string().contains("no such file; a NeRF2 folder of powers holds"));

@@ -78,7 +78,7 @@ fn the_transition_function_is_its_integral_and_its_two_expansions() {
 
 /// Far from all boundaries F is 1 and the coefficient is Keller's.
 #[test]
-fn far_from_the_boundaries_it_is_kellers() {
+fn far_from_boundaries_utd_equals_keller() {
     let (k, far, sin_beta) = (1e9, 1e3, 0.8);
     for n in [1.2, 1.5, 1.75, 2.0] {
         let (phi_in, phi) = (0.4, 0.9);
@@ -184,7 +184,7 @@ fn a_grazing_wave_counts_once() {
 }
 
 #[test]
-fn nothing_is_ever_not_a_number() {
+fn diffraction_is_always_finite() {
     for n in [1.0 + 1e-9, 1.5, 2.0] {
         for i in 0..=36 {
             for j in 0..=36 {
@@ -227,8 +227,8 @@ fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) 
     let (phi_hat_in, phi_hat) = (-edge.cross(before), edge.cross(after));
     let (beta_hat_in, beta_hat) = (phi_hat_in.cross(before), phi_hat.cross(after));
     let antenna = |away: DVec3| if horizontal { DVec3::Z.cross(away) } else { -DVec3::Z };
-    let (sent, heard) = (antenna(before), antenna(-after));
-    -d.te * sent.dot(beta_hat_in) * beta_hat.dot(heard) - d.tm * sent.dot(phi_hat_in) * phi_hat.dot(heard)
+    let (sent, received) = (antenna(before), antenna(-after));
+    -d.te * sent.dot(beta_hat_in) * beta_hat.dot(received) - d.tm * sent.dot(phi_hat_in) * phi_hat.dot(received)
 }
 
 /// Metal wedge and half-plane at 920 MHz, compared with an independent implementation in float64 and an established ray

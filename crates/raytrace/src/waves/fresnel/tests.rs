@@ -191,8 +191,8 @@ fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Comple
     let eta = named(name).unwrap().permittivity(hz);
     let wavelength = SPEED_OF_LIGHT / hz;
     let r = reflection(eta, thick.then_some(depth), before.dot(normal), wavelength);
-    let (sent, heard) = (polar(before), polar(-after));
-    let field = r.te * sent.dot(s) * s.dot(heard) + r.tm * sent.dot(s.cross(before)) * s.cross(after).dot(heard);
+    let (sent, received) = (polar(before), polar(-after));
+    let field = r.te * sent.dot(s) * s.dot(received) + r.tm * sent.dot(s.cross(before)) * s.cross(after).dot(received);
     let spreading = wavelength / (2.0 * TAU * length);
     (field * spreading, spreading)
 }

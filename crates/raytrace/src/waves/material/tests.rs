@@ -39,10 +39,10 @@ fn permittivity_falls_with_frequency_where_b_is_negative() {
 #[test]
 fn the_table_vouches_for_its_range_only() {
     let concrete = named("concrete").unwrap();
-    assert!(!concrete.vouches_for(920e6));
-    assert!(concrete.vouches_for(1e9) && concrete.vouches_for(100e9));
-    assert!(!concrete.vouches_for(101e9) && !concrete.vouches_for(f64::NAN));
-    assert!(named("perfect_conductor").unwrap().vouches_for(1.0));
+    assert!(!concrete.is_in_valid_range(920e6));
+    assert!(concrete.is_in_valid_range(1e9) && concrete.is_in_valid_range(100e9));
+    assert!(!concrete.is_in_valid_range(101e9) && !concrete.is_in_valid_range(f64::NAN));
+    assert!(named("perfect_conductor").unwrap().is_in_valid_range(1.0));
 }
 
 #[test]

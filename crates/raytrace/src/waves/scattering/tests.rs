@@ -70,11 +70,11 @@ fn scattered_power_is_its_share_of_what_falls_on_the_patch() {
     let fallen = area * cos / (4.0 * PI * near * near);
     let specular = DVec3::new((1.0 - cos * cos).sqrt(), 0.0, cos);
     for lobe in lobes() {
-        let heard = over_hemisphere(|out| {
+        let received = over_hemisphere(|out| {
             let density = lobe.density(cos, out.z, out.dot(specular));
             amplitude(s, gamma, density, area, cos, (near, far), wavelength).powi(2) / aperture * far * far
         });
-        assert!((heard / (s * s * gamma * gamma * fallen) - 1.0).abs() < 1e-6, "{lobe:?}");
+        assert!((received / (s * s * gamma * gamma * fallen) - 1.0).abs() < 1e-6, "{lobe:?}");
     }
 }
 

@@ -32,7 +32,7 @@ fn circles(panel: &Panel) -> usize {
 fn gaussians_outside_the_room_are_counted_and_not_drawn() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [3.9, 0.1, 1.9], [9.0, 1.0, 1.0], [1.0, 1.0, -7.0]]);
-    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert_eq!(circles(&panel), 2);
     assert_eq!(panel.caption, "2 of 4 are outside the frame");
     assert!(panel.numbers.starts_with("N = 4"));
@@ -42,13 +42,13 @@ fn gaussians_outside_the_room_are_counted_and_not_drawn() {
 fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [7.9, 1.0, 1.0], [1.0, -3.9, 5.9]]);
-    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert_eq!((circles(&panel), panel.caption.as_str()), (3, ""));
     // Positions that are not finite are counted and do not change the frame.
     let cloud = snapshot([[1.0, 1.0, 1.0], [Real::NAN, 1.0, 1.0], [1.0, Real::INFINITY, 1.0], [1e30, 1.0, 1.0]]);
     for points in [0, 5] {
         let (data, partition) = room(points);
-        let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+        let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
         assert_eq!((circles(&panel), panel.caption.as_str()), (1, "3 of 4 are outside the frame"));
         assert!(!svg(&panel).contains("NaN") && !svg(&panel).contains("inf"));
     }
@@ -58,7 +58,7 @@ fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
 fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
     let (data, partition) = room(0);
     let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]).chain([[1e4, 0.0, 0.0]]));
-    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("Final", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("Final", &cloud, &data);
     assert_eq!((circles(&panel), panel.caption.as_str()), (200, "1 of 201 are outside the frame"));
 }
 
@@ -66,7 +66,7 @@ fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
 fn a_picture_stays_small() {
     let (data, partition) = room(20_000);
     let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
-    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert!(svg(&panel).len() < 300_000, "{} bytes", svg(&panel).len());
     assert_eq!(panel.caption, "only the 3,000 most opaque are drawn");
     // Among equal Gaussians, the drawn ones are spread over all places.
@@ -78,7 +78,7 @@ fn a_picture_stays_small() {
 fn a_flat_scene_and_no_gaussian_are_drawn() {
     let (mut data, partition) = room(1);
     data.scene.bounds = ([1.0; 3], [1.0; 3]);
-    let panel = Room::new(&data, &partition, &[], 10.5).panel("At the start", &snapshot([]), &data);
+    let panel = RoomFigure::new(&data, &partition, &[], 10.5).panel("At the start", &snapshot([]), &data);
     let svg = svg(&panel);
     assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
 }
@@ -90,8 +90,8 @@ fn turned(axis: [f64; 3], degrees: f64) -> Pose {
 }
 
 #[test]
-fn the_arrow_points_where_the_receiver_looks() {
-    let view = View::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
+fn arrow_points_along_boresight() {
+    let view = RoomView::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
     // Up, down, along x, against x, along y, against y.
     let poses = [([1.0, 0.0, 0.0], 0.0), ([1.0, 0.0, 0.0], 180.0), ([0.0, 1.0, 0.0], 90.0), ([0.0, 1.0, 0.0], -90.0)];
     let sides = [([1.0, 0.0, 0.0], -90.0), ([1.0, 0.0, 0.0], 90.0)];
@@ -102,21 +102,21 @@ fn the_arrow_points_where_the_receiver_looks() {
         let at = view.place(pose.position);
         let [x, y] = view.place([0, 1, 2].map(|k| pose.position[k] + ahead[k]));
         let mut canvas = Canvas::new(10.0, 10.0);
-        Receiver::new(&pose, &view, 0.5).draw(&mut canvas, at);
+        ReceiverArrow::new(&pose, &view, 0.5).draw(&mut canvas, at);
         let Shape::Path(head, _) = &canvas.shapes[1] else { panic!("no arrow for {ahead:?}") };
         let Step::Move(tip) = head.0[0] else { panic!("{head:?}") };
-        let (wanted, found) = ((y - at[1]).atan2(x - at[0]), (tip[1] - at[1]).atan2(tip[0] - at[0]));
-        assert!((wanted - found).abs() < 1e-5, "{ahead:?}: {wanted} {found}");
+        let (expected, found) = ((y - at[1]).atan2(x - at[0]), (tip[1] - at[1]).atan2(tip[0] - at[0]));
+        assert!((expected - found).abs() < 1e-5, "{ahead:?}: {expected} {found}");
     }
 }
 
 #[test]
-fn along_the_line_of_sight_it_is_a_ring() {
-    let view = View::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
+fn arrow_along_line_of_sight_is_a_ring() {
+    let view = RoomView::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
     // From straight up, turned by 63 degrees in the vertical plane of the viewer.
     let axis = [58f64.to_radians().sin(), 58f64.to_radians().cos(), 0.0];
     for (degrees, shapes, meaning) in [(63.0, 2, "towards"), (63.0 - 180.0, 2, "away"), (20.0, 3, "boresight")] {
-        let receiver = Receiver::new(&turned(axis, degrees), &view, 0.5);
+        let receiver = ReceiverArrow::new(&turned(axis, degrees), &view, 0.5);
         let mut canvas = Canvas::new(10.0, 10.0);
         receiver.draw(&mut canvas, [5.0, 5.0]);
         assert_eq!(canvas.shapes.len(), shapes, "{degrees}: {receiver:?}");

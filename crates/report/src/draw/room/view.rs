@@ -1,6 +1,6 @@
 //! Box in space in parallel projection, seen from above at an angle: lengths along an axis stay comparable.
 
-use crate::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
+use crate::canvas::{Anchor, Canvas, Colour, Paint, Point, VectorPath};
 use crate::draw::axes::{few_ticks, label};
 
 /// Viewing direction, degrees: azimuth from the x axis, elevation above the floor.
@@ -13,15 +13,15 @@ const MOST_HEIGHT: f64 = 300.0;
 const MARGINS: [f64; 4] = [3.4, 0.8, 1.9, 3.2];
 
 /// Point in space, metres.
-pub(crate) type Place = [f64; 3];
+pub(crate) type RoomPoint = [f64; 3];
 
 /// View of one box.
 #[derive(Clone, Debug)]
-pub(crate) struct View {
-    low: Place,
-    high: Place,
+pub(crate) struct RoomView {
+    low: RoomPoint,
+    high: RoomPoint,
     /// Origin of the numbers on the axes.
-    pub(crate) origin: Place,
+    pub(crate) origin: RoomPoint,
     /// Drawing units per metre.
     scale: f64,
     /// Position of the origin of the drawing, before scaling.
@@ -32,9 +32,9 @@ pub(crate) struct View {
     pub(crate) size: Point,
 }
 
-impl View {
+impl RoomView {
     /// Creates the view of the box from `low` to `high`, metres, with this text height.
-    pub(crate) fn new(low: Place, high: Place, text: f64) -> Self {
+    pub(crate) fn new(low: RoomPoint, high: RoomPoint, text: f64) -> Self {
         let corners =
             (0..8).map(|k| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] })));
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -60,7 +60,7 @@ impl View {
     }
 
     /// Whether the box contains `p`.
-    pub(crate) fn holds(&self, p: Place) -> bool {
+    pub(crate) fn holds(&self, p: RoomPoint) -> bool {
         (0..3).all(|k| (self.low[k]..=self.high[k]).contains(&p[k]))
     }
 
@@ -70,13 +70,13 @@ impl View {
     }
 
     /// Position on the drawing.
-    pub(crate) fn place(&self, p: Place) -> Point {
+    pub(crate) fn place(&self, p: RoomPoint) -> Point {
         let [x, y] = flat(p);
         [self.scale * (x - self.corner[0]), self.scale * (self.corner[1] - y)]
     }
 
     /// Nearness to the viewer: 0 at the farthest corner of the box, 1 at the nearest.
-    pub(crate) fn nearness(&self, p: Place) -> f64 {
+    pub(crate) fn nearness(&self, p: RoomPoint) -> f64 {
         let eye = eye();
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
         let reach: f64 = (0..3).map(|k| (eye[k] * (self.high[k] - self.low[k])).abs()).sum();
@@ -102,7 +102,7 @@ impl View {
         let most = ((60.0 / em) as usize).clamp(2, 6);
         let o = self.origin;
         let ticks = [0, 1, 2].map(|k| few_ticks(low[k] - o[k], high[k] - o[k], most));
-        let mut grid = Path::default();
+        let mut grid = VectorPath::default();
         let mut mark = |[x, y]: Point, [dx, dy]: Point, anchor, words: &str| {
             canvas.text([x + dx * em, y + dy * em], anchor, words);
         };
@@ -135,19 +135,19 @@ impl View {
 }
 
 /// Direction to the viewer.
-fn eye() -> Place {
+fn eye() -> RoomPoint {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
 }
 
 /// Cosine of the angle between a direction and the direction to the viewer.
-pub(crate) fn facing(direction: Place) -> f64 {
+pub(crate) fn facing(direction: RoomPoint) -> f64 {
     let (eye, length) = (eye(), direction.iter().map(|v| v * v).sum::<f64>().sqrt());
     (0..3).map(|k| eye[k] * direction[k]).sum::<f64>() / length
 }
 
 /// Horizontal and vertical coordinate on the drawing, metres.
-fn flat(p: Place) -> Point {
+fn flat(p: RoomPoint) -> Point {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     let towards = az.cos() * p[0] + az.sin() * p[1];
     [az.cos() * p[1] - az.sin() * p[0], el.cos() * p[2] - el.sin() * towards]
@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn the_box_fills_the_picture_and_keeps_lengths() {
         for (low, high) in [([0.0; 3], [8.0, 6.0, 3.0]), ([-1.0, -1.0, 0.0], [1.0, 1.0, 20.0])] {
-            let view = View::new(low, high, 10.0);
+            let view = RoomView::new(low, high, 10.0);
             let ends = (0..8).map(|k| view.place([0, 1, 2].map(|a| if k >> a & 1 == 0 { low[a] } else { high[a] })));
             for [x, y] in ends {
                 assert!((10.0 * MARGINS[0] - 1e-9..=WIDTH - 10.0 * MARGINS[2] + 1e-9).contains(&x), "{x}");

@@ -1,7 +1,7 @@
 //! Virtual transmitters of a model without splats: top and side view of the room.
 
 use crate::canvas::{Anchor, Canvas, Colour, Paint, WHITE, text_width};
-use crate::draw::plan::{Plan, draw_receiver};
+use crate::draw::plan::{FloorPlan, draw_receiver};
 use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, evenly};
 use pwrfgs_experiment::{LoadedRun, statistics::quantile, text::grouped};
@@ -19,7 +19,7 @@ const BLUE: Colour = Colour::hex(0x17_4a99);
 const WALLS: Colour = Colour::hex(0xb4_5f06);
 
 /// Virtual transmitter: position in metres, and level in dB relative to the strongest.
-struct Found {
+struct MappedSource {
     place: [f64; 3],
     db: f64,
 }
@@ -48,7 +48,7 @@ pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
 }
 
 /// All virtual transmitters in the world frame, strongest first.
-fn found(run: &LoadedRun<'_>) -> Vec<Found> {
+fn found(run: &LoadedRun<'_>) -> Vec<MappedSource> {
     let members = run.model.members();
     let mut all: Vec<([f64; 3], f64)> = members
         .iter()
@@ -62,16 +62,16 @@ fn found(run: &LoadedRun<'_>) -> Vec<Found> {
     all.sort_by(|a, b| b.1.total_cmp(&a.1));
     let most = all.first().map_or(0.0, |own| own.1);
     let db = |s: f64| if s > 0.0 && most > 0.0 { 20.0 * (s / most).log10() } else { f64::NEG_INFINITY };
-    all.into_iter().map(|(place, s)| Found { place, db: db(s) }).collect()
+    all.into_iter().map(|(place, s)| MappedSource { place, db: db(s) }).collect()
 }
 
 /// View along an axis, and the number of transmitters outside its frame.
-fn draw(run: &LoadedRun<'_>, found: &[Found], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
+fn draw(run: &LoadedRun<'_>, found: &[MappedSource], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
     let scene = &run.data.scene;
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
     let places: Vec<[f64; 2]> = found.iter().map(|own| flat(own.place)).collect();
-    let plan = Plan::new(frame(walls, &places), names, WIDTH, 420.0);
+    let plan = FloorPlan::new(setup(walls, &places), names, WIDTH, 420.0);
     let mut canvas = plan.canvas();
     plan.points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
     let [a, b] = [plan.place([walls[0][0], walls[1][1]]), plan.place([walls[1][0], walls[0][1]])];
@@ -89,18 +89,18 @@ fn draw(run: &LoadedRun<'_>, found: &[Found], names: [&'static str; 2], axes: [u
         plan.receiver(&mut canvas, flat(scene.origin.world_pose(receiver.pose).position));
     }
     plan.axes(&mut canvas);
-    (Plan::widened(&canvas, WIDTH), outside)
+    (FloorPlan::widened(&canvas, WIDTH), outside)
 }
 
 /// Bounds of the room and its surroundings with mirror images, except the few farthest.
-fn frame(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
+fn setup(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
     let sorted = |k: usize| {
         let mut values: Vec<f64> = places.iter().map(|p| p[k]).collect();
         values.sort_by(f64::total_cmp);
         values
     };
     let ends = |q: f64| [quantile(&sorted(0), q), quantile(&sorted(1), q)];
-    Plan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
+    FloorPlan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
 }
 
 /// Disc with an area that decreases with decibels.
@@ -112,18 +112,18 @@ fn radius(db: f64) -> f64 {
 fn legend(has_points: bool) -> Canvas {
     let mut canvas = Canvas::new(620.0, 24.0);
     let (mut x, y) = (12.0, 12.0);
-    let say = |canvas: &mut Canvas, x: &mut f64, words: &str| {
+    let add_label = |canvas: &mut Canvas, x: &mut f64, words: &str| {
         canvas.text([*x + 13.0, y + 4.0], Anchor::Start, words);
         *x += 30.0 + text_width(words);
     };
     for (db, words) in [(0.0, "strongest"), (-10.0, "10 dB weaker"), (-20.0, "20 dB weaker")] {
         canvas.circle([x, y], radius(db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
-        say(&mut canvas, &mut x, words);
+        add_label(&mut canvas, &mut x, words);
     }
     draw_receiver(&mut canvas, [x, y]);
-    say(&mut canvas, &mut x, "receiver");
+    add_label(&mut canvas, &mut x, "receiver");
     canvas.line(&[[x - 9.0, y], [x + 9.0, y]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
-    say(&mut canvas, &mut x, if has_points { "bounds of the scene" } else { "bounds of the data" });
+    add_label(&mut canvas, &mut x, if has_points { "bounds of the scene" } else { "bounds of the data" });
     canvas.width = x;
     canvas
 }

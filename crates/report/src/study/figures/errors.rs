@@ -4,7 +4,7 @@
 //! mean over the test set does not describe positions farther away. A mean of powers or channels hides large errors.
 
 use super::Figure;
-use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
 use pwrfgs_core::{Headline, Task};
@@ -25,24 +25,24 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     for (k, variant) in setting.variants.iter().enumerate() {
         let (style, bins) = (Style::variant(k), bins(&variant.runs, MODEL, task));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
-        let mut line = Line::new(quartile(1).collect(), style).named(&variant.label);
+        let mut line = ChartLine::new(quartile(1).collect(), style).named(&variant.label);
         line.marks.clone_from(&line.points);
         lines.push(line);
         if banded {
             let round = quartile(2).chain(quartile(0).rev()).collect();
-            lines.push(Line::new(round, Style { stroke: Stroke::Area, ..style }));
+            lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
         }
     }
     for (k, name) in setting.floors().into_iter().enumerate() {
         // Equal in all variants, except for splits that depend on the seed.
         let bins = bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
-        lines.push(Line::new(points, Style::floor(k)).named_at_end(name));
+        lines.push(ChartLine::new(points, Style::floor(k)).named_at_end(name));
     }
-    let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
+    let x = ChartAxis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
     let Headline { name, higher, best, .. } = task.headline;
     let name = best.filter(|_| higher).map_or_else(|| name.to_owned(), |best| format!("error {best} − {name}"));
-    let chart = Chart { x, y: Axis { name: name.clone(), ..Axis::default() }, lines, ..Chart::default() };
+    let chart = Chart { x, y: ChartAxis { name: name.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
     Figure::chart("distance", setting, context! { banded, axis => name }, chart)
 }
 
@@ -104,15 +104,15 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
     };
     let mut lines = Vec::new();
     for (k, variant) in setting.variants.iter().enumerate() {
-        let mut line = Line::new(points(&variant.runs, MODEL), Style::variant(k)).named(&variant.label);
+        let mut line = ChartLine::new(points(&variant.runs, MODEL), Style::variant(k)).named(&variant.label);
         line.marks = line.points.iter().skip(10 + 5 * (k % 4)).step_by(20).copied().collect();
         lines.push(line);
     }
     for (k, name) in setting.floors().into_iter().enumerate() {
-        lines.push(Line::new(points(&setting.variants[0].runs, name), Style::floor(k)).named(name));
+        lines.push(ChartLine::new(points(&setting.variants[0].runs, name), Style::floor(k)).named(name));
     }
-    let x = Axis { name: headline.name.into(), ..Axis::default() };
-    let y = Axis { name: "share of the test set below".into(), ends: Some((0.0, 1.0)), log: false };
+    let x = ChartAxis { name: headline.name.into(), ..ChartAxis::default() };
+    let y = ChartAxis { name: "share of the test set below".into(), ends: Some((0.0, 1.0)), log: false };
     let percent = (INSIDE * 100.0).round() as u32;
     let chart = Chart { x, y, lines, ..Chart::default() };
     Figure::chart("distribution", setting, context! { axis => headline.name, percent }, chart)
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bins_hold_equally_many_and_leave_out_what_has_no_place() {
+    fn bins_are_equally_full_and_omit_unplaced_samples() {
         let mut pairs: Vec<(f64, f64)> = (1..=10).map(|k| (f64::from(k), f64::from(k) / 10.0)).collect();
         pairs.extend([(0.0, 9.0), (f64::INFINITY, 9.0)]);
         pairs.reverse();

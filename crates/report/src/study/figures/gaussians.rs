@@ -1,10 +1,10 @@
 //! N against training steps: figure 2a of the paper.
 
 use super::Figure;
-use crate::draw::charts::{Axis, Band, Chart, Line, phases, stairs};
+use crate::draw::charts::{Band, Chart, ChartAxis, ChartLine, decimate_steps, phases};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
-use pwrfgs_experiment::{Setting, Variant};
+use pwrfgs_experiment::{Setting, StudyVariant};
 use std::collections::BTreeMap;
 
 /// Number of marks per line.
@@ -19,17 +19,17 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     for (k, variant) in setting.variants.iter().enumerate().filter(|(_, v)| v.runs[0].facts.gaussians > 0) {
         let style = Style::variant(k);
         let [low, middle, high] = curves(variant);
-        let mut line = Line::new(stairs(&middle), style).named(&variant.label);
+        let mut line = ChartLine::new(decimate_steps(&middle), style).named(&variant.label);
         line.marks = marks(&middle, end, (k as f64 + 0.5) / count as f64);
         lines.push(line);
         if low != high {
-            let round = stairs(&high).into_iter().chain(stairs(&low).into_iter().rev()).collect();
-            lines.push(Line::new(round, Style { stroke: Stroke::Area, ..style }));
+            let round = decimate_steps(&high).into_iter().chain(decimate_steps(&low).into_iter().rev()).collect();
+            lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
         }
     }
     let chart = Chart {
-        x: Axis { name: "training step".into(), ends: Some((0.0, end)), log: false },
-        y: Axis { name: "number of Gaussians N".into(), ends: None, log: true },
+        x: ChartAxis { name: "training step".into(), ends: Some((0.0, end)), log: false },
+        y: ChartAxis { name: "number of Gaussians N".into(), ends: None, log: true },
         bands,
         lines,
         ..Chart::default()
@@ -39,7 +39,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
 
 /// Phases, if they are equal in all runs.
 fn shared_phases(setting: &Setting) -> Vec<Band> {
-    let schedule = |v: &Variant| {
+    let schedule = |v: &StudyVariant| {
         let t = &v.runs[0].pipeline.training;
         (t.densify_until, t.prune_until, t.steps)
     };
@@ -49,7 +49,7 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
 }
 
 /// Minimum, mean and maximum N at each step that all runs of the variant recorded.
-fn curves(variant: &Variant) -> [Vec<(f64, f64)>; 3] {
+fn curves(variant: &StudyVariant) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (step, n) in variant.runs.iter().flat_map(|r| r.curve_of(4)) {
         at.entry(step as u64).or_default().push(n);

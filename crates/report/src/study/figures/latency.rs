@@ -6,7 +6,7 @@ use crate::draw::axes::ticks;
 use crate::draw::charts::{Legend, SYMBOL, Symbol};
 use crate::draw::marks::SHADES;
 use minijinja::context;
-use pwrfgs_experiment::{Setting, Variant, distinct, statistics::Spread, text::number};
+use pwrfgs_experiment::{Setting, StudyVariant, distinct, statistics::Spread, text::number};
 
 /// Stages with their keys in `scores.csv`.
 const STAGES: [(&str, &str); 4] = [
@@ -34,7 +34,7 @@ struct Bar<'a> {
 
 impl<'a> Bar<'a> {
     /// Creates the bar of a variant; `None` if it was not timed.
-    fn of(variant: &'a Variant) -> Option<Self> {
+    fn of(variant: &'a StudyVariant) -> Option<Self> {
         let stages: Option<Vec<f64>> = STAGES.iter().map(|(_, key)| Some(variant.score(key)?.mean)).collect();
         Some(Self { label: &variant.label, stages: stages?, total: variant.score(TOTAL)? })
     }

@@ -3,11 +3,11 @@
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, Canvas, LINE, TEXT, wrapped};
 use crate::draw::charts::Legend;
-use crate::draw::room::{Panel, Room};
-use crate::draw::spectra::{Scale, draw_azimuth, draw_elevation, names, pixels};
+use crate::draw::room::{Panel, RoomFigure};
+use crate::draw::spectra::{ColourScale, draw_azimuth, draw_elevation, names, pixels};
 use minijinja::context;
 use pwrfgs_core::{Dataset, Image, ImagePlane, Result};
-use pwrfgs_experiment::{Setting, Variant, scores::MODEL};
+use pwrfgs_experiment::{Setting, StudyVariant, scores::MODEL};
 use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 
@@ -17,11 +17,11 @@ const MOST_ROOMS: usize = 6;
 /// Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
 pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let with = || setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0);
-    let shown: Vec<&Variant> = with().take(MOST_ROOMS).collect();
+    let shown: Vec<&StudyVariant> = with().take(MOST_ROOMS).collect();
     if shown.is_empty() {
         return Ok(None);
     }
-    let snapshot = |v: &&Variant| {
+    let snapshot = |v: &&StudyVariant| {
         let run = &v.runs[0];
         Ok(Snapshot::of_ensemble(run.facts.steps, &run.model(data)?))
     };
@@ -35,7 +35,7 @@ pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> 
     let width = canvas.width / columns as f64;
     let partition = setting.variants[0].runs[0].partition(data)?;
     let all: Vec<&Snapshot> = clouds.iter().collect();
-    let room = Room::new(data, &partition, &all, TEXT * COLUMN / width);
+    let room = RoomFigure::new(data, &partition, &all, TEXT * COLUMN / width);
     let panels: Vec<Panel> = shown.iter().zip(&clouds).map(|(v, cloud)| room.panel(&v.label, cloud, data)).collect();
     let mut top = 0.0;
     for row in panels.chunks(columns) {
@@ -83,7 +83,7 @@ const BAR: f64 = 160.0;
 const WIDEST: f64 = 220.0;
 
 /// Test spectrum with its predictions.
-struct Row {
+struct ComparisonRow {
     name: &'static str,
     id: u32,
     truth: Image,
@@ -104,9 +104,9 @@ pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure
             .zip(&scores)
             .map(|(m, s)| (m.prepare().predict_timed(data.query(index)).0.clamped(), s[&id]))
             .collect();
-        Some(Row { name, id, truth: data.image(index), predicted })
+        Some(ComparisonRow { name, id, truth: data.image(index), predicted })
     };
-    let rows: Vec<Row> = chosen(&scores).into_iter().filter_map(row).collect();
+    let rows: Vec<ComparisonRow> = chosen(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {
         return Ok(None);
     }
@@ -127,7 +127,7 @@ fn chosen(scores: &[BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     chosen
 }
 
-fn draw_spectra(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canvas {
+fn draw_spectra(variants: &[StudyVariant], rows: &[ComparisonRow], plane: &ImagePlane) -> Canvas {
     let columns = 1 + variants.len();
     let mut canvas = Canvas::new(if columns == 2 { COLUMN } else { PAGE }, 0.0);
     let space = (canvas.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;
@@ -148,7 +148,7 @@ fn draw_spectra(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canva
         // Below the numbers of the axis of the last row.
         let below = bottom + if is_last { 2.0 * LINE + 2.0 } else { LINE };
         for (column, image) in std::iter::once(&row.truth).chain(row.predicted.iter().map(|p| &p.0)).enumerate() {
-            canvas.framed([x(column), top], [width, height], pixels(image, plane, Scale::Power));
+            canvas.framed([x(column), top], [width, height], pixels(image, plane, ColourScale::Power));
             if is_last {
                 draw_azimuth(&mut canvas, plane, [x(column), bottom], width);
             }
@@ -167,7 +167,7 @@ fn draw_spectra(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canva
     let upright_at = [left - 34.0, f64::midpoint(head, top - 2.0 * LINE - 10.0)];
     canvas.upright(upright_at, up);
     let bar = (canvas.width - BAR) / 2.0;
-    Scale::Power.draw(&mut canvas, [bar, top + 4.0], BAR);
+    ColourScale::Power.draw(&mut canvas, [bar, top + 4.0], BAR);
     canvas.text([bar - 8.0, top + 12.0], Anchor::End, "spectrum, normalised");
     canvas.height = top + 30.0;
     canvas

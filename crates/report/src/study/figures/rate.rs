@@ -1,11 +1,11 @@
 //! Rate ratio against signal-to-noise ratio: cost of steering by the prediction for weak and strong transmitters.
 
 use super::Figure;
-use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
 use pwrfgs_core::{Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
-use pwrfgs_experiment::{Bench, Session, Setting, Silent};
+use pwrfgs_experiment::{EvaluationSet, NoopObserver, Session, Setting};
 
 /// Ends of the axis and steps between, dB.
 const LOW_DB: f64 = -20.0;
@@ -26,32 +26,40 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
             let part = evenly(&test, SAMPLES);
             fewer |= part.len() < test.len();
             let model = run.model(data)?;
-            let bench = Bench::new(data, &part, model.plane());
+            let bench = EvaluationSet::new(data, &part, model.plane());
             let model = &model.prepare();
-            curves.push(curve(&bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?));
+            curves.push(curve(&bench.model(
+                "the model",
+                model,
+                None,
+                &metrics,
+                &mut Session::new(&mut NoopObserver),
+            )?));
         }
-        let mut line = Line::new(mean_of(&curves), Style::variant(k)).named(&variant.label);
+        let mut line = ChartLine::new(mean_of(&curves), Style::variant(k)).named(&variant.label);
         // Every fourth point, with a different start per line.
         line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
         lines.push(line);
     }
     lines.extend(baselines(setting, data, &metrics)?);
-    let x = Axis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
-    let chart = Chart { x, y: Axis { name: "rate ratio η".into(), ..Axis::default() }, lines, ..Chart::default() };
+    let x =
+        ChartAxis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
+    let chart =
+        Chart { x, y: ChartAxis { name: "rate ratio η".into(), ..ChartAxis::default() }, lines, ..Chart::default() };
     let words = context! { part => fewer.then_some(SAMPLES) };
     Ok(Figure::chart("eta-snr", setting, words, chart))
 }
 
 /// Baselines, fitted to training and validation sets, on the test set of the first run.
-fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Line>> {
+fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<ChartLine>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
-    let bench = Bench::new(data, &evenly(&partition.test, SAMPLES), model.plane());
+    let bench = EvaluationSet::new(data, &evenly(&partition.test, SAMPLES), model.plane());
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
-        let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut Silent))?;
-        Ok(Line::new(curve(&measured), Style::floor(k)).named_at_end(&name))
+        let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
+        Ok(ChartLine::new(curve(&measured), Style::floor(k)).named_at_end(&name))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()
 }

@@ -1,11 +1,13 @@
 //! First metric and rate ratio against N, bytes and milliseconds: figure 2b of the paper, and methods at equal N.
 
 use super::Figure;
-use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
 use pwrfgs_core::Headline;
-use pwrfgs_experiment::{Race, Record, Setting, Variant, Way, scores::MODEL, statistics::Spread};
+use pwrfgs_experiment::{
+    ParetoComparison, Record, Setting, StudyVariant, VariantFamily, scores::MODEL, statistics::Spread,
+};
 
 /// Published SSIM by N: Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field
 /// Construction", for mask penalties of 0, 0.02 and 0.04.
@@ -47,10 +49,11 @@ pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
 }
 
 fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
-    if Race::of(setting).is_some() {
+    if ParetoComparison::of(setting).is_some() {
         return None; // too many variants for marks with names: the figures of methods have one line per method
     }
-    let points: Vec<Line> = setting.variants.iter().enumerate().filter_map(|(k, v)| point(v, k, score.key)).collect();
+    let points: Vec<ChartLine> =
+        setting.variants.iter().enumerate().filter_map(|(k, v)| point(v, k, score.key)).collect();
     if points.is_empty() {
         return None;
     }
@@ -59,13 +62,14 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     lines.extend(published.then(|| reference(score)));
     lines.extend(threads(setting, score.key));
     lines.extend(floors(setting, score.key));
-    let x = Axis { name: "number of Gaussians N".into(), log: true, ends: None };
-    let chart = Chart { x, y: Axis { name: score.axis.clone(), ..Axis::default() }, lines, ..Chart::default() };
+    let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
+    let chart =
+        Chart { x, y: ChartAxis { name: score.axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
     Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
 /// N and score over the seeds of a variant; `None` without the score or without Gaussians.
-fn spreads(variant: &Variant, key: &str) -> Option<(Spread, Spread)> {
+fn spreads(variant: &StudyVariant, key: &str) -> Option<(Spread, Spread)> {
     let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.scores.value(MODEL, key)?)));
     let (n, score): (Vec<f64>, Vec<f64>) = scored.unzip();
     let n = Spread::of(&n)?;
@@ -74,10 +78,10 @@ fn spreads(variant: &Variant, key: &str) -> Option<(Spread, Spread)> {
 }
 
 /// Mark of one variant with its bars.
-fn point(variant: &Variant, k: usize, key: &str) -> Option<Line> {
+fn point(variant: &StudyVariant, k: usize, key: &str) -> Option<ChartLine> {
     let (n, score) = spreads(variant, key)?;
     let at = (n.mean, score.mean);
-    let mut line = Line::new(Vec::new(), Style::variant(k)).named(&variant.label);
+    let mut line = ChartLine::new(Vec::new(), Style::variant(k)).named(&variant.label);
     line.marks = vec![at];
     if let (Some(dn), Some(ds)) = (n.deviation, score.deviation) {
         // Fewer than one Gaussian have no place on a logarithmic axis.
@@ -88,7 +92,7 @@ fn point(variant: &Variant, k: usize, key: &str) -> Option<Line> {
 }
 
 /// Lines through the variants of a family, in the order of the plan.
-fn threads(setting: &Setting, key: &str) -> Vec<Line> {
+fn threads(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let mut families: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for variant in &setting.variants {
         let Some((n, score)) = spreads(variant, key) else { continue };
@@ -98,7 +102,7 @@ fn threads(setting: &Setting, key: &str) -> Vec<Line> {
             None => families.push((family, vec![at])),
         }
     }
-    families.into_iter().map(|(_, points)| Line::new(points, Style::thread())).collect()
+    families.into_iter().map(|(_, points)| ChartLine::new(points, Style::thread())).collect()
 }
 
 /// Label without its numbers, also within words.
@@ -107,9 +111,10 @@ fn without_digits(label: &str) -> String {
 }
 
 /// Horizontal lines over the whole width, with names at the right.
-pub(super) fn floors(setting: &Setting, key: &str) -> Vec<Line> {
-    let line =
-        |(k, name): (usize, &str)| Some(Line::level(setting.floor(name, key)?, Style::floor(k)).named_at_end(name));
+pub(super) fn floors(setting: &Setting, key: &str) -> Vec<ChartLine> {
+    let line = |(k, name): (usize, &str)| {
+        Some(ChartLine::level(setting.floor(name, key)?, Style::floor(k)).named_at_end(name))
+    };
     setting.floors().into_iter().enumerate().filter_map(line).collect()
 }
 
@@ -121,8 +126,8 @@ fn is_s23(setting: &Setting) -> bool {
 }
 
 /// Published values.
-fn reference(score: &Score) -> Line {
-    let mut line = Line::new(Vec::new(), Style::published()).named("published, s23");
+fn reference(score: &Score) -> ChartLine {
+    let mut line = ChartLine::new(Vec::new(), Style::published()).named("published, s23");
     line.marks = score.published.to_vec();
     line
 }
@@ -131,42 +136,42 @@ fn reference(score: &Score) -> Line {
 const SHOWN: usize = 7;
 
 /// Cost on the horizontal axis.
-struct Price {
+struct CostAxis {
     name: &'static str,
     axis: &'static str,
     of: fn(&Record) -> Option<f64>,
 }
 
-const PRICES: [Price; 3] = [
-    Price { name: "pareto-n", axis: "number of Gaussians N", of: |run| Some(run.facts.gaussians as f64) },
-    Price { name: "pareto-bytes", axis: "model size [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
-    Price { name: "pareto-ms", axis: "latency [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
+const PRICES: [CostAxis; 3] = [
+    CostAxis { name: "pareto-n", axis: "number of Gaussians N", of: |run| Some(run.facts.gaussians as f64) },
+    CostAxis { name: "pareto-bytes", axis: "model size [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
+    CostAxis { name: "pareto-ms", axis: "latency [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
 /// First metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds.
-pub(super) fn race<const K: usize>(setting: &Setting) -> Option<Figure> {
-    let price = &PRICES[K];
-    let mut race = Race::of(setting)?;
+pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
+    let cost = &PRICES[K];
+    let mut pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
     // Methods that are always worse than all baselines would compress the axis.
     let worst = worst_floor(setting);
-    let hopeless = |way: &Way<'_>| {
+    let hopeless = |way: &VariantFamily<'_>| {
         let scores: Vec<f64> = way.places.iter().flatten().map(|(score, _)| score.mean).collect();
         let below =
             |score: &f64| worst.is_some_and(|worst| if headline.higher { *score < worst } else { *score > worst });
         !scores.is_empty() && scores.iter().all(below)
     };
-    let (left_out, ways): (Vec<_>, Vec<_>) = race.ways.into_iter().partition(hopeless);
-    race.ways = ways;
+    let (left_out, families): (Vec<_>, Vec<_>) = pareto.families.into_iter().partition(hopeless);
+    pareto.families = families;
     let left_out: Vec<String> = left_out.into_iter().map(|way| way.name).collect();
-    if race.ways.is_empty() {
+    if pareto.families.is_empty() {
         return None;
     }
-    let last = race.ways.len() - 1;
-    let mut lines: Vec<Line> = Vec::new();
+    let last = pareto.families.len() - 1;
+    let mut lines: Vec<ChartLine> = Vec::new();
     let (mut shown, mut others) = (Vec::new(), Vec::new());
-    for (k, way) in race.ways.iter().enumerate() {
-        if let Some(line) = way_line(way, k, price, headline.key, k < SHOWN || k == last) {
+    for (k, way) in pareto.families.iter().enumerate() {
+        if let Some(line) = way_line(way, k, cost, headline.key, k < SHOWN || k == last) {
             if k < SHOWN || k == last { shown.push(line) } else { others.push(line) }
         }
     }
@@ -177,10 +182,10 @@ pub(super) fn race<const K: usize>(setting: &Setting) -> Option<Figure> {
     lines.append(&mut others);
     lines.extend(floors(setting, headline.key));
     let axis = format!("mean {}", headline.name);
-    let x = Axis { name: price.axis.into(), log: true, ends: None };
-    let chart = Chart { x, y: Axis { name: axis.clone(), ..Axis::default() }, lines, ..Chart::default() };
-    let (ways, shown) = (race.ways.len(), SHOWN.min(last));
-    Figure::chart(price.name, setting, context! { axis, ways, shown, left_out, price => price.axis }, chart)
+    let x = ChartAxis { name: cost.axis.into(), log: true, ends: None };
+    let chart = Chart { x, y: ChartAxis { name: axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
+    let (families, shown) = (pareto.families.len(), SHOWN.min(last));
+    Figure::chart(cost.name, setting, context! { axis, families, shown, left_out, cost => cost.axis }, chart)
 }
 
 /// Mean score of the worst baseline.
@@ -191,9 +196,9 @@ fn worst_floor(setting: &Setting) -> Option<f64> {
 }
 
 /// Line of a method through its variants, with bars over seeds.
-fn way_line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> Option<Line> {
-    let place = |variant: &&Variant| {
-        let (paid, score) = (variant.spread(price.of)?, variant.score(key)?);
+fn way_line(way: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown: bool) -> Option<ChartLine> {
+    let place = |variant: &&StudyVariant| {
+        let (paid, score) = (variant.spread(cost.of)?, variant.score(key)?);
         (paid.mean > 0.0).then_some((paid.mean, score))
     };
     let mut places: Vec<_> = way.variants.iter().filter_map(place).collect();
@@ -203,9 +208,9 @@ fn way_line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> O
         return None;
     }
     if !shown {
-        return Some(Line::new(points, Style::thread()));
+        return Some(ChartLine::new(points, Style::thread()));
     }
-    let mut line = Line::new(points.clone(), Style::variant(k.min(SHOWN))).named(&way.name);
+    let mut line = ChartLine::new(points.clone(), Style::variant(k.min(SHOWN))).named(&way.name);
     line.marks = points;
     let bar =
         |(paid, score): &(f64, Spread)| score.deviation.map(|d| [(*paid, score.mean - d), (*paid, score.mean + d)]);

@@ -1,8 +1,8 @@
 //! Table of paired differences from a reference.
 
 use super::scores::words;
-use super::{Column, Line, Mark, Shown, Table, title};
-use crate::study::comparison::{Comparison, Kind, Row};
+use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, title};
+use crate::study::comparison::{Comparison, ComparisonRow, RowKind};
 use crate::templates::sentences;
 use minijinja::context;
 use pwrfgs_experiment::paired::{is_compared, signed};
@@ -10,27 +10,27 @@ use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES};
 
 /// Differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
-pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row<'_>) -> Option<Table> {
+pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &ComparisonRow<'_>) -> Option<Table> {
     let shown = |m: &&MetricRow| m.is_per_sample() && is_compared(&m.key, comparison.setting.task());
     let mut metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(shown).collect();
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
     }
     let others = comparison.rows.iter().filter(|row| row.label != reference.label);
-    let lines: Vec<(Line, usize)> = others
+    let lines: Vec<(TableLine, usize)> = others
         .filter_map(|row| {
             let found: Vec<Option<Difference>> =
                 metrics.iter().map(|m| row.less(reference, m, &comparison.blocks)).collect();
             let seeds = found.iter().flatten().map(|d| d.seeds).max()?;
-            let cells = found.iter().map(|d| d.as_ref().map_or_else(Shown::default, cell)).collect();
-            Some((Line::new(row, cells), seeds))
+            let cells = found.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, cell)).collect();
+            Some((TableLine::new(row, cells), seeds))
         })
         .collect();
     let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
     let column = |m: &&MetricRow| {
         let (title, unit) = words(m);
         let detail = if unit.is_empty() { String::new() } else { format!("[{unit}]") };
-        Column { title: format!("Δ {title}"), detail, arrow: if m.higher_is_better { "↑" } else { "↓" } }
+        TableColumn { title: format!("Δ {title}"), detail, arrow: if m.higher_is_better { "↑" } else { "↓" } }
     };
     let mut table = Table {
         name: "differences",
@@ -49,18 +49,18 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
         replicates => REPLICATES,
         edge => comparison.blocks.edge_m.map(|edge| format!("{edge:.2}")),
         cubes => comparison.blocks.count,
-        bounds => table.has(Kind::Bound),
+        bounds => table.has(RowKind::Bound),
         twins => !comparison.twins().is_empty(),
     };
     table.legend = sentences("legend.txt", words);
     Some(table)
 }
 
-fn cell(difference: &Difference) -> Shown {
-    Shown {
+fn cell(difference: &Difference) -> FormattedValue {
+    FormattedValue {
         value: signed(difference.mean),
         interval: difference.interval.map(|(low, high)| (signed(low), signed(high))),
-        mark: if difference.is_clear() { Mark::Clear } else { Mark::None },
-        ..Shown::default()
+        mark: if difference.is_clear() { RankMark::Clear } else { RankMark::None },
+        ..FormattedValue::default()
     }
 }

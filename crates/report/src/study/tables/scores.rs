@@ -1,8 +1,8 @@
 //! Tables of scores, of further metrics, and of latency by stage (table I).
 
-use super::{Column, Line, Mark, Shown, Table, title};
+use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, title};
 use crate::study::comparison::{
-    Comparison, Kind, Row, Statistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
+    Comparison, ComparisonRow, RowKind, SummaryStatistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
 };
 use crate::templates::sentences;
 use minijinja::context;
@@ -10,7 +10,7 @@ use pwrfgs_experiment::text::{fixed, grouped};
 use pwrfgs_experiment::{scores::MetricRow, statistics::Spread};
 
 /// Requested column.
-pub(super) type Wanted<'a> = (&'a MetricRow, Statistic);
+pub(super) type ScoreColumn<'a> = (&'a MetricRow, SummaryStatistic);
 
 /// Name of a metric and its unit.
 pub(super) fn words(metric: &MetricRow) -> (String, String) {
@@ -57,7 +57,11 @@ fn decimals(metric: &MetricRow, largest: f64) -> usize {
 }
 
 /// Column of all rows: its head and cells.
-fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Option<(Column, Vec<Shown>)> {
+fn column(
+    rows: &[ComparisonRow<'_>],
+    (metric, statistic): ScoreColumn<'_>,
+    ranked: bool,
+) -> Option<(TableColumn, Vec<FormattedValue>)> {
     let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
     let finite = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite());
     let largest = finite.reduce(f64::max).or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
@@ -65,23 +69,24 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
     let (unit, factor) = scale(&unit, largest);
     let decimals = decimals(metric, largest * factor);
     let shown = |spread: &Option<Spread>| {
-        let Some(Spread { mean, deviation, .. }) = *spread else { return Shown::default() };
+        let Some(Spread { mean, deviation, .. }) = *spread else { return FormattedValue::default() };
         let value = fixed(mean * factor, decimals);
         let places = value.rsplit_once('.').map_or(0, |(_, places)| places.len());
         let deviation = deviation.map(|d| d * factor).map_or_else(String::new, |d| match places {
             0 => grouped(d.round() as i64),
             _ => format!("{d:.places$}"),
         });
-        Shown { value, deviation, ..Shown::default() }
+        FormattedValue { value, deviation, ..FormattedValue::default() }
     };
-    let mut cells: Vec<Shown> = spreads.iter().map(shown).collect();
+    let mut cells: Vec<FormattedValue> = spreads.iter().map(shown).collect();
     if ranked {
-        let rivals = |row: &Row<'_>| [Kind::Variant, Kind::Floor].contains(&row.kind) && row.twin.is_none();
+        let rivals =
+            |row: &ComparisonRow<'_>| [RowKind::StudyVariant, RowKind::Floor].contains(&row.kind) && row.twin.is_none();
         mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {
-        (Statistic::Whole, "") => String::new(),
-        (Statistic::Whole, unit) => format!("[{unit}]"),
+        (SummaryStatistic::Whole, "") => String::new(),
+        (SummaryStatistic::Whole, unit) => format!("[{unit}]"),
         (statistic, "") => statistic.words(metric.higher_is_better).into(),
         (statistic, unit) => format!("{} [{unit}]", statistic.words(metric.higher_is_better)),
     };
@@ -90,12 +95,17 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
         _ if metric.higher_is_better => "↑",
         _ => "↓",
     };
-    Some((Column { title: words, detail, arrow }, cells))
+    Some((TableColumn { title: words, detail, arrow }, cells))
 }
 
 /// Marks best and second best among competing rows. Values that round to the same printed number are
 /// ties. Several best leave no second best; a single number has no mark.
-pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[bool], higher_is_better: bool) {
+pub(super) fn mark(
+    cells: &mut [FormattedValue],
+    spreads: &[Option<Spread>],
+    competes: &[bool],
+    higher_is_better: bool,
+) {
     let means: Vec<(usize, f64)> =
         (0..cells.len()).filter(|i| competes[*i]).filter_map(|i| Some((i, spreads[i]?.mean))).collect();
     if means.len() < 2 {
@@ -105,24 +115,25 @@ pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[
     for (i, mean) in &means {
         let better = |other: f64| if higher_is_better { other > *mean } else { other < *mean };
         let rank = means.iter().filter(|(j, other)| printed[*j] != printed[*i] && better(*other)).count();
-        cells[*i].mark = [Mark::Best, Mark::Second].get(rank).copied().unwrap_or_default();
+        cells[*i].mark = [RankMark::Best, RankMark::Second].get(rank).copied().unwrap_or_default();
     }
-    if means.iter().all(|(i, _)| cells[*i].mark == Mark::Best) {
-        means.iter().for_each(|(i, _)| cells[*i].mark = Mark::None);
+    if means.iter().all(|(i, _)| cells[*i].mark == RankMark::Best) {
+        means.iter().for_each(|(i, _)| cells[*i].mark = RankMark::None);
     }
 }
 
 /// Columns with a number, and rows with a number in any of them.
 pub(super) fn filled(
     comparison: &Comparison<'_>,
-    wanted: &[Wanted<'_>],
+    specs: &[ScoreColumn<'_>],
     is_ranked: impl Fn(&MetricRow) -> bool,
-) -> (Vec<Column>, Vec<Line>) {
+) -> (Vec<TableColumn>, Vec<TableLine>) {
     let rows = &comparison.rows;
-    let columns: Vec<(Column, Vec<Shown>)> = wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();
-    let line = |(i, row): (usize, &Row<'_>)| {
-        let cells: Vec<Shown> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
-        cells.iter().any(|c| !c.value.is_empty()).then(|| Line::new(row, cells))
+    let columns: Vec<(TableColumn, Vec<FormattedValue>)> =
+        specs.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();
+    let line = |(i, row): (usize, &ComparisonRow<'_>)| {
+        let cells: Vec<FormattedValue> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
+        cells.iter().any(|c| !c.value.is_empty()).then(|| TableLine::new(row, cells))
     };
     let lines = rows.iter().enumerate().filter_map(line).collect();
     (columns.into_iter().map(|(column, _)| column).collect(), lines)
@@ -132,7 +143,7 @@ pub(super) fn filled(
 const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
 /// Whether a metric is shown next to the first metric of its task.
-fn is_beside(metric: &MetricRow) -> bool {
+fn is_secondary_metric(metric: &MetricRow) -> bool {
     metric.key.starts_with("eta_") || metric.key == "snr_all_db"
 }
 
@@ -149,26 +160,27 @@ const STAGES: [&str; 6] = [
 pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
-    let beside = comparison.metrics.iter().filter(|m| is_beside(m)).map(first_statistic);
+    let secondary = comparison.metrics.iter().filter(|m| is_secondary_metric(m)).map(first_statistic);
     let whole = WHOLE.iter().chain(&["latency_total_ms", TRAINING]);
-    let wanted: Vec<Wanted<'_>> =
-        first.chain(beside).chain(whole.flat_map(|key| metric(key)).map(first_statistic)).collect();
-    table("scores", "Scores", comparison, &wanted, same_machine)
+    let specs: Vec<ScoreColumn<'_>> =
+        first.chain(secondary).chain(whole.flat_map(|key| metric(key)).map(first_statistic)).collect();
+    table("scores", "Scores", comparison, &specs, same_machine)
 }
 
 /// Table of metrics that the main table omits.
 pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let first = comparison.setting.headline().key;
-    let shown = |m: &&MetricRow| m.key == first || is_beside(m) || is_time(m) || WHOLE.contains(&&*m.key);
+    let shown = |m: &&MetricRow| m.key == first || is_secondary_metric(m) || is_time(m) || WHOLE.contains(&&*m.key);
     let left = comparison.metrics.iter().filter(|m| !shown(m));
-    let wanted: Vec<Wanted<'_>> = left.map(first_statistic).collect();
-    table("further", "Further metrics", comparison, &wanted, same_machine)
+    let specs: Vec<ScoreColumn<'_>> = left.map(first_statistic).collect();
+    table("further", "Further metrics", comparison, &specs, same_machine)
 }
 
 /// Table of latency by stage, milliseconds.
 pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
-    let wanted: Vec<Wanted<'_>> = STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
-    let mut table = table("latency", "Latency of one prediction by stage", comparison, &wanted, same_machine)?;
+    let specs: Vec<ScoreColumn<'_>> =
+        STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
+    let mut table = table("latency", "Latency of one prediction by stage", comparison, &specs, same_machine)?;
     for column in &mut table.columns {
         if column.title == "latency" {
             "total".clone_into(&mut column.title);
@@ -177,12 +189,12 @@ pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool)
     Some(table)
 }
 
-fn all_statistics(metric: &MetricRow) -> impl Iterator<Item = Wanted<'_>> {
+fn all_statistics(metric: &MetricRow) -> impl Iterator<Item = ScoreColumn<'_>> {
     statistics(metric).iter().map(move |statistic| (metric, *statistic))
 }
 
 /// Mean over test samples, or the value of the whole model.
-fn first_statistic(metric: &MetricRow) -> Wanted<'_> {
+fn first_statistic(metric: &MetricRow) -> ScoreColumn<'_> {
     (metric, statistics(metric)[0])
 }
 
@@ -190,10 +202,10 @@ fn table(
     name: &'static str,
     words: &str,
     comparison: &Comparison<'_>,
-    wanted: &[Wanted<'_>],
+    specs: &[ScoreColumn<'_>],
     same_machine: bool,
 ) -> Option<Table> {
-    let (columns, lines) = filled(comparison, wanted, |metric| is_ranked(metric, same_machine));
+    let (columns, lines) = filled(comparison, specs, |metric| is_ranked(metric, same_machine));
     if columns.is_empty() {
         return None;
     }
@@ -205,13 +217,13 @@ fn table(
         sampled => comparison.metrics.iter().any(MetricRow::is_per_sample),
         least,
         most,
-        floors => table.has(Kind::Floor),
+        floors => table.has(RowKind::Floor),
         marked => table.is_marked(),
-        bounds => table.has(Kind::Bound),
+        bounds => table.has(RowKind::Bound),
         twins => !comparison.twins().is_empty(),
-        ceiling => table.has(Kind::Ceiling),
+        ceiling => table.has(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,
-        machines_differ => !same_machine && wanted.iter().any(|w| is_time(w.0)),
+        machines_differ => !same_machine && specs.iter().any(|w| is_time(w.0)),
     };
     table.legend = sentences("legend.txt", words);
     Some(table)
@@ -222,9 +234,11 @@ mod tests {
     use super::*;
 
     /// Marks of a column of printed numbers and means.
-    fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<Mark> {
-        let mut cells: Vec<Shown> =
-            column.iter().map(|(value, _)| Shown { value: (*value).into(), ..Shown::default() }).collect();
+    fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<RankMark> {
+        let mut cells: Vec<FormattedValue> = column
+            .iter()
+            .map(|(value, _)| FormattedValue { value: (*value).into(), ..FormattedValue::default() })
+            .collect();
         let spreads: Vec<Option<Spread>> =
             column.iter().map(|(value, mean)| Spread::of(&[*mean]).filter(|_| !value.is_empty())).collect();
         mark(&mut cells, &spreads, competes, higher_is_better);
@@ -233,7 +247,7 @@ mod tests {
 
     #[test]
     fn best_and_second_are_marked_among_those_that_compete() {
-        use Mark::{Best, None, Second};
+        use RankMark::{Best, None, Second};
         let column = [("0.80", 0.8), ("0.70", 0.7), ("0.99", 0.99), ("0.75", 0.75), ("", 0.0)];
         let all_but_third = [true, true, false, true, true];
         assert_eq!(marks(&column, &all_but_third, true), [Best, None, None, Second, None]);
@@ -241,8 +255,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_printed_alike_is_equal() {
-        use Mark::{Best, None, Second};
+    fn equally_printed_scores_share_rank() {
+        use RankMark::{Best, None, Second};
         let all = [true; 3];
         assert_eq!(marks(&[("0.80", 0.801), ("0.80", 0.799), ("0.70", 0.7)], &all, true), [Best, Best, None]);
         assert_eq!(marks(&[("0.90", 0.9), ("0.80", 0.801), ("0.80", 0.799)], &all, true), [Best, Second, Second]);

@@ -1,9 +1,11 @@
-//! `Listener`: one prepared receiver of a scene.
+//! `PreparedReceiver`: one prepared receiver of a scene.
 
-use crate::array::{self, Wavefront};
-use crate::observe::{Draw, Heard, Noise, Observe, Observed, add_noise, reading};
-use crate::path::Path;
-use crate::scene::{Receiver, Scene};
+use crate::array::{self, ArrayWavefront};
+use crate::observe::{
+    Noise, NoiseDraw, ObservationKind, ReceiverObservation, SimulatedObservation, add_noise, reading,
+};
+use crate::path::PropagationPath;
+use crate::scene::{SceneFile, SceneReceiver};
 use crate::spectrum::{Beamformer, HEIGHT, Spectrum, WIDTH};
 use crate::tracer::{Antenna, Tracer};
 use crate::world::World;
@@ -17,29 +19,29 @@ pub(crate) const MOST_BYTES: usize = 2 << 30;
 
 /// Prepared receiver of a scene: image trees and beamformer, everything independent of the transmitter.
 #[derive(Debug)]
-pub struct Listener {
-    scene: Arc<Scene>,
-    receiver: Receiver,
-    /// Tracer of the array centre; with [`Wavefront::Traced`] followed by one per element.
+pub struct PreparedReceiver {
+    scene: Arc<SceneFile>,
+    receiver: SceneReceiver,
+    /// Tracer of the array centre; with [`ArrayWavefront::TracedBaseline`] followed by one per element.
     tracers: Vec<Tracer>,
     beamformer: Beamformer,
 }
 
 /// Spectrum and paths of one transmitter at an array.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Reception {
+pub struct ReceivedPaths {
     /// Spatial spectrum.
     pub spectrum: Spectrum,
     /// Paths to the centre of the array.
-    pub paths: Vec<Path>,
+    pub paths: Vec<PropagationPath>,
 }
 
-impl Listener {
+impl PreparedReceiver {
     /// Prepares `receiver` of `scene`.
     ///
     /// # Errors
     /// An antenna inside an object, too many images or too much memory.
-    pub(crate) fn new(scene: &Arc<Scene>, receiver: &Receiver, world: &Arc<World>) -> Result<Self> {
+    pub(crate) fn new(scene: &Arc<SceneFile>, receiver: &SceneReceiver, world: &Arc<World>) -> Result<Self> {
         let places = places(scene, receiver, world)?;
         let antennas = antennas(scene, receiver);
         let tracer = |place: &DVec3| {
@@ -76,7 +78,7 @@ impl Listener {
     }
 
     /// Receiver description of the scene.
-    pub fn receiver(&self) -> &Receiver {
+    pub fn receiver(&self) -> &SceneReceiver {
         &self.receiver
     }
 
@@ -101,13 +103,13 @@ impl Listener {
     }
 
     /// Paths from `tx` to the centre of the array.
-    pub fn trace(&self, tx: DVec3) -> Vec<Path> {
+    pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         self.tracers[0].trace(tx)
     }
 
     /// Channel h `[antennas, frequencies]` without receiver errors, from the paths of `tx`; frequencies in Hz. Each
     /// frequency has its own wavenumber; path gains are those at the carrier.
-    pub fn channel(&self, tx: DVec3, paths: &[Path], frequencies: &[f64]) -> Vec<Complex> {
+    pub fn channel(&self, tx: DVec3, paths: &[PropagationPath], frequencies: &[f64]) -> Vec<Complex> {
         let wavelengths: Vec<f64> = frequencies.iter().map(|f| SPEED_OF_LIGHT / f).collect();
         if self.tracers.len() == 1 {
             let center = DVec3::from(self.receiver.position);
@@ -122,53 +124,59 @@ impl Listener {
     }
 
     /// Spectrum of `tx`. `sample` selects the random receiver errors of the scene; `None`: no errors.
-    pub fn spectrum(&self, tx: DVec3, sample: Option<u64>) -> Reception {
+    pub fn spectrum(&self, tx: DVec3, sample: Option<u64>) -> ReceivedPaths {
         let (channel, paths) = self.receive(tx, &[self.scene.carrier_hz], &self.scene.noise, sample);
-        Reception { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
+        ReceivedPaths { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
     }
 
     /// Observation of `tx`. `sample` selects the random errors; `None`: no errors.
-    pub fn observe(&self, tx: DVec3, what: &Observe, sample: Option<u64>) -> Heard {
+    pub fn observe(&self, tx: DVec3, what: &ObservationKind, sample: Option<u64>) -> ReceiverObservation {
         match *what {
-            Observe::Spectrum => {
-                let Reception { spectrum, paths } = self.spectrum(tx, sample);
-                Heard { observed: Observed::Spectrum(spectrum), paths }
+            ObservationKind::Spectrum => {
+                let ReceivedPaths { spectrum, paths } = self.spectrum(tx, sample);
+                ReceiverObservation { observed: SimulatedObservation::Spectrum(spectrum), paths }
             }
-            Observe::Power { noise_db } => {
+            ObservationKind::Power { noise_db } => {
                 let noise = &self.scene.noise;
                 let (channel, paths) = self.receive(tx, &self.scene.frequencies(), noise, sample);
-                let draw = sample.map(|sample| (noise.seed, Draw { receiver: &self.receiver, sample }));
+                let draw = sample.map(|sample| (noise.seed, NoiseDraw { receiver: &self.receiver, sample }));
                 let power = reading(&channel, self.scene.transmitter.power_dbm, noise_db, draw);
-                Heard { observed: Observed::Power(power), paths }
+                ReceiverObservation { observed: SimulatedObservation::Power(power), paths }
             }
-            Observe::Channel { snr_db } => {
+            ObservationKind::Channel { snr_db } => {
                 let noise = Noise { snr_db: snr_db.or(self.scene.noise.snr_db), ..(*self.scene.noise).clone() };
                 let (channel, paths) = self.receive(tx, &self.scene.frequencies(), &noise, sample);
-                Heard { observed: Observed::Channel(channel), paths }
+                ReceiverObservation { observed: SimulatedObservation::Channel(channel), paths }
             }
         }
     }
 
     /// Channel `[antennas, frequencies]` with errors, and its paths.
-    fn receive(&self, tx: DVec3, hz: &[f64], noise: &Noise, sample: Option<u64>) -> (Vec<Complex>, Vec<Path>) {
+    fn receive(
+        &self,
+        tx: DVec3,
+        hz: &[f64],
+        noise: &Noise,
+        sample: Option<u64>,
+    ) -> (Vec<Complex>, Vec<PropagationPath>) {
         let paths = self.trace(tx);
         let mut channel = self.channel(tx, &paths, hz);
         if let Some(sample) = sample {
-            add_noise(noise, &mut channel, hz.len(), Draw { receiver: &self.receiver, sample });
+            add_noise(noise, &mut channel, hz.len(), NoiseDraw { receiver: &self.receiver, sample });
         }
         (channel, paths)
     }
 }
 
 /// Array centre; if each element is traced, followed by the elements. All must be in free space.
-fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3>> {
+fn places(scene: &SceneFile, receiver: &SceneReceiver, world: &World) -> Result<Vec<DVec3>> {
     let center = DVec3::from(receiver.position);
     world.check_free(center).map_err(|what| {
-        let who = receiver.called("the receiver");
-        Error::Config(format!("scene `{}`: {who} at {:?} is {what}; move it", scene.name, receiver.position))
+        let subject = receiver.called("the receiver");
+        Error::Config(format!("scene `{}`: {subject} at {:?} is {what}; move it", scene.name, receiver.position))
     })?;
     let mut places = vec![center];
-    if receiver.array.wavefront == Wavefront::Traced {
+    if receiver.array.wavefront == ArrayWavefront::TracedBaseline {
         places.extend(elements(scene, receiver));
     }
     for place in &places {
@@ -180,7 +188,7 @@ fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3
 }
 
 /// Antenna positions `[A]`, world frame, metres. Their spacing refers to the carrier wavelength.
-fn elements(scene: &Scene, receiver: &Receiver) -> Vec<DVec3> {
+fn elements(scene: &SceneFile, receiver: &SceneReceiver) -> Vec<DVec3> {
     let (center, turn) = (DVec3::from(receiver.position), world_from_receiver(&receiver.pose()));
     receiver.array.offsets(scene.wavelength()).into_iter().map(|offset| center + turn * offset).collect()
 }
@@ -191,7 +199,7 @@ fn world_from_receiver(pose: &Pose) -> DMat3 {
 }
 
 /// Antennas of transmitter and receiver.
-fn antennas(scene: &Scene, receiver: &Receiver) -> (Antenna, Antenna) {
+fn antennas(scene: &SceneFile, receiver: &SceneReceiver) -> (Antenna, Antenna) {
     let array = &receiver.array;
     let transmitter = Antenna {
         element: scene.transmitter.element.clone(),

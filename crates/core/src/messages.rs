@@ -12,7 +12,7 @@ const END: usize = 400;
 
 /// Returns a name on one line without control characters, which could change the state of a terminal, and without marks
 /// of text direction.
-pub fn clean(name: &str) -> String {
+pub fn strip_control(name: &str) -> String {
     name.chars().map(|c| if is_harmless(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
 
@@ -24,23 +24,23 @@ fn is_harmless(c: char) -> bool {
 /// Returns a token of a file between backticks, cut to 60 characters.
 pub fn quoted(token: &str) -> String {
     let (cut, is_cut) = first(token, TOKEN);
-    format!("`{}{}`", clean(cut), if is_cut { " .." } else { "" })
+    format!("`{}{}`", strip_control(cut), if is_cut { " .." } else { "" })
 }
 
 /// Returns text for a terminal: newlines and tabs are kept, other control characters are replaced by symbols.
-pub fn plain(text: &str) -> String {
+pub fn escape_control(text: &str) -> String {
     text.chars().map(|c| if is_harmless(c) || c == '\n' || c == '\t' { c } else { '\u{fffd}' }).collect()
 }
 
 /// Returns a message for users: without control characters, and without its middle if it repeats much of a file.
-pub fn told(message: &str) -> String {
+pub fn sanitize_message(message: &str) -> String {
     let (start, is_long) = first(message, MESSAGE - END);
     let count = if is_long { message.chars().count() } else { 0 };
     if count <= MESSAGE {
-        return plain(message);
+        return escape_control(message);
     }
     let end: String = message.chars().skip(count - END).collect();
-    plain(&format!("{start} .. {end}"))
+    escape_control(&format!("{start} .. {end}"))
 }
 
 /// Returns text as a cell of a table. Text that begins with `=`, `+`, `-` or `@` is a formula for spreadsheets: it gets
@@ -78,9 +78,9 @@ mod tests {
     }
 
     #[test]
-    fn nothing_steers_a_terminal_and_nothing_is_endless() {
-        assert_eq!(clean("s23"), "s23");
-        assert_eq!(clean("a\x1b[31mb\n\u{9b}c\u{202e}"), "a [31mb  c");
+    fn escapes_control_characters_and_limits_length() {
+        assert_eq!(strip_control("s23"), "s23");
+        assert_eq!(strip_control("a\x1b[31mb\n\u{9b}c\u{202e}"), "a [31mb  c");
         assert_eq!(quoted("x"), "`x`");
         assert_eq!(quoted("a\x07b"), "`a b`");
         assert_eq!(quoted(&"é".repeat(5_000_000)), format!("`{} ..`", "é".repeat(60)));
@@ -88,9 +88,9 @@ mod tests {
             ["=1+1", "@a", "-x", "a=b", "-0.5", "+1e3", "-inf"].map(cell),
             ["'=1+1", "'@a", "'-x", "a=b", "-0.5", "+1e3", "-inf"]
         );
-        assert_eq!(plain("s\u{1b}[31m23\r\n\tµ"), "s\u{fffd}[31m23\u{fffd}\n\tµ");
-        assert_eq!(told(&"é".repeat(1_200)).chars().count(), 1_200);
-        let long = told(&format!("`{}`; write less", "é".repeat(5_000_000)));
+        assert_eq!(escape_control("s\u{1b}[31m23\r\n\tµ"), "s\u{fffd}[31m23\u{fffd}\n\tµ");
+        assert_eq!(sanitize_message(&"é".repeat(1_200)).chars().count(), 1_200);
+        let long = sanitize_message(&format!("`{}`; write less", "é".repeat(5_000_000)));
         assert!(long.starts_with("`éé") && long.ends_with("éé`; write less") && long.chars().count() == 1_204);
     }
 }

@@ -1,16 +1,16 @@
 //! Arrays for the page: room, Gaussians, predictions and measurements.
 
-use super::{Asked, Refusal};
-use crate::side::{House, Known, Predictor, Side};
+use super::{QueryParams, RequestError};
+use crate::side::{LoadedData, Predictor, ServerState, ViewPane};
 use hyper::StatusCode;
 use pwrfgs_core::{
-    Appearance, Asked as Request, Conditions, Image, Link, LinkSet, MethodTraits, Needs, Origin, Parameters, Pixels,
-    Query, Real, Statistic, neighbours,
+    Appearance, Conditions, Image, Link, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin,
+    Parameters, PixelSubset, Query, Real, Statistic, neighbours,
 };
 use pwrfgs_experiment::folder::{CURVE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
 use pwrfgs_model::{Ensemble, Model, Snapshot};
-use pwrfgs_report::live::{self, Pack};
+use pwrfgs_report::live::{self, TensorBundle};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
@@ -23,49 +23,54 @@ const SAME_PLACE: f64 = 1e-3;
 /// Number of positions along the longer side of a radio map.
 const ACROSS: usize = 60;
 
-pub(super) fn pack(path: &str, asked: &Asked, house: &House) -> Result<Pack, Refusal> {
-    let side = house.sides.get(asked.side).ok_or_else(|| wrong("query parameter `side`: no such side"))?;
+pub(super) fn bundle(path: &str, parameters: &QueryParams, state: &ServerState) -> Result<TensorBundle, RequestError> {
+    let side = state.sides.get(parameters.side).ok_or_else(|| wrong("query parameter `side`: no such side"))?;
     match path {
-        "room" => Ok(room(side, house)),
-        "gaussians" => gaussians(side, asked),
-        "predict" => predict(side, asked),
-        "link" => link(side, asked),
-        "map" => map(side, asked),
+        "room" => Ok(room(side, state)),
+        "gaussians" => gaussians(side, parameters),
+        "predict" => predict(side, parameters),
+        "link" => link(side, parameters),
+        "map" => map(side, parameters),
         "curve" => Ok(curve(side)),
         _ => Err((StatusCode::NOT_FOUND, "not found".into())),
     }
 }
 
-fn wrong(why: &str) -> Refusal {
+fn wrong(why: &str) -> RequestError {
     (StatusCode::BAD_REQUEST, why.to_owned())
 }
 
-fn known(side: &Side) -> Result<&Arc<Known>, Refusal> {
+fn known(side: &ViewPane) -> Result<&Arc<LoadedData>, RequestError> {
     side.known.as_ref().ok_or_else(|| wrong("no data next to this model"))
 }
 
-fn predictor(side: &Side) -> Result<Arc<Predictor>, Refusal> {
+fn predictor(side: &ViewPane) -> Result<Arc<Predictor>, RequestError> {
     side.predictor().ok_or((StatusCode::SERVICE_UNAVAILABLE, "no model before the first checkpoint".into()))
 }
 
-fn room(side: &Side, house: &House) -> Pack {
+fn room(side: &ViewPane, state: &ServerState) -> TensorBundle {
     let known = side.known.as_deref();
     let links: Vec<usize> = (0..known.map_or(0, |k| k.data.len())).collect();
-    let data = known.map(|k| live::Known { data: &k.data, partition: &k.partition, scores: &k.scores, links: &links });
+    let data = known.map(|k| live::PartitionedData {
+        data: &k.data,
+        partition: &k.partition,
+        scores: &k.scores,
+        links: &links,
+    });
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|p| p.ensemble());
-    let origin = live::origin(&side.frame, data.map(|d| d.data));
+    let origin = live::origin(&side.setup, data.map(|d| d.data));
     let means = ensemble.map_or(Vec::new(), |ensemble| ensemble.means_from(origin));
-    let mut pack = live::room(&side.frame, data, &means, POINTS);
-    let corners = house.sides.iter().flat_map(|side| side.surfaces.as_flattened());
+    let mut bundle = live::room(&side.setup, data, &means, POINTS);
+    let corners = state.sides.iter().flat_map(|side| side.surfaces.as_flattened());
     let corners: Vec<Real> = corners.flat_map(|corner| origin.local(*corner)).collect();
-    pack.put("surfaces", &[corners.len() / 9, 3, 3], corners);
-    pack.note["sides"] = house.sides.iter().map(about).collect();
-    pack
+    bundle.put("surfaces", &[corners.len() / 9, 3, 3], corners);
+    bundle.note["sides"] = state.sides.iter().map(about).collect();
+    bundle
 }
 
 /// Description of a side for the page.
-fn about(side: &Side) -> Value {
+fn about(side: &ViewPane) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
     let splats = ensemble.is_some_and(|e| e.is_drawn_as(Appearance::Ellipsoids));
@@ -76,7 +81,7 @@ fn about(side: &Side) -> Value {
         "ellipsoids": splats,
         "by_position": predictor.as_ref().is_none_or(|predictor| predictor.by_position()),
         "floor": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
-        "moments": moments(side).iter()
+        "snapshots": saved_snapshots(side).iter()
             .map(|(title, shown)| json!({ "title": title, "step": shown.step, "gaussians": shown.means.len() }))
             .collect::<Vec<_>>(),
         "running": side.folder.as_ref().is_some_and(|folder| !folder.join(pwrfgs_experiment::folder::MODEL_FILE).is_file()),
@@ -84,21 +89,21 @@ fn about(side: &Side) -> Value {
     })
 }
 
-fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
-    let origin = live::origin(&side.frame, side.known.as_ref().map(|known| &*known.data));
-    if let Some(k) = asked.moment {
-        let all = moments(side);
+fn gaussians(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+    let origin = live::origin(&side.setup, side.known.as_ref().map(|known| &*known.data));
+    if let Some(k) = parameters.snapshot {
+        let all = saved_snapshots(side);
         let (_, snapshot) = all.get(k).ok_or_else(|| wrong("query parameter `moment`: no such snapshot"))?;
-        return Ok(moment(snapshot, origin));
+        return Ok(snapshot_bundle(snapshot, origin));
     }
     let predictor = predictor(side)?;
     let ensemble = predictor.ensemble().ok_or_else(|| wrong("baselines have no Gaussians"))?;
-    let mut pack = live::gaussians(ensemble, origin, asked.tx);
-    if let Some(tx) = asked.tx.filter(|_| asked.with == "contribution") {
-        let all = contributions(ensemble, tx, receiver(side, asked)?);
-        pack.put("contributions", &[all.len()], all);
+    let mut bundle = live::gaussians(ensemble, origin, parameters.tx);
+    if let Some(tx) = parameters.tx.filter(|_| parameters.with == "contribution") {
+        let all = contributions(ensemble, tx, receiver(side, parameters)?);
+        bundle.put("contributions", &[all.len()], all);
     }
-    Ok(pack)
+    Ok(bundle)
 }
 
 /// Contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`: strength
@@ -119,46 +124,50 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     let request = Request {
         conditions: Conditions::new(inputs, &condition),
         links: &[Link { transmitter: 0, receiver }],
-        pixels: Pixels::All,
+        pixels: PixelSubset::All,
     };
-    let parameters = Parameters { cloud: &model.cloud, gate: None, presence: None, weights: &model.weights };
-    let truth = vec![0.0; stages.frame.numbers()];
+    let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };
+    let truth = vec![0.0; stages.setup.numbers()];
     let needs = Needs::of(&[Statistic::Weight], 0);
-    let seen = stages.method.survey(&stages.frame, &parameters, &request, &truth, &needs);
-    strengths.iter().zip(&seen.weight).map(|(s, w)| s * w).collect()
+    let statistics = stages.method.survey(&stages.setup, &parameters, &request, &truth, &needs);
+    strengths.iter().zip(&statistics.weight).map(|(s, w)| s * w).collect()
 }
 
 /// Gaussians of a snapshot, metres from `origin`: means and opacities and, if stored, scales, rotations, gates and IDs.
-fn moment(snapshot: &Snapshot, origin: Origin) -> Pack {
+fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
     let n = snapshot.means.len();
-    let mut pack = Pack::new(json!({ "gaussians": n, "step": snapshot.step }));
-    pack.put("means", &[n, 3], (0..n).flat_map(|i| origin.local(snapshot.place(i))));
-    pack.put("opacities", &[n], snapshot.opacities.iter().copied());
+    let mut bundle = TensorBundle::new(json!({ "gaussians": n, "step": snapshot.step }));
+    bundle.put("means", &[n, 3], (0..n).flat_map(|i| origin.local(snapshot.place(i))));
+    bundle.put("opacities", &[n], snapshot.opacities.iter().copied());
     if snapshot.scales.len() == n {
-        pack.put("scales", &[n, 3], snapshot.scales.as_flattened().iter().copied());
-        pack.put("quats", &[n, 4], snapshot.quats.as_flattened().iter().copied());
+        bundle.put("scales", &[n, 3], snapshot.scales.as_flattened().iter().copied());
+        bundle.put("quats", &[n, 4], snapshot.quats.as_flattened().iter().copied());
     }
-    if snapshot.births.len() == n {
-        pack.put("births", &[n], snapshot.births.iter().map(|birth| *birth as Real));
+    if snapshot.gaussian_ids.len() == n {
+        bundle.put("gaussian_ids", &[n], snapshot.gaussian_ids.iter().map(|id| *id as Real));
     }
     if snapshot.gates.len() == n {
-        pack.put("gates", &[n], snapshot.gates.iter().copied());
+        bundle.put("gates", &[n], snapshot.gates.iter().copied());
     }
-    pack
+    bundle
 }
 
-fn receiver(side: &Side, asked: &Asked) -> Result<usize, Refusal> {
-    let count = side.frame.receivers.len();
-    if asked.receiver < count { Ok(asked.receiver) } else { Err(wrong("query parameter `receiver`: no such receiver")) }
+fn receiver(side: &ViewPane, parameters: &QueryParams) -> Result<usize, RequestError> {
+    let count = side.setup.receivers.len();
+    if parameters.receiver < count {
+        Ok(parameters.receiver)
+    } else {
+        Err(wrong("query parameter `receiver`: no such receiver"))
+    }
 }
 
 /// Prediction for a transmitter at the requested receiver (powers: at all receivers), and its score against the nearest
 /// measurement.
-fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
-    let (predictor, receiver, task) = (predictor(side)?, receiver(side, asked)?, side.frame.task);
+fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+    let (predictor, receiver, task) = (predictor(side)?, receiver(side, parameters)?, side.setup.task);
     let known = side.known.as_deref();
     let by_position = predictor.by_position();
-    let query = match (asked.tx, asked.link, known) {
+    let query = match (parameters.tx, parameters.link, known) {
         (Some(tx), _, _) if by_position => Query::at(tx, receiver),
         (_, Some(i), Some(known)) if i < known.data.len() => known.data.query(i),
         _ => return Err(wrong("no position; set tx=x,y,z, or link=k of the data")),
@@ -166,74 +175,76 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let found = predictor.predict(query);
     let (width, height) = (found.image.width, found.image.height);
     // The requested sample, even if another sample has the same position.
-    let is_asked = |known: &Known, i: usize| {
+    let is_asked = |known: &LoadedData, i: usize| {
         let sample = known.data.sample(i);
-        asked.tx.is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.tx, tx) < SAME_PLACE)
+        parameters.tx.is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.tx, tx) < SAME_PLACE)
     };
-    let nearest = match (asked.link, known) {
+    let nearest = match (parameters.link, known) {
         (Some(i), Some(known)) if i < known.data.len() && is_asked(known, i) => Some((i, 0.0)),
         (_, Some(known)) if known.data.placed => nearest(known, query.tx, receiver),
         _ => None,
     };
-    let mut pack = Pack::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
+    let mut bundle = TensorBundle::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
     if let (Some((i, metres)), Some(known)) = (nearest, known) {
         let set = known.partition.set_of(i);
         // A baseline stores its training samples: its error on them would be zero.
         let learned = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
         let value = (!learned).then(|| task.score(&found.image, &known.data.image(i)));
-        pack.note["nearest"] =
+        bundle.note["nearest"] =
             json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": learned });
     }
     if task.is_scalar {
-        let all: Vec<Query<'_>> = (0..side.frame.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
+        let all: Vec<Query<'_>> = (0..side.setup.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
         let powers = predictor.predict_many(&all);
-        pack.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
+        bundle.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
     }
     if let Some(deviation) = found.deviation {
         let mean = deviation.pixels.iter().sum::<Real>() / deviation.pixels.len().max(1) as Real;
-        pack.note["spread"] = json!(mean);
-        pack.put("deviation", &[height, width], deviation.pixels);
+        bundle.note["spread"] = json!(mean);
+        bundle.put("deviation", &[height, width], deviation.pixels);
     }
-    pack.put("picture", &[height, width], found.image.pixels);
-    Ok(pack)
+    bundle.put("picture", &[height, width], found.image.pixels);
+    Ok(bundle)
 }
 
 /// Azimuth and elevation of the strongest pixel, degrees.
-fn strongest(side: &Side, image: &Image) -> Value {
+fn strongest(side: &ViewPane, image: &Image) -> Value {
     let i = image.argmax();
-    let angles = side.frame.plane.azimuth_elevation_deg((i % image.width) as Real, (i / image.width) as Real);
+    let angles = side.setup.plane.azimuth_elevation_deg((i % image.width) as Real, (i / image.width) as Real);
     angles.map_or(Value::Null, |(azimuth, elevation)| json!([azimuth, elevation]))
 }
 
 /// Link of the nearest transmitter received by `receiver`, with its distance in metres.
-fn nearest(known: &Known, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
-    let heard = known.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
-    let all = heard.map(|(i, sample)| (i, neighbours::distance(sample.tx, tx)));
+fn nearest(known: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
+    let samples = known.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
+    let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.tx, tx)));
     all.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
+fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
     let known = known(side)?;
-    let i =
-        asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("query parameter `link`: no such link"))?;
+    let i = parameters
+        .link
+        .filter(|i| *i < known.data.len())
+        .ok_or_else(|| wrong("query parameter `link`: no such link"))?;
     let image = known.data.image(i);
-    let mut pack = Pack::new(json!({ "strongest": strongest(side, &image) }));
-    if side.frame.task.is_scalar {
-        let mut all = vec![Real::NAN; side.frame.receivers.len()];
+    let mut bundle = TensorBundle::new(json!({ "strongest": strongest(side, &image) }));
+    if side.setup.task.is_scalar {
+        let mut all = vec![Real::NAN; side.setup.receivers.len()];
         for other in known.data.links_of(&[known.data.links[i].transmitter]) {
             all[known.data.links[other].receiver] = known.data.image(other).pixels[0];
         }
-        pack.put("powers", &[all.len()], all);
+        bundle.put("powers", &[all.len()], all);
     }
-    pack.put("picture", &[image.height, image.width], image.pixels);
-    Ok(pack)
+    bundle.put("picture", &[image.height, image.width], image.pixels);
+    Ok(bundle)
 }
 
 /// Radio map on a plane at one receiver: power in dBm, or mean power of a channel in dB.
-fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
-    let (predictor, receiver) = (predictor(side)?, receiver(side, asked)?);
-    let z = asked.z.ok_or_else(|| wrong("no height; set z=1.2"))?;
-    if side.frame.task.has_pixels {
+fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+    let (predictor, receiver) = (predictor(side)?, receiver(side, parameters)?);
+    let z = parameters.z.ok_or_else(|| wrong("no height; set z=1.2"))?;
+    if side.setup.task.has_pixels {
         return Err(wrong("maps: not available for spectra, only for powers and channels"));
     }
     let data = &known(side)?.data;
@@ -246,27 +257,27 @@ fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
         Query::at([at(k % columns, 0), at(k / columns, 1), z], receiver)
     };
     let queries: Vec<Query<'_>> = (0..rows * columns).map(place).collect();
-    let level = |image: &Image| side.frame.task.level(image) as Real;
+    let level = |image: &Image| side.setup.task.level(image) as Real;
     let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
-    let mut pack = Pack::new(json!({ "first": first, "step": step }));
-    pack.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
-    Ok(pack)
+    let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
+    bundle.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
+    Ok(bundle)
 }
 
 /// Step, loss and N of the training.
-fn curve(side: &Side) -> Pack {
+fn curve(side: &ViewPane) -> TensorBundle {
     let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&folder.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
     let shown: Vec<_> =
         rows.iter().enumerate().filter(|(k, _)| (k + 1).is_multiple_of(stride) || k + 1 == rows.len()).collect();
     let field = |row: &[Option<f64>], k: usize| row.get(k).copied().flatten().unwrap_or(f64::NAN) as Real;
-    let mut pack = Pack::new(json!({ "rows": shown.len() }));
-    pack.put("curve", &[shown.len(), 3], shown.iter().flat_map(|(_, row)| [0, 2, 4].map(|k| field(row, k))));
-    pack
+    let mut bundle = TensorBundle::new(json!({ "rows": shown.len() }));
+    bundle.put("curve", &[shown.len(), 3], shown.iter().flat_map(|(_, row)| [0, 2, 4].map(|k| field(row, k))));
+    bundle
 }
 
 /// Titles and snapshots; damaged snapshots are omitted.
-fn moments(side: &Side) -> Vec<(String, Snapshot)> {
+fn saved_snapshots(side: &ViewPane) -> Vec<(String, Snapshot)> {
     let Some(folder) = &side.folder else { return Vec::new() };
     let found = snapshots().filter_map(|(name, what)| {
         let snapshot = Snapshot::read(&folder.join(name)).ok().flatten()?;

@@ -1,20 +1,20 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
-use crate::arrays::{Gain, axes, given, numbers};
+use crate::arrays::{Gain, axes, input_array, numbers};
 use crate::border::wrong;
 use numpy::PyArrayDyn;
 use numpy::PyReadonlyArrayDyn;
-use pwrfgs::data::{Unheard, power_fault, unheard};
+use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
 use pwrfgs::experiment::data_warnings;
 use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 
 /// Reads the receivers.
-pub(super) fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
-    let Some(given) = given else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
+pub(super) fn receivers_of(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
+    let Some(value) = value else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
     let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
-    let items: Vec<Bound<'_, PyAny>> = if given.is_instance(&class)? { vec![given.clone()] } else { listed(given)? };
+    let items: Vec<Bound<'_, PyAny>> = if value.is_instance(&class)? { vec![value.clone()] } else { listed(value)? };
     let one = |(i, item): (usize, &Bound<'_, PyAny>)| {
         if !item.is_instance(&class)? {
             let position = numbers::<f64>("a receiver", item, &[Some(3)])?;
@@ -33,9 +33,9 @@ pub(super) fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> 
     items.iter().enumerate().map(one).collect()
 }
 
-fn listed<'py>(given: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+fn listed<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     let form = "give a list of Receiver, or positions [R, 3] in metres";
-    given.try_iter().map_err(|error| wrong(given.py(), &format!("receivers: {error}; {form}")))?.collect()
+    value.try_iter().map_err(|error| wrong(value.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
 /// Warns about valid but implausible data.
@@ -52,18 +52,18 @@ pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResu
     let bytes: Option<PyReadonlyArrayDyn<'_, u8>> = given_spectra
         .cast::<PyArrayDyn<u8>>()
         .ok()
-        .map(|_| given::<u8>("spectra", given_spectra, &shape))
+        .map(|_| input_array::<u8>("spectra", given_spectra, &shape))
         .transpose()?;
-    let said = |error: Error| crate::border::raised(py, error);
+    let message = |error: Error| crate::border::raised(py, error);
     if let Some(bytes) = bytes {
         let size = bytes.shape_of();
         let bytes = bytes.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
-        return Spectra::in_memory(size, Number::U8, bytes).map_err(said);
+        return Spectra::in_memory(size, Number::U8, bytes).map_err(message);
     }
-    let floats = given::<f32>("spectra", given_spectra, &shape)?;
+    let floats = input_array::<f32>("spectra", given_spectra, &shape)?;
     let size = floats.shape_of();
     let pixels = floats.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-    Spectra::float(size, pixels).map_err(said)
+    Spectra::float(size, pixels).map_err(message)
 }
 
 /// Columns and rows of a stack of spectra.
@@ -79,7 +79,7 @@ impl<T: numpy::Element> ShapeOf for PyReadonlyArrayDyn<'_, T> {
 }
 
 /// Received links and their powers.
-pub(super) fn heard(
+pub(super) fn received_powers(
     rssi: &Bound<'_, PyAny>,
     txs: &[[f64; 3]],
     receivers: usize,
@@ -100,10 +100,12 @@ pub(super) fn heard(
         powers.push(*dbm as Real);
     }
     let links = samples.iter().map(|sample| (sample.id as usize, sample.receiver));
-    let silent = match unheard(txs.len(), receivers, links) {
+    let silent = match unlinked_node(txs.len(), receivers, links) {
         None => return Ok((samples, powers.into())),
-        Some(Unheard::Transmitter(i)) => format!("rssi[{i}] is NaN throughout: leave the transmitter out, in tx too"),
-        Some(Unheard::Receiver(r)) => {
+        Some(UnlinkedNode::Transmitter(i)) => {
+            format!("rssi[{i}] is NaN throughout: leave the transmitter out, in tx too")
+        }
+        Some(UnlinkedNode::Receiver(r)) => {
             format!("rssi[:, {r}] is NaN throughout: leave the receiver out, in receivers too")
         }
     };
@@ -123,7 +125,7 @@ pub(super) fn gains(
     if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
         return Err(wrong(py, "frequencies_hz: give one frequency above 0 Hz per subcarrier"));
     }
-    let all = given::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
+    let all = input_array::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
     let antennas = {
         use numpy::PyUntypedArrayMethods as _;
         all.shape()[1]

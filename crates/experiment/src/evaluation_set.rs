@@ -1,4 +1,4 @@
-//! `Bench`: scores predictors on a set of samples, chunk by chunk.
+//! `EvaluationSet`: scores predictors on a set of samples, chunk by chunk.
 //!
 //! Only the predictions and spectra of one chunk are in memory (unless a metric needs all), so memory does not grow
 //! with the number of samples.
@@ -28,7 +28,7 @@ type Show<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
 
 /// Model or baseline to score.
 #[derive(Clone, Copy)]
-struct Subject<'a> {
+struct ScoredPredictor<'a> {
     predict: &'a Predictor<'a>,
     /// Facts for model metrics; `None` for a baseline.
     facts: Option<ModelFacts<'a>>,
@@ -47,14 +47,14 @@ fn refuse_infinite(name: &str, predictions: &[Image]) -> Result<()> {
 
 /// Samples of the data set to score on.
 #[derive(Debug)]
-pub struct Bench<'a> {
+pub struct EvaluationSet<'a> {
     data: &'a Dataset,
     plane: &'a ImagePlane,
     part: Vec<usize>,
     links: Vec<Link>,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> EvaluationSet<'a> {
     /// Creates a bench of the samples `part` on the pixels of `plane`.
     pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
         Self { data, plane, part: part.to_vec(), links: part.iter().map(|&i| data.links[i]).collect() }
@@ -74,7 +74,7 @@ impl<'a> Bench<'a> {
         session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
         let timed = |query: Query<'_>| model.predict_timed(query).1;
-        let subject = Subject {
+        let scored = ScoredPredictor {
             predict: &|queries, done| {
                 let images = model.predict_many(queries);
                 done(queries.len());
@@ -83,7 +83,7 @@ impl<'a> Bench<'a> {
             facts,
             timed: facts.is_some().then_some(&timed),
         };
-        self.measure(name, subject, metrics, session)
+        self.measure(name, scored, metrics, session)
     }
 
     /// Measures the baseline called `name` by every metric.
@@ -110,14 +110,14 @@ impl<'a> Bench<'a> {
             };
             queries.par_iter().map(one).collect()
         };
-        self.measure(name, Subject { predict: &predict, facts: None, timed: Some(&timed) }, metrics, session)
+        self.measure(name, ScoredPredictor { predict: &predict, facts: None, timed: Some(&timed) }, metrics, session)
     }
 
     /// All measurements of the predictor `name`, in the order of `metrics`.
     fn measure(
         &self,
         name: &str,
-        subject: Subject<'_>,
+        scored: ScoredPredictor<'_>,
         metrics: &[Plugin<dyn Metric>],
         session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
@@ -126,11 +126,11 @@ impl<'a> Bench<'a> {
         let (mut predictions, mut truths) = (Vec::new(), Vec::new());
         let stop = session.stop;
         staged(session.observer, &format!("predicting with {name}"), |progress| {
-            self.chunks(subject, stop, progress, &mut |some, of_them, links| {
+            self.chunks(scored, stop, progress, &mut |some, of_them, links| {
                 refuse_infinite(name, &some)?;
-                let seen = self.seen(&some, &of_them, links, subject.facts, None);
+                let inputs = self.inputs(&some, &of_them, links, scored.facts, None);
                 for (found, metric) in found.iter_mut().zip(metrics).filter(|(_, m)| m.scope() == Scope::Sample) {
-                    append(found, metric.evaluate(&seen)?, some.len())?;
+                    append(found, metric.evaluate(&inputs)?, some.len())?;
                 }
                 if together {
                     predictions.extend(some);
@@ -149,18 +149,18 @@ impl<'a> Bench<'a> {
             next.set(next.get() + 1);
             one(self.data.query(self.part[(next.get() - 1) % self.part.len()]))
         };
-        let timed = subject.timed.map(|one| move || timed(one));
+        let timed = scored.timed.map(|one| move || timed(one));
         let timed = timed.as_ref().map(|timed| timed as &dyn Fn() -> StageTimes);
         staged(session.observer, &format!("scoring {name}"), |progress| {
             for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
                     Scope::All => {
-                        let all = self.seen(&predictions, &truths, &self.links, subject.facts, timed);
+                        let all = self.inputs(&predictions, &truths, &self.links, scored.facts, timed);
                         *found = metric.evaluate(&all)?;
                     }
-                    Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], &[], subject.facts, timed))?,
+                    Scope::Model => *found = metric.evaluate(&self.inputs(&[], &[], &[], scored.facts, timed))?,
                     Scope::Sample if self.part.is_empty() => {
-                        *found = metric.evaluate(&self.seen(&[], &[], &[], None, None))?;
+                        *found = metric.evaluate(&self.inputs(&[], &[], &[], None, None))?;
                     }
                     Scope::Sample => {}
                 }
@@ -174,7 +174,7 @@ impl<'a> Bench<'a> {
     /// Passes predictions and observations to `show`, chunk by chunk; `progress` counts samples.
     fn chunks(
         &self,
-        subject: Subject<'_>,
+        scored: ScoredPredictor<'_>,
         stop: &AtomicBool,
         progress: Progress<'_>,
         show: &mut Show<'_>,
@@ -182,11 +182,11 @@ impl<'a> Bench<'a> {
         let numbers = self.plane.width * self.plane.height;
         let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
         let done = AtomicUsize::new(0);
-        let tell = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
+        let report_progress = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
         for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
             check_stopped(stop)?;
             let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
-            let predictions = (subject.predict)(&queries, &tell);
+            let predictions = (scored.predict)(&queries, &report_progress);
             let truths = part.par_iter().map(|&i| self.data.image(i)).collect();
             self.data.observations.check()?;
             show(predictions, truths, links)?;
@@ -194,7 +194,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    fn seen<'b>(
+    fn inputs<'b>(
         &'b self,
         predictions: &'b [Image],
         truths: &'b [Image],

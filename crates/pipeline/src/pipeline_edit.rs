@@ -1,12 +1,12 @@
-//! `Draft`: an editable pipeline in text form. Changes are text edits, so every value can be set at any depth without
+//! `PipelineEdit`: an editable pipeline in text form. Changes are text edits, so every value can be set at any depth without
 //! loss. After all changes, the text passes the same parser and checks as a file.
 
 use crate::changes::Change;
 use crate::pipeline::Pipeline;
-use crate::place::{Edit, Place, paths, quoted};
+use crate::place::{SettingPlace, TextEdit, paths, quoted};
 use crate::read::{Misfit, TypeHint};
-use crate::ron_tree::Tree;
-use pwrfgs_core::docs::{Docs, Kind};
+use crate::ron_tree::RonTree;
+use pwrfgs_core::docs::{DocKind, Docs};
 use pwrfgs_core::plugin::{Checked, ron_options, to_ron, try_to_ron};
 use pwrfgs_core::{Dataset, Error, MaskRate, Partition, Result};
 use pwrfgs_train::{Trainer, TrainingPlan};
@@ -15,19 +15,19 @@ use std::path::{Path, PathBuf};
 
 /// Pipeline under change.
 #[derive(Clone, Debug)]
-pub struct Draft {
+pub struct PipelineEdit {
     text: String,
     changes: Vec<Change>,
 }
 
 /// Problem of a draft, and the changes that caused it.
 #[derive(Debug)]
-pub struct Fault {
+pub struct EditFault {
     message: String,
     blamed: Vec<Change>,
 }
 
-impl Draft {
+impl PipelineEdit {
     /// Creates a draft of the pipeline.
     pub fn of(pipeline: &Pipeline) -> Self {
         Self { text: pipeline.to_ron(), changes: Vec::new() }
@@ -38,9 +38,9 @@ impl Draft {
     ///
     /// # Errors
     /// Unknown path or invalid value. [`Self::finish`] checks whether the value fits.
-    pub fn set(&mut self, change: &Change) -> Result<(), Fault> {
+    pub fn set(&mut self, change: &Change) -> Result<(), EditFault> {
         let tree = self.tree();
-        let edits = edits(&tree, change).map_err(|message| Fault { message, blamed: vec![change.clone()] })?;
+        let edits = edits(&tree, change).map_err(|message| EditFault { message, blamed: vec![change.clone()] })?;
         self.edit(edits);
         self.changes.push(change.clone());
         // Written with its defaults, so that the next change finds their fields.
@@ -55,14 +55,14 @@ impl Draft {
     ///
     /// # Errors
     /// A path that is not valid text.
-    pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), Fault> {
+    pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), EditFault> {
         let tree = self.tree();
-        let moved = |path: &Tree| {
+        let moved = |path: &RonTree| {
             let old: PathBuf = ron_options().from_str(path.of(&self.text)).map_err(|e| e.code.to_string())?;
             Ok((path.span.clone(), try_to_ron(&absolute(&old))?))
         };
-        let places = paths(&Kind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
-        let edits: Result<Vec<Edit>, (usize, String)> =
+        let places = paths(&DocKind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
+        let edits: Result<Vec<TextEdit>, (usize, String)> =
             places.into_iter().map(|path| moved(path).map_err(|why: String| (path.span.start, why))).collect();
         let unwritten = |(at, message)| self.blame(Misfit { message, at: Some(at), hint: TypeHint::Never });
         self.edit(edits.map_err(unwritten)?);
@@ -73,20 +73,21 @@ impl Draft {
     ///
     /// # Errors
     /// The first problem, with the changes that caused it.
-    pub fn finish(&self) -> Result<Pipeline, Fault> {
+    pub fn finish(&self) -> Result<Pipeline, EditFault> {
         Pipeline::read(&self.text).map_err(|misfit| self.blame(misfit))
     }
 
     /// Problem of `field`, with the changes that caused it.
-    pub fn fault(&self, field: &str, message: String) -> Fault {
+    pub fn fault(&self, field: &str, message: String) -> EditFault {
         self.blame(Misfit::of(field, message, &self.tree()))
     }
 
     /// Fault for `misfit`: blames the changes inside the smallest value at its position.
-    fn blame(&self, misfit: Misfit) -> Fault {
+    fn blame(&self, misfit: Misfit) -> EditFault {
         let Misfit { mut message, at, hint } = misfit;
         let tree = self.tree();
-        let places: Vec<Option<Place<'_>>> = self.changes.iter().map(|c| Place::at(&c.path, &tree).ok()).collect();
+        let places: Vec<Option<SettingPlace<'_>>> =
+            self.changes.iter().map(|c| SettingPlace::at(&c.path, &tree).ok()).collect();
         let spans: Vec<Option<Range<usize>>> = places.iter().map(|p| Some(p.as_ref()?.tree.span.clone())).collect();
         let inside = |outer: &Range<usize>| -> Vec<usize> {
             let is_inside = |span: &Range<usize>| outer.start <= span.start && span.end <= outer.end;
@@ -97,37 +98,37 @@ impl Draft {
         let around = at.map_or_else(|| vec![tree.span.clone()], |at| tree.around(at));
         let blamed = around.iter().map(inside).find(|blamed| !blamed.is_empty()).unwrap_or_default();
         if let [only] = blamed[..]
-            && let Some(Place { tree, kind: Some(kind), .. }) = &places[only]
+            && let Some(SettingPlace { tree, kind: Some(kind), .. }) = &places[only]
             && at.is_some_and(|at| (tree.span.start..=tree.span.end).contains(&at))
             && (hint == TypeHint::Always
                 || hint == TypeHint::AtLeaf && tree.fields().is_empty() && tree.items().is_empty())
         {
             message = format!("{message}; it takes a {}", kind.words());
         }
-        Fault { message, blamed: blamed.into_iter().map(|k| self.changes[k].clone()).collect() }
+        EditFault { message, blamed: blamed.into_iter().map(|k| self.changes[k].clone()).collect() }
     }
 
-    fn tree(&self) -> Tree {
-        Tree::parse(&self.text).expect("text written by the program and parsed edits are valid values")
+    fn tree(&self) -> RonTree {
+        RonTree::parse(&self.text).expect("text written by the program and parsed edits are valid values")
     }
 
-    fn edit(&mut self, mut edits: Vec<Edit>) {
+    fn edit(&mut self, mut edits: Vec<TextEdit>) {
         edits.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
         edits.into_iter().for_each(|(span, text)| self.text.replace_range(span, &text));
     }
 }
 
 /// Text edits of `tree` for `change`.
-fn edits(tree: &Tree, change: &Change) -> Result<Vec<Edit>, String> {
-    let place = Place::at(&change.path, tree)?;
+fn edits(tree: &RonTree, change: &Change) -> Result<Vec<TextEdit>, String> {
+    let place = SettingPlace::at(&change.path, tree)?;
     let value = place.complete(change.value.trim());
-    let new = Tree::parse(&value).map_err(|why| format!("{} is not a value: {why}", quoted(change.value.trim())))?;
+    let new = RonTree::parse(&value).map_err(|why| format!("{} is not a value: {why}", quoted(change.value.trim())))?;
     let mut edits = Vec::new();
     place.put(&new, &value, &mut edits)?;
     Ok(edits)
 }
 
-impl Fault {
+impl EditFault {
     /// Converts to an error without a file position.
     pub fn in_arguments(self) -> Error {
         Error::Config(self.to_string())
@@ -145,7 +146,7 @@ impl Fault {
 }
 
 /// Names of the responsible changes without repetition, and the problem.
-impl std::fmt::Display for Fault {
+impl std::fmt::Display for EditFault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut names: Vec<&str> = self.blamed.iter().map(|change| change.name.as_str()).collect();
         names.dedup();
@@ -160,9 +161,9 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Config`] with the names of invalid changes.
     pub fn change(&mut self, changes: &[Change]) -> Result<()> {
-        let mut draft = Draft::of(self);
+        let mut draft = PipelineEdit::of(self);
         let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
-        *self = made.map_err(Fault::in_arguments)?;
+        *self = made.map_err(EditFault::in_arguments)?;
         Ok(())
     }
 
@@ -172,8 +173,8 @@ impl Pipeline {
     /// [`Error::Config`] if the pipeline, or a path, is not valid text.
     pub fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<Self> {
         self.check_text()?;
-        let mut draft = Draft::of(self);
-        draft.rebase(absolute).and_then(|()| draft.finish()).map_err(Fault::in_arguments)
+        let mut draft = PipelineEdit::of(self);
+        draft.rebase(absolute).and_then(|()| draft.finish()).map_err(EditFault::in_arguments)
     }
 
     /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`.
