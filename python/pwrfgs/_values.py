@@ -114,7 +114,7 @@ def unknown(what: str, name: str, fields: Any) -> str:
     names = [python_name(field) for field in fields]
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"; did you mean `{near[0]}`?" if near else ""
-    there = f" (there are {', '.join(names)})" if names else ""
+    there = f" (fields: {', '.join(names)})" if names else ""
     return f"{what} has no field `{name}`{hint}{there}"
 
 

@@ -13,7 +13,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Said where there is no NumPy.
-pub(crate) const NOBODY: &str = "nobody has followed docs/model-format.md";
+pub(crate) const NO_PYTHON: &str = "docs/model-format.md was not followed in Python";
 
 /// Deformation, projector, rasterizer, calibration and readout: each of them somewhere.
 const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
@@ -161,7 +161,7 @@ pub(crate) fn predicted_again(python: &str, here: &Path, pairs: &[String]) -> us
 
 #[test]
 fn numpy_predicts_from_documented_format() {
-    let Some(python) = python(NOBODY) else { return };
+    let Some(python) = python(NO_PYTHON) else { return };
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let mut pairs = Vec::new();

@@ -110,7 +110,7 @@ fn numbers_are_those_of_the_runs(here: &Path, report: &str) {
     }
     assert!(!rows.iter().any(|row| row["variant"] == "whole" && row["statistic"] == "difference"));
     // In the other setting the split depends on the seed, and so do the floors.
-    let other = |row: &&BTreeMap<String, String>| row["setting"].contains("Random") && row["kind"] == "floor";
+    let other = |row: &&BTreeMap<String, String>| row["setting"].contains("Random") && row["kind"] == "baseline";
     let floor = rows.iter().filter(other).find(|row| row["variant"] == "3-NN" && row["metric"] == "ssim").unwrap();
     let [a, b] = [0, 1].map(|s| mean(ssim(&here.join(format!("runs/other-{s}")), "3-NN").into_values()));
     let number = |name: &str| floor[name].parse::<f64>().unwrap();

@@ -88,7 +88,7 @@ fn interrupted_run_prints_resume_command() {
     let mut child =
         pwrfgs(here).args(["run", "p.ron", "--out", "r"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for_step(&mut child, &here.join("r"), 70);
-    // While it is at work nobody else may have the folder.
+    // The folder of a running process is locked for others.
     refuse(here, &["run", "p.ron", "--out", "r"], 2, &["r is in use by another pwrfgs process"]);
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());

@@ -2,7 +2,7 @@
 //! `NumPy` predicts from its file what the program does.
 
 use crate::common::{python, succeed, write};
-use crate::model_format::{NOBODY, predict, predicted_again};
+use crate::model_format::{NO_PYTHON, predict, predicted_again};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::{NoopObserver, load, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, file};
@@ -91,7 +91,7 @@ fn predict_from_features(ensemble: &Ensemble, out: &Path) {
 
 #[test]
 fn numpy_predicts_from_model_of_every_shipped_pipeline() {
-    let Some(python) = python(NOBODY) else { return };
+    let Some(python) = python(NO_PYTHON) else { return };
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let (scene, uplinks) = (project("scenes/office-csi.ron").display().to_string(), here.join("uplinks"));

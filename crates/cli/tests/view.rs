@@ -13,7 +13,7 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-const NO_BROWSER: &str = "there is no Chromium, so nobody looked at the pages";
+const NO_BROWSER: &str = "no Chromium found; the pages were not loaded";
 
 /// A page that is served until this value is gone.
 struct Served {
@@ -207,7 +207,7 @@ fn the_page_follows_the_transmitter_and_ends_with_its_window() {
     drop(page);
     let begun = Instant::now();
     while served.child.try_wait().unwrap().is_none() {
-        assert!(begun.elapsed() < Duration::from_secs(30), "the program ends once nobody looks");
+        assert!(begun.elapsed() < Duration::from_secs(30), "the program ends after the last page closes");
         std::thread::sleep(Duration::from_millis(50));
     }
     assert!(served.child.wait().unwrap().success());

@@ -162,8 +162,8 @@ impl Spectra {
             _ => Err(Error::input(
                 path,
                 format!(
-                    "{count} spectra of {width} x {height} pixels do not fit its {} bytes; it is cut short or \
-                     damaged: copy it anew",
+                    "{count} spectra of {width} x {height} pixels do not fit its {} bytes; the file is \
+                     truncated or damaged; copy it again",
                     stored.len
                 ),
             )),

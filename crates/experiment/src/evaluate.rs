@@ -62,13 +62,13 @@ pub fn evaluate(
         }
         confidence = Some(Confidence::measure(model, data, &partition.test, session)?);
     }
-    let (mut notes, mut bounds): (Vec<String>, Vec<String>) = Default::default();
+    let (mut notes, mut oracles): (Vec<String>, Vec<String>) = Default::default();
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.task());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
-        bounds.extend(fitted.is_oracle().then(|| name.clone()));
+        oracles.extend(fitted.is_oracle().then(|| name.clone()));
         predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
@@ -76,7 +76,7 @@ pub fn evaluate(
     notes.extend(ceiling.notes);
     let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
     let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
-    let known = ScoreTable { task: data.task(), bounds, members, samples, notes, ..ScoreTable::default() };
+    let known = ScoreTable { task: data.task(), oracles, members, samples, notes, ..ScoreTable::default() };
     let mut scores = Scores::new(ids, predictors, known);
     let summaries: Vec<_> = ceiling.of.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
     scores.table.add_ceiling(&summaries);

@@ -42,7 +42,7 @@ pub struct PairedRow {
 
 impl Paired {
     /// Table rows: a header, then one row per baseline with difference and verdict of each metric.
-    pub fn lines(&self, bounds: &[String]) -> Vec<Vec<String>> {
+    pub fn lines(&self, oracles: &[String]) -> Vec<Vec<String>> {
         let mut metrics: Vec<(&str, bool)> = Vec::new();
         let mut baselines: Vec<&str> = Vec::new();
         for row in &self.rows {
@@ -62,7 +62,7 @@ impl Paired {
                 Some(row) => [row.number(), row.verdict().to_owned()],
                 None => ["n/a".to_owned(), String::new()],
             });
-            let dagger = if bounds.iter().any(|bound| bound == baseline) { " †" } else { "" };
+            let dagger = if oracles.iter().any(|oracle| oracle == baseline) { " †" } else { "" };
             [format!("{baseline}{dagger}")].into_iter().chain(cells).collect()
         };
         [head].into_iter().chain(baselines.iter().map(line)).collect()

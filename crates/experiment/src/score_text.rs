@@ -25,7 +25,7 @@ impl ScoreTable {
     /// Aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The best
     /// value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
     pub fn to_text(&self) -> String {
-        let name = |name: &String| format!("{name}{}", if self.bounds.contains(name) { " †" } else { "" });
+        let name = |name: &String| format!("{name}{}", if self.oracles.contains(name) { " †" } else { "" });
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
         let mut lines: Vec<Vec<String>> = vec![head.collect()];
         for row in &self.metrics {
@@ -49,13 +49,13 @@ impl ScoreTable {
             }
         }
         let things = self.task.counted[1];
-        let bound = format!("† oracle baseline: uses the scene of the simulated {things}; not ranked");
-        let own = (!self.bounds.is_empty()).then_some(bound);
+        let oracle = format!("† oracle baseline: uses the scene of the simulated {things}; not ranked");
+        let own = (!self.oracles.is_empty()).then_some(oracle);
         let pairs = self.paired.as_ref().map(|paired| paired.note(self.task));
         let notes = own.iter().chain(&pairs).chain(&self.notes);
         let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
         let differences =
-            self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.bounds), 1) + "\n");
+            self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.oracles), 1) + "\n");
         let text = heading + &aligned(&lines, 2) + "\n" + &differences;
         notes.fold(text, |text, note| text + "note: " + note + "\n")
     }

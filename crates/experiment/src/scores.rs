@@ -38,7 +38,7 @@ pub struct ScoreTable {
     /// One entry per metric.
     pub metrics: Vec<MetricRow>,
     /// Names of the oracle baselines, which use the simulated scene itself.
-    pub bounds: Vec<String>,
+    pub oracles: Vec<String>,
     /// Names of the predictors that are members of the model.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<String>,
@@ -158,7 +158,7 @@ impl Scores {
         let compared = own.iter().filter(|m| is_compared(&m.key, self.table.task));
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = self.samples(MODEL, key)?.iter().zip(self.samples(baseline, key)?);
-            let differences = self.ids.iter().zip(pairs).map(|(id, (model, floor))| (*id, model - floor));
+            let differences = self.ids.iter().zip(pairs).map(|(id, (model, baseline))| (*id, model - baseline));
             let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
             let (baseline, metric, higher_is_better) = (baseline.to_owned(), key.to_owned(), goal == Goal::Higher);
             Some(PairedRow { baseline, metric, higher_is_better, mean, interval: interval.map(|(a, b)| [a, b]) })
@@ -222,7 +222,7 @@ impl ScoreTable {
 
     /// Whether a predictor is ranked: not oracle baselines and the ceiling.
     fn is_ranked(&self, name: &str) -> bool {
-        name != CEILING && !self.bounds.iter().any(|bound| bound == name)
+        name != CEILING && !self.oracles.iter().any(|oracle| oracle == name)
     }
 }
 
@@ -358,7 +358,7 @@ mod tests {
 
     #[test]
     fn a_bound_is_in_no_ranking() {
-        let table = ScoreTable { bounds: vec![MODEL.into()], ..scores().table };
+        let table = ScoreTable { oracles: vec![MODEL.into()], ..scores().table };
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
         let text = table.to_text();
         assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † oracle baseline"), "{text}");

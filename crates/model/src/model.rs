@@ -71,7 +71,7 @@ impl DerefMut for Stages {
 
 /// Maximum number of pixels of an image, to reject files that would exhaust the memory.
 const MAX_PIXELS: usize = 1 << 24;
-/// Maximum number of receivers of a frame.
+/// Maximum number of receivers.
 const MAX_RECEIVERS: usize = 1 << 16;
 /// Prefix of the names of receiver weights: they come last, and weight decay does not apply to them.
 const RECEIVERS: &str = "receiver.";

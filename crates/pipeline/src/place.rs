@@ -66,7 +66,7 @@ impl<'a> SettingPlace<'a> {
         let hint = did_you_mean(step, names());
         let whole = whole(plugin, &name, step);
         Err(format!(
-            "{subject} has no field {}{hint} (there are `{}`){whole}",
+            "{subject} has no field {}{hint} (fields: `{}`){whole}",
             quoted(step),
             names().collect::<Vec<_>>().join("`, `")
         ))

@@ -48,7 +48,7 @@ pub enum ArrayWavefront {
     Spherical,
     /// Separate ray tracing for each element; cost grows with the number of elements. Amplitudes, angles at walls and
     /// shadows are then also exact.
-    TracedBaseline,
+    Traced,
 }
 
 impl Default for Array {
@@ -102,7 +102,7 @@ impl Array {
     /// Channel h `[K]`: the sum over paths, eq. (1), at each element.
     ///
     /// `center` is the receiver position, metres; the columns of `world_from_receiver` are its axes in the world. The
-    /// paths lead to `center`; their gains include both antenna patterns. [`ArrayWavefront::TracedBaseline`] needs separate paths
+    /// paths lead to `center`; their gains include both antenna patterns. [`ArrayWavefront::Traced`] needs separate paths
     /// per element, which the simulator provides; here it is treated as `Spherical`.
     pub fn channel(
         &self,
@@ -129,7 +129,7 @@ pub fn band_at(
     let wavenumbers: Vec<f64> = wavelengths.iter().map(|wavelength| TAU / wavelength).collect();
     let length = |path: &PropagationPath, element: DVec3| match wavefront {
         ArrayWavefront::Plane => path.length - (element - center).dot(path.arrival),
-        ArrayWavefront::Spherical | ArrayWavefront::TracedBaseline => path.length_to(element),
+        ArrayWavefront::Spherical | ArrayWavefront::Traced => path.length_to(element),
     };
     let mut channel = vec![Complex::ZERO; elements.len() * wavelengths.len()];
     for (element, row) in elements.iter().zip(channel.chunks_mut(wavelengths.len().max(1))) {

@@ -22,7 +22,7 @@ pub(crate) const MOST_BYTES: usize = 2 << 30;
 pub struct PreparedReceiver {
     scene: Arc<SceneFile>,
     receiver: SceneReceiver,
-    /// Tracer of the array centre; with [`ArrayWavefront::TracedBaseline`] followed by one per element.
+    /// Tracer of the array centre; with [`ArrayWavefront::Traced`] followed by one per element.
     tracers: Vec<Tracer>,
     beamformer: Beamformer,
 }
@@ -176,7 +176,7 @@ fn places(scene: &SceneFile, receiver: &SceneReceiver, world: &World) -> Result<
         Error::Config(format!("scene `{}`: {subject} at {:?} is {what}; move it", scene.name, receiver.position))
     })?;
     let mut places = vec![center];
-    if receiver.array.wavefront == ArrayWavefront::TracedBaseline {
+    if receiver.array.wavefront == ArrayWavefront::Traced {
         places.extend(elements(scene, receiver));
     }
     for place in &places {

@@ -56,7 +56,7 @@ class StageSide {
   /** Loads and colours the Gaussians of the snapshot, or of the model for the transmitter. */
   async loadGaussians(tx) {
     const { stage } = this;
-    if (!this.room || this.about.floor || !this.about.gaussians) return;
+    if (!this.room || this.about.baseline || !this.about.gaussians) return;
     const snapshot = stage.snapshotOf(this);
     const moves = snapshot === null && ["strength", "contribution"].includes(stage.colouring);
     const contribution = stage.colouring === "contribution";
@@ -285,7 +285,7 @@ export class Stage {
     on("reset", "click", () => this.resetView());
     on("snapshot", "input", (own) => this.showSnapshot(own.valueAsNumber));
     this.offerColours();
-    this.offerMoments();
+    this.offerSnapshots();
     const names = this.note.receivers.map((receiver, k) => new Option(receiver.name, k));
     this.find("receiver").append(...names);
     this.find("of-receivers").hidden = names.length < 2;
@@ -297,7 +297,7 @@ export class Stage {
   }
 
   offerColours() {
-    const some = this.abouts.some((about) => about.gaussians && !about.floor);
+    const some = this.abouts.some((about) => about.gaussians && !about.baseline);
     this.root.querySelectorAll("[data-of-gaussians]").forEach((own) => (own.hidden = !some));
     const all = [["opacity", "opacity"]];
     if (this.byPosition) all.push(["strength", "strength for this transmitter"]);
@@ -307,16 +307,16 @@ export class Stage {
     this.find("colour").value = this.colouring;
   }
 
-  offerMoments() {
+  offerSnapshots() {
     const count = Math.max(0, ...this.abouts.map((about) => (about.gaussians === 0 ? 0 : about.snapshots?.length ?? 0)));
     this.find("of-time").hidden = count === 0;
     const slider = this.find("snapshot");
     slider.max = count;
     if (this.snapshot === null) slider.value = count;
-    this.nameMoment();
+    this.nameSnapshot();
   }
 
-  nameMoment() {
+  nameSnapshot() {
     const about = this.abouts.find((own) => own.snapshots?.length) ?? this.abouts[0];
     const at = this.snapshot === null ? null : about.snapshots?.[this.snapshot];
     const n = at ? at.gaussians : about.gaussians;
@@ -333,7 +333,7 @@ export class Stage {
   showSnapshot(place) {
     const count = Number(this.find("snapshot").max);
     this.snapshot = place >= count ? null : place;
-    this.nameMoment();
+    this.nameSnapshot();
     if (this.snapshot !== null && this.colouring !== "mask") this.colouring = this.find("colour").value = "fate";
     if (this.snapshot === null && ["fate", "mask"].includes(this.colouring)) this.colouring = this.find("colour").value = "opacity";
     this.reloadGaussians();
@@ -617,7 +617,7 @@ export class Stage {
       this.known = await this.source.room();
       this.abouts = this.note.sides = this.known.note.sides;
       this.sides.forEach((own, k) => (own.about = this.abouts[k]));
-      this.offerMoments();
+      this.offerSnapshots();
       this.offerColours();
       await this.reloadGaussians();
       await this.refresh();

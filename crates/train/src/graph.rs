@@ -1,7 +1,7 @@
 //! Graph of one step: method and loss as ops on the dfdx tape, from the leaves of a cloud to the loss and back.
 //!
 //! ```text
-//! cloud ── pruners.gate ──► M [N] (opacity and scale), existence [N] (part in the picture)
+//! cloud ── pruners.gate ──► M [N] (opacity and scale), existence [N] (weight in blending)
 //!   └──── observe: the method makes observations of cloud, gates and Θ ─► loss (+ penalty)
 //! ```
 //! Gaussians that cannot be visible (closed gate, too faint, or out of view) are excluded from `observe`; their

@@ -43,7 +43,7 @@ pub(crate) enum Predictor {
     /// Model or ensemble.
     Model(PreparedEnsemble),
     /// Fitted baseline.
-    Floor(FittedBaseline),
+    Baseline(FittedBaseline),
 }
 
 /// Prediction.
@@ -60,7 +60,7 @@ impl Predictor {
     pub(crate) fn ensemble(&self) -> Option<&Arc<Ensemble>> {
         match self {
             Self::Model(ready) => Some(ready.borrow_owner()),
-            Self::Floor(_) => None,
+            Self::Baseline(_) => None,
         }
     }
 
@@ -71,7 +71,7 @@ impl Predictor {
 
     /// Whether it is a baseline fitted to training and validation samples, which it may store.
     pub(crate) fn is_fitted(&self) -> bool {
-        matches!(self, Self::Floor(floor) if !floor.borrow_dependent().is_oracle())
+        matches!(self, Self::Baseline(baseline) if !baseline.borrow_dependent().is_oracle())
     }
 
     /// Predicts the observation of a link.
@@ -79,8 +79,8 @@ impl Predictor {
         let begun = Instant::now();
         let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
         match self {
-            Self::Floor(floor) => {
-                let image = floor.borrow_dependent().predict(query);
+            Self::Baseline(baseline) => {
+                let image = baseline.borrow_dependent().predict(query);
                 PredictedImage { image, deviation: None, ms: ms(begun) }
             }
             Self::Model(ready) if ready.borrow_owner().members().len() == 1 => {
@@ -97,7 +97,9 @@ impl Predictor {
     /// Predicts many links, such as powers over a plane.
     pub(crate) fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         match self {
-            Self::Floor(floor) => queries.iter().map(|query| floor.borrow_dependent().predict(*query)).collect(),
+            Self::Baseline(baseline) => {
+                queries.iter().map(|query| baseline.borrow_dependent().predict(*query)).collect()
+            }
             Self::Model(ready) => ready.borrow_dependent().predict_many(queries),
         }
     }
@@ -182,7 +184,7 @@ impl ViewPane {
     ///
     /// # Errors
     /// If the other side has no data, or the baseline does not support them.
-    pub fn floor(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
+    pub fn of_baseline(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
         let Some(known) = &beside.known else {
             let what = "baseline: needs the data of a run, but no pipeline is next to this model; name a run folder";
             return Err(Error::Config(what.into()));
@@ -200,7 +202,7 @@ impl ViewPane {
             known: Some(Arc::clone(known)),
             setup: beside.setup.clone(),
             surfaces: Vec::new(),
-            predictor: RwLock::new(Some(Arc::new(Predictor::Floor(fitted)))),
+            predictor: RwLock::new(Some(Arc::new(Predictor::Baseline(fitted)))),
         })
     }
 

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 /// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
-const HEADER: &str = "array,picture,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
+const HEADER: &str = "array,image,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
                       step_m,plane,smallest,largest\n";
 
 #[derive(Debug, Args)]
@@ -147,7 +147,7 @@ fn write(
         };
         put(format!("{name}.npy"), &array(grid, &layer.values))?;
         let shown: Vec<usize> = layer.receiver.map_or_else(|| mapped.to_vec(), |r| vec![r]);
-        put(format!("{name}.png"), &picture(grid, layer, receiver, shown.iter().map(|&r| poses[r].position)))?;
+        put(format!("{name}.png"), &image(grid, layer, receiver, shown.iter().map(|&r| poses[r].position)))?;
         list += &line(grid, layer, &name, receiver.unwrap_or(""));
     }
     let path = folder.join("map.csv");
@@ -170,7 +170,7 @@ fn array(grid: &PlaneGrid, values: &[f32]) -> Vec<u8> {
     npy
 }
 
-fn picture(
+fn image(
     grid: &PlaneGrid,
     layer: &MapLayer,
     receiver: Option<&str>,

@@ -58,7 +58,7 @@ fn open(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
     let second = match named.get(1) {
         None => return Ok(vec![first]),
         Some(path) if Path::new(path).exists() => ViewPane::open(Path::new(path), progress)?,
-        Some(text) => ViewPane::floor(&floor(text)?, &first)?,
+        Some(text) => ViewPane::of_baseline(&parse_baseline(text)?, &first)?,
     };
     Ok(vec![first, second])
 }
@@ -79,7 +79,7 @@ fn show_walls(_side: &mut ViewPane) -> Result<()> {
 }
 
 /// Parses a baseline from its RON text or name.
-fn floor(text: &str) -> Result<Plugin<dyn Baseline>> {
+fn parse_baseline(text: &str) -> Result<Plugin<dyn Baseline>> {
     let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
     Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {
         Error::Config(format!(

@@ -37,12 +37,12 @@ impl Setting {
     }
 
     /// Names of the baselines, without repetition.
-    pub fn floors(&self) -> Vec<&str> {
+    pub fn baselines(&self) -> Vec<&str> {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
     /// Score of a baseline by a metric, as the mean over all runs.
-    pub fn floor(&self, name: &str, key: &str) -> Option<f64> {
+    pub fn baseline(&self, name: &str, key: &str) -> Option<f64> {
         let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
         Some(Spread::of(&values)?.mean)
     }

@@ -108,7 +108,7 @@ impl SceneReceiver {
         }
         let shown: String = self.name.chars().filter(|c| !c.is_control()).take(LONGEST).collect();
         Err(format!(
-            "`{shown}` is no name for a receiver; give a letter and then at most {} letters, digits, `-` and `_`, such as \
+            "`{shown}` is not a valid receiver name; use a letter and then at most {} letters, digits, `-` and `_`, such as \
              \"north\"",
             LONGEST - 1
         ))

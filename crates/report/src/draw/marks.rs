@@ -131,7 +131,7 @@ impl Style {
     }
 
     /// Style of baseline `k`.
-    pub(crate) fn floor(k: usize) -> Self {
+    pub(crate) fn baseline(k: usize) -> Self {
         Self::line(Colour::hex(GREYS[k / DASHES.len() % GREYS.len()]), 1.0, DASHES[k % DASHES.len()])
     }
 

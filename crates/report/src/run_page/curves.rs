@@ -11,7 +11,7 @@ use pwrfgs_experiment::{LoadedRun, record::column, scores::MODEL, statistics::qu
 const STRETCHES: usize = 150;
 const MODEL_COLOUR: Colour = Colour::hex(0x18_4ea3);
 /// Colours of baselines, in their order, for the colour-blind (Okabe and Ito).
-const FLOOR_COLOURS: [u32; 8] =
+const BASELINE_COLOURS: [u32; 8] =
     [0x78_7c84, 0xe6_9f00, 0x00_9e73, 0xcc_79a7, 0xd5_5e00, 0x10_1318, 0x96_8200, 0x56_b4e9];
 
 /// Colour of the second curve of the model.
@@ -83,7 +83,8 @@ fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
         line(column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
         line(column(rows, 2), LIGHT, 2.0).named("model, median"),
     ];
-    for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
+    for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(BASELINE_COLOURS.into_iter().cycle())
+    {
         lines.push(ChartLine::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
     let task = run.data.task();
@@ -108,8 +109,11 @@ pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
     let lines = vec![
         middle,
         ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)),
-        ChartLine::new(vec![(0.0, 0.0), (last, last)], Style::line(Colour::hex(FLOOR_COLOURS[0]), 1.5, Stroke::DASHED))
-            .named("error = spread"),
+        ChartLine::new(
+            vec![(0.0, 0.0), (last, last)],
+            Style::line(Colour::hex(BASELINE_COLOURS[0]), 1.5, Stroke::DASHED),
+        )
+        .named("error = spread"),
     ];
     let x = ChartAxis { name: "spread of the members, RMS".into(), ends: Some((0.0, last)), log: false };
     let y = ChartAxis { name: "error of the mean, RMS".into(), ends: None, log: false };
@@ -137,7 +141,7 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
         sorted.push((name, values));
     }
     let ends = ends(&headline, &sorted);
-    let mut floors = FLOOR_COLOURS.into_iter().map(Colour::hex).cycle();
+    let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex).cycle();
     let mut lines = Vec::new();
     for (name, sorted) in &sorted {
         let stride = sorted.len().div_ceil(PLACES).max(1);
@@ -146,7 +150,7 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
         points.extend(sorted.last().map(|v| (*v, 1.0)));
         points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
         let own = *name == MODEL;
-        let colour = if own { MODEL_COLOUR } else { floors.next().unwrap_or(MODEL_COLOUR) };
+        let colour = if own { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
         lines.push(line(points, colour, if own { 3.0 } else { 2.0 }).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ends: Some(ends), log: false };

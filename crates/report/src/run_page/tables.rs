@@ -112,10 +112,10 @@ mod tests {
         let cell = |v: f64| ScoreCell::Samples(Summary { mean: v, median: v, tail10: v });
         let cells = vec![cell(0.7), cell(0.99), cell(0.8)];
         let row = MetricRow { key: "ssim".into(), unit: String::new(), higher_is_better: true, cells };
-        let marks = |bounds: &[&str]| -> Vec<String> {
+        let marks = |oracles: &[&str]| -> Vec<String> {
             let predictors = ["model", "RT exact", "1-NN"].map(str::to_owned).into();
-            let bounds = bounds.iter().map(|name| (*name).to_owned()).collect();
-            let table = ScoreTable { predictors, metrics: vec![row.clone()], bounds, ..ScoreTable::default() };
+            let oracles = oracles.iter().map(|name| (*name).to_owned()).collect();
+            let table = ScoreTable { predictors, metrics: vec![row.clone()], oracles, ..ScoreTable::default() };
             let rows = groups(&table)[0].get_attr("rows").unwrap();
             let mark = |p: usize| {
                 rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(2)).and_then(|c| c.get_item_by_index(1))

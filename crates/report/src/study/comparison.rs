@@ -16,11 +16,11 @@ pub(super) const TRAINED_ON: &str = "trained_on";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) enum RowKind {
     /// Trained models.
-    StudyVariant,
+    Variant,
     /// Baseline.
-    Floor,
+    Baseline,
     /// Oracle baseline, which uses the scene of simulated data: not ranked.
-    Bound,
+    Oracle,
     /// Noise ceiling: not ranked, and without per-sample values.
     Ceiling,
 }
@@ -28,7 +28,7 @@ pub(super) enum RowKind {
 impl RowKind {
     /// Value in the CSV file.
     pub(super) fn name(self) -> &'static str {
-        ["variant", "floor", "bound", "ceiling"][self as usize]
+        ["variant", "baseline", "oracle", "ceiling"][self as usize]
     }
 }
 
@@ -107,14 +107,14 @@ impl ComparisonRow<'_> {
     pub(super) fn values(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Vec<f64> {
         let of_run = |run: &&Record| match statistic {
             SummaryStatistic::Whole if metric.key == TRAINING => {
-                (self.kind == RowKind::StudyVariant).then_some(run.facts.training_seconds)
+                (self.kind == RowKind::Variant).then_some(run.facts.training_seconds)
             }
             SummaryStatistic::Whole if metric.key == TRAINED_ON => {
                 let [train, validation, _] = run.facts.samples;
                 match self.kind {
-                    RowKind::StudyVariant => Some(train as f64),
-                    RowKind::Floor => Some((train + validation) as f64),
-                    RowKind::Bound | RowKind::Ceiling => None,
+                    RowKind::Variant => Some(train as f64),
+                    RowKind::Baseline => Some((train + validation) as f64),
+                    RowKind::Oracle | RowKind::Ceiling => None,
                 }
             }
             _ => run.scores.table.numbers(self.predictor, &metric.key)?.get(statistic.place()).copied(),
@@ -125,7 +125,7 @@ impl ComparisonRow<'_> {
     /// Mean and deviation over seeds. A baseline on a split that is equal for all seeds has no deviation.
     pub(super) fn spread(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Option<Spread> {
         let spread = Spread::of(&self.values(metric, statistic))?;
-        let same = self.kind != RowKind::StudyVariant && spread.deviation == Some(0.0);
+        let same = self.kind != RowKind::Variant && spread.deviation == Some(0.0);
         Some(if same { Spread { deviation: None, ..spread } } else { spread })
     }
 
@@ -166,7 +166,7 @@ impl<'a> Comparison<'a> {
             let twin = setting.twin(k).map(|first| first.label.as_str());
             ComparisonRow {
                 label: &v.label,
-                kind: RowKind::StudyVariant,
+                kind: RowKind::Variant,
                 twin,
                 predictor: MODEL,
                 runs: v.runs.iter().collect(),
@@ -181,14 +181,14 @@ impl<'a> Comparison<'a> {
                     Some(row) if row.runs.iter().any(|r| r.facts.seed == run.facts.seed) => {}
                     Some(row) => row.runs.push(run),
                     None => {
-                        let bound = run.scores.table.bounds.iter().any(|bound| bound == name);
-                        let kind = if bound { RowKind::Bound } else { RowKind::Floor };
+                        let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
+                        let kind = if oracle { RowKind::Oracle } else { RowKind::Baseline };
                         rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
                     }
                 }
             }
         }
-        rows[variants..].sort_by_key(|row| row.kind == RowKind::Bound);
+        rows[variants..].sort_by_key(|row| row.kind == RowKind::Oracle);
         let mut ceiling: Vec<&Record> = Vec::new();
         for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {
             if !ceiling.iter().any(|other| other.facts.seed == run.facts.seed) {
@@ -244,7 +244,7 @@ impl<'a> Comparison<'a> {
     pub(super) fn ambiguous(&self) -> Vec<String> {
         let key = self.setting.headline().key;
         let mut all = Vec::new();
-        for row in self.rows.iter().filter(|row| [RowKind::Floor, RowKind::Bound].contains(&row.kind)) {
+        for row in self.rows.iter().filter(|row| [RowKind::Baseline, RowKind::Oracle].contains(&row.kind)) {
             let differs = |run: &&Record| {
                 let shown = row.runs.iter().find(|shown| shown.facts.seed == run.facts.seed)?;
                 let [a, b] = [run, shown].map(|run| run.scores.value(row.predictor, key));
@@ -280,7 +280,7 @@ const HEADER: &str = "setting simulated variant kind metric unit statistic value
 
 /// `report.csv`: one line per number: all metrics of all rows of all settings, with references.
 ///
-/// Columns: setting, simulated, variant, kind (`variant`, `floor` for a baseline, `bound` for an oracle baseline,
+/// Columns: setting, simulated, variant, kind (`variant`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
 /// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
 /// seeds, empty for one), n (seeds), reference, low and high (ends of the interval of a difference).

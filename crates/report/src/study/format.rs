@@ -129,8 +129,8 @@ mod tests {
         };
         let columns = vec![column("SSIM", "mean"), column("SSIM", "median"), column("η", "mean")];
         let lines = vec![
-            line("a_b", RowKind::StudyVariant, "0.9", RankMark::Best),
-            line("5-NN", RowKind::Floor, "0.8", RankMark::Second),
+            line("a_b", RowKind::Variant, "0.9", RankMark::Best),
+            line("5-NN", RowKind::Baseline, "0.8", RankMark::Second),
         ];
         let table = document(&page(columns, lines), "tables/1-scores.tex");
         for part in [
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn nothing_in_a_label_is_html() {
         let line =
-            TableLine { label: "<i>".into(), kind: RowKind::StudyVariant, cells: vec![shown("1", "", RankMark::None)] };
+            TableLine { label: "<i>".into(), kind: RowKind::Variant, cells: vec![shown("1", "", RankMark::None)] };
         let text = document(&page(vec![TableColumn::default()], vec![line]), "report.html");
         assert!(text.contains("<h1>a &amp; b</h1>") && text.contains("<td>&lt;i&gt;</td>"), "{text}");
     }

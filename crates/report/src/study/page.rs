@@ -94,7 +94,7 @@ impl Section {
             context! {
                 variants => setting.variants.len(),
                 runs => runs.len(),
-                floors => comparison.rows.iter().filter(|row| [RowKind::Floor, RowKind::Bound].contains(&row.kind)).count(),
+                baselines => comparison.rows.iter().filter(|row| [RowKind::Baseline, RowKind::Oracle].contains(&row.kind)).count(),
                 samples => Vec::from(samples),
                 simulated => setting.simulated,
                 observations => setting.task().counted[1],

@@ -87,9 +87,9 @@ impl TableLine {
         let ComparisonRow { label, kind, .. } = *row;
         let label = match (kind, row.twin) {
             (_, Some(twin)) => format!("{label} ≡ {twin}"),
-            (RowKind::StudyVariant | RowKind::Ceiling, None) => label.to_owned(),
-            (RowKind::Floor, None) => format!("{label} (baseline)"),
-            (RowKind::Bound, None) => format!("{label} †"),
+            (RowKind::Variant | RowKind::Ceiling, None) => label.to_owned(),
+            (RowKind::Baseline, None) => format!("{label} (baseline)"),
+            (RowKind::Oracle, None) => format!("{label} †"),
         };
         Self { label, kind, cells }
     }
@@ -135,7 +135,7 @@ pub(super) fn ranks(setting: &Setting) -> Option<Table> {
         let mean = way.mean_rank();
         let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
         cells.push(FormattedValue { value, ..FormattedValue::default() });
-        TableLine { label: way.name.clone(), kind: RowKind::StudyVariant, cells }
+        TableLine { label: way.name.clone(), kind: RowKind::Variant, cells }
     });
     let lines: Vec<TableLine> = lines.collect();
     let mut table =

@@ -80,7 +80,7 @@ fn about(side: &ViewPane) -> Value {
         "members": ensemble.map_or(1, |ensemble| ensemble.members().len()),
         "ellipsoids": splats,
         "by_position": predictor.as_ref().is_none_or(|predictor| predictor.by_position()),
-        "floor": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
+        "baseline": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
         "snapshots": saved_snapshots(side).iter()
             .map(|(title, shown)| json!({ "title": title, "step": shown.step, "gaussians": shown.means.len() }))
             .collect::<Vec<_>>(),
@@ -93,7 +93,7 @@ fn gaussians(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, 
     let origin = live::origin(&side.setup, side.known.as_ref().map(|known| &*known.data));
     if let Some(k) = parameters.snapshot {
         let all = saved_snapshots(side);
-        let (_, snapshot) = all.get(k).ok_or_else(|| wrong("query parameter `moment`: no such snapshot"))?;
+        let (_, snapshot) = all.get(k).ok_or_else(|| wrong("query parameter `snapshot`: no such snapshot"))?;
         return Ok(snapshot_bundle(snapshot, origin));
     }
     let predictor = predictor(side)?;

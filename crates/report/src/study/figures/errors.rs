@@ -33,11 +33,11 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
             lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
         }
     }
-    for (k, name) in setting.floors().into_iter().enumerate() {
+    for (k, name) in setting.baselines().into_iter().enumerate() {
         // Equal in all variants, except for splits that depend on the seed.
         let bins = bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
-        lines.push(ChartLine::new(points, Style::floor(k)).named_at_end(name));
+        lines.push(ChartLine::new(points, Style::baseline(k)).named_at_end(name));
     }
     let x = ChartAxis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
     let Headline { name, higher, best, .. } = task.headline;
@@ -108,8 +108,8 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
         line.marks = line.points.iter().skip(10 + 5 * (k % 4)).step_by(20).copied().collect();
         lines.push(line);
     }
-    for (k, name) in setting.floors().into_iter().enumerate() {
-        lines.push(ChartLine::new(points(&setting.variants[0].runs, name), Style::floor(k)).named(name));
+    for (k, name) in setting.baselines().into_iter().enumerate() {
+        lines.push(ChartLine::new(points(&setting.variants[0].runs, name), Style::baseline(k)).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ..ChartAxis::default() };
     let y = ChartAxis { name: "share of the test set below".into(), ends: Some((0.0, 1.0)), log: false };

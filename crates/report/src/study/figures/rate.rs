@@ -59,7 +59,7 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
         let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
-        Ok(ChartLine::new(curve(&measured), Style::floor(k)).named_at_end(&name))
+        Ok(ChartLine::new(curve(&measured), Style::baseline(k)).named_at_end(&name))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()
 }

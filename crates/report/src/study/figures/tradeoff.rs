@@ -61,7 +61,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     let mut lines = points;
     lines.extend(published.then(|| reference(score)));
     lines.extend(threads(setting, score.key));
-    lines.extend(floors(setting, score.key));
+    lines.extend(baselines(setting, score.key));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
     let chart =
         Chart { x, y: ChartAxis { name: score.axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
@@ -111,11 +111,11 @@ fn without_digits(label: &str) -> String {
 }
 
 /// Horizontal lines over the whole width, with names at the right.
-pub(super) fn floors(setting: &Setting, key: &str) -> Vec<ChartLine> {
+pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
-        Some(ChartLine::level(setting.floor(name, key)?, Style::floor(k)).named_at_end(name))
+        Some(ChartLine::level(setting.baseline(name, key)?, Style::baseline(k)).named_at_end(name))
     };
-    setting.floors().into_iter().enumerate().filter_map(line).collect()
+    setting.baselines().into_iter().enumerate().filter_map(line).collect()
 }
 
 /// Whether these are the measured spectra of the published numbers, by the name of the data:
@@ -154,7 +154,7 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     let mut pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
     // Methods that are always worse than all baselines would compress the axis.
-    let worst = worst_floor(setting);
+    let worst = worst_baseline(setting);
     let hopeless = |way: &VariantFamily<'_>| {
         let scores: Vec<f64> = way.places.iter().flatten().map(|(score, _)| score.mean).collect();
         let below =
@@ -180,7 +180,7 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     }
     lines.append(&mut shown);
     lines.append(&mut others);
-    lines.extend(floors(setting, headline.key));
+    lines.extend(baselines(setting, headline.key));
     let axis = format!("mean {}", headline.name);
     let x = ChartAxis { name: cost.axis.into(), log: true, ends: None };
     let chart = Chart { x, y: ChartAxis { name: axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
@@ -189,10 +189,10 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
 }
 
 /// Mean score of the worst baseline.
-fn worst_floor(setting: &Setting) -> Option<f64> {
+fn worst_baseline(setting: &Setting) -> Option<f64> {
     let headline = setting.headline();
-    let of = |name: &str| setting.floor(name, headline.key);
-    setting.floors().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
+    let of = |name: &str| setting.baseline(name, headline.key);
+    setting.baselines().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
 }
 
 /// Line of a method through its variants, with bars over seeds.

@@ -49,7 +49,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Com
         replicates => REPLICATES,
         edge => comparison.blocks.edge_m.map(|edge| format!("{edge:.2}")),
         cubes => comparison.blocks.count,
-        bounds => table.has(RowKind::Bound),
+        oracles => table.has(RowKind::Oracle),
         twins => !comparison.twins().is_empty(),
     };
     table.legend = sentences("legend.txt", words);

@@ -81,7 +81,7 @@ fn column(
     let mut cells: Vec<FormattedValue> = spreads.iter().map(shown).collect();
     if ranked {
         let rivals =
-            |row: &ComparisonRow<'_>| [RowKind::StudyVariant, RowKind::Floor].contains(&row.kind) && row.twin.is_none();
+            |row: &ComparisonRow<'_>| [RowKind::Variant, RowKind::Baseline].contains(&row.kind) && row.twin.is_none();
         mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {
@@ -217,9 +217,9 @@ fn table(
         sampled => comparison.metrics.iter().any(MetricRow::is_per_sample),
         least,
         most,
-        floors => table.has(RowKind::Floor),
+        baselines => table.has(RowKind::Baseline),
         marked => table.is_marked(),
-        bounds => table.has(RowKind::Bound),
+        oracles => table.has(RowKind::Oracle),
         twins => !comparison.twins().is_empty(),
         ceiling => table.has(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,
