@@ -77,9 +77,11 @@ fn quotes_around_set_values_are_optional() {
 
 #[test]
 fn invalid_changes_list_valid_alternatives() {
-    let cases: [(&str, &[&str]); 19] = [
+    let cases: [(&str, &[&str]); 21] = [
         ("training.steps", &["path.to.field=value"]),
         ("training.step=5", &["`training` has no field `step`", "did you mean `steps`?"]),
+        ("steps=5", &["a pipeline has no field `steps`", "did you mean `training.steps`?"]),
+        ("lambda=0.1", &["a pipeline has no field `lambda`", "did you mean `pruners.LearnableMask.lambda`?"]),
         ("trainin.steps=5", &["a pipeline has no field `trainin`", "did you mean `training`?"]),
         ("pruners.LearnableMask.lamda=1", &["LearnableMask", "did you mean `lambda`?"]),
         ("pruners.LearnedMask.lambda=1", &["did you mean `LearnableMask`?", "give the complete list"]),

@@ -19,7 +19,7 @@ use std::process::ExitCode;
 #[derive(Debug, Parser)]
 #[command(
     name = "pwrfgs",
-    version,
+    version = pwrfgs::experiment::VERSION,
     about = "Predict spatial spectra, received powers or channels with pruned 3D Gaussians (P-WRFGS)",
     after_help = "\
 EXAMPLES

@@ -7,6 +7,22 @@ fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap()
 }
 
+/// The commit in `run.json` and in `--version` is that of the checkout that these tests were built from.
+fn names_its_commit(here: &Path, facts: &serde_json::Value) {
+    let git = |arguments: &[&str]| {
+        let output = std::process::Command::new("git").current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments).output();
+        output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8(o.stdout).unwrap().trim().to_owned())
+    };
+    let version = stdout(&succeed(here, &["--version"]));
+    match git(&["rev-parse", "HEAD"]) {
+        Some(commit) => {
+            assert_eq!(facts["commit"], commit);
+            assert_eq!(version, format!("pwrfgs {} ({commit:.10})\n", env!("CARGO_PKG_VERSION")));
+        }
+        None => assert!(facts["commit"].is_null(), "{facts}"),
+    }
+}
+
 #[test]
 fn a_run_becomes_a_folder_that_predicts_and_evaluates() {
     let folder = tempfile::tempdir().unwrap();
@@ -34,6 +50,7 @@ fn a_run_becomes_a_folder_that_predicts_and_evaluates() {
     let facts: serde_json::Value = serde_json::from_str(&read(&run.join("run.json"))).unwrap();
     assert!(facts["finished"].is_string() && facts["wall_seconds"].as_f64().unwrap() > 0.0);
     assert_eq!(facts["machine"]["threads"], 1);
+    names_its_commit(here, &facts);
     let report = read(&run.join("report.html"));
     for outside in ["src=\"http", "href=\"http", "<link", "<script src"] {
         assert!(!report.contains(outside), "the report needs {outside}");

@@ -18,7 +18,7 @@ pub trait Pruner:
     /// a Gaussian is kept if all keep it.
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool>;
 
-    /// Returns the statistics for [`CloudStats::asked`] at a prune step, computed by a pass over training transmitters;
+    /// Returns the statistics for [`CloudStats::requested`] at a prune step, computed by a pass over training transmitters;
     /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
         let _ = (cloud, context);

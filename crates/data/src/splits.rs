@@ -6,7 +6,6 @@
 //! Dense trajectories have neighbours millimetres apart, so a random split tests interpolation over millimetres;
 //! [`TimeBlock`], [`Voxel`] and [`Sparse`] are harder. Every split can hold out a `validation` share of its training
 //! set by the same rule.
-//! part by its own rule.
 
 mod blocks;
 mod links;

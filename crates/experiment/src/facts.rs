@@ -14,7 +14,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub struct Facts {
     /// Version of pwrfgs.
     pub version: String,
-    /// Git commit of the checkout that contains the program, if any.
+    /// Git commit that the program was built from, if known.
     pub commit: Option<String>,
     /// Bytes per number: 4, or 8 in the double-precision build.
     pub real_bytes: usize,
@@ -112,7 +112,7 @@ impl Facts {
         let old = Self::read(folder)?.unwrap_or_else(|| Self { started: now(), ..Self::default() });
         Ok(Self {
             version: env!("CARGO_PKG_VERSION").into(),
-            commit: commit(),
+            commit: option_env!("PWRFGS_COMMIT").map(str::to_owned),
             real_bytes: size_of::<pwrfgs_core::Real>(),
             machine: Machine::here(),
             seed,
@@ -205,19 +205,8 @@ impl Facts {
     }
 }
 
-/// Commit of the project checkout that contains the program, read from git's files.
-fn commit() -> Option<String> {
-    let program = std::env::current_exe().ok()?;
-    let root = program.ancestors().find(|folder| folder.join("crates/experiment").is_dir())?;
-    let git = root.join(".git");
-    let head = files::read_string(git.join("HEAD")).ok()?;
-    let Some(name) = head.trim().strip_prefix("ref: ") else { return Some(head.trim().to_owned()) };
-    if let Ok(id) = files::read_string(git.join(name)) {
-        return Some(id.trim().to_owned());
-    }
-    let packed = files::read_string(git.join("packed-refs")).ok()?;
-    packed.lines().find_map(|l| l.strip_suffix(name).map(|id| id.trim().to_owned()))
-}
+/// Version of the program, such as `0.1.0 (1f0a2b3c4d)` with the start of the git commit that it was built from.
+pub const VERSION: &str = env!("PWRFGS_VERSION");
 
 /// Current time, such as `2026-11-21T09:49:19Z`.
 pub(crate) fn now() -> String {

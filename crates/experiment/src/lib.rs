@@ -34,7 +34,7 @@ mod training;
 pub use ceiling::{NoiseCeiling, ceiling, lapse_of};
 pub use evaluate::{check_alike, evaluate};
 pub use evaluation_set::EvaluationSet;
-pub use facts::{Facts, FileDigest, Machine};
+pub use facts::{Facts, FileDigest, Machine, VERSION};
 pub use input::{read_pipeline, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{data_warnings, equality_warning, load, observed, position_warning};

@@ -63,7 +63,14 @@ impl<'a> SettingPlace<'a> {
         if names().next().is_none() {
             return Err(format!("{subject} has no fields, so `{step}` is unknown{}", whole(plugin, &name, step)));
         }
-        let hint = did_you_mean(step, names());
+        let mut deeper = if name.is_empty() { paths_to(step, tree) } else { Vec::new() };
+        let depth = |path: &String| path.matches('.').count();
+        let least = deeper.iter().map(depth).min();
+        deeper.retain(|path| Some(depth(path)) == least);
+        let hint = match &deeper[..] {
+            [] => did_you_mean(step, names()),
+            _ => format!("; did you mean `{}`?", deeper.join("` or `")),
+        };
         let whole = whole(plugin, &name, step);
         Err(format!(
             "{subject} has no field {}{hint} (fields: `{}`){whole}",
@@ -179,6 +186,25 @@ fn listed<'a>(here: &str, path: &str, items: &'a [RonTree], step: &str) -> Resul
             Err(format!("{here} has {} entries `{step}`; select one: {}", named.len(), places.join(", ")))
         }
     }
+}
+
+/// Paths below `tree` that end in the field `name`.
+fn paths_to(name: &str, tree: &RonTree) -> Vec<String> {
+    let inner = |step: &str, value: &RonTree| -> Vec<String> {
+        paths_to(name, value).into_iter().map(|path| format!("{step}.{path}")).collect()
+    };
+    let of_field = |(field, value): &(String, RonTree)| {
+        let mut paths: Vec<String> = inner(field, value);
+        paths.extend((field == name).then(|| name.to_owned()));
+        paths
+    };
+    let items = tree.items();
+    let of_item = |(place, item): (usize, &RonTree)| {
+        let is_unique = item.name.is_some() && items.iter().filter(|other| other.name == item.name).count() == 1;
+        let step = item.name.clone().filter(|_| is_unique && tree.name.is_none());
+        inner(&step.unwrap_or_else(|| place.to_string()), item)
+    };
+    tree.fields().iter().flat_map(of_field).chain(items.iter().enumerate().flat_map(of_item)).collect()
 }
 
 /// Hint to give the complete plugin if another plugin of this kind has the field.

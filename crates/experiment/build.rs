@@ -1,0 +1,40 @@
+//! Stores the commit of the checkout, or of the packaged crate, in the program.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Output of a git command in this folder, if it succeeds.
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
+    Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
+}
+
+/// Commit of the checkout; none if the crate lies in a repository of another project.
+fn of_checkout() -> Option<String> {
+    let root: PathBuf = std::env::current_dir().ok()?.ancestors().nth(2)?.canonicalize().ok()?;
+    let is_own = Path::new(&git(&["rev-parse", "--show-toplevel"])?).canonicalize().ok()? == root;
+    // Git appends to this log at each commit, checkout and pull.
+    let log = git(&["rev-parse", "--path-format=absolute", "--git-path", "logs/HEAD"])?;
+    if is_own && Path::new(&log).exists() {
+        println!("cargo::rerun-if-changed={log}");
+    }
+    git(&["rev-parse", "HEAD"]).filter(|_| is_own)
+}
+
+/// Commit that cargo stores in a package.
+fn of_package() -> Option<String> {
+    let text = std::fs::read_to_string(".cargo_vcs_info.json").ok()?;
+    Some(text.split("\"sha1\": \"").nth(1)?.split('"').next()?.to_owned())
+}
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    let version = env!("CARGO_PKG_VERSION");
+    match of_package().or_else(of_checkout) {
+        Some(commit) => {
+            println!("cargo::rustc-env=PWRFGS_COMMIT={commit}");
+            println!("cargo::rustc-env=PWRFGS_VERSION={version} ({commit:.10})");
+        }
+        None => println!("cargo::rustc-env=PWRFGS_VERSION={version}"),
+    }
+}
