@@ -82,7 +82,9 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     succeed(here, &[&["run", "my--data-.ron", "-q"][..], &few].concat());
     refuse(here, &["init", "my \"data\""], 2, &["my--data-.ron", "not overwritten", "--out"]);
     assert_eq!(std::fs::read_to_string(here.join("my--data-.ron")).unwrap(), text);
-    refuse(here, &["init", "nowhere"], 2, &["nowhere"]);
+    refuse(here, &["init", "nowhere"], 2, &["nowhere: no such folder"]);
+    std::fs::create_dir(here.join("empty")).unwrap();
+    refuse(here, &["init", "empty"], 2, &["empty: no known layout", "spectra.npy", "gateway_rssi.csv", "docs/data.md"]);
     assert!(!here.join("nowhere.ron").exists());
 }
 

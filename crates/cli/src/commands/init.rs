@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use crate::reference::commented::{CommentStyle, Value};
 use crate::reference::example;
 use clap::Args;
-use pwrfgs::data::{Nerf2Spectrum, read_points};
+use pwrfgs::data::read_points;
 use pwrfgs::experiment::inspect::test_distance;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::experiment::{Observer, data_warnings, observed, staged};
@@ -59,6 +59,9 @@ const FINE_SPECTRA: &str = include_str!("../../../../pipelines/s23-laptop.ron");
 const COARSE_SPECTRA: &str = include_str!("../../../../pipelines/quickstart.ron");
 const POWERS: &str = include_str!("../../../../pipelines/ble.ron");
 const CHANNELS: &str = include_str!("../../../../pipelines/office-channel.ron");
+const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_info.yml, or spectra.npy (spectra); gateway_rssi.csv \
+                       and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
+                       base-station.yml (channels); see docs/data.md";
 const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
 
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
@@ -189,11 +192,8 @@ struct DataSurvey {
 impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
     fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        // For an unknown folder, the reader of spectra reports the expected files.
-        let spectra = || -> Box<dyn DataSource> {
-            Box::new(Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() })
-        };
-        let source = recognise(folder).unwrap_or_else(|| spectra().into());
+        let unknown = if folder.is_dir() { UNKNOWN } else { "no such folder" };
+        let source = recognise(folder).ok_or_else(|| Error::input(folder, unknown))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
         data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
