@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// N Gaussians before activation. Gradients and moments of Adam have the same type: a cloud is a vector space.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianCloud {
-    /// Centres μ `[N,3]`, metres, world frame.
+    /// Centres μ `[N,3]`, metres from the origin of the data set, world axes.
     pub means: Vec<[Real; 3]>,
     /// Natural logarithms of the scales `[N,3]`, scales in metres.
     pub log_scales: Vec<[Real; 3]>,

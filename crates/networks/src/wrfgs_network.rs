@@ -128,7 +128,7 @@ impl WrfgsLayers {
         (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
     }
 
-    /// Returns S·A, `[B, N]`, from the result of [`Self::ahead`] if given.
+    /// Returns S·A, `[B, N]`, from the result of [`Self::trunk_output`] if given.
     pub(super) fn forward(
         &self,
         weights: &[Real],

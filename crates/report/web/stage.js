@@ -112,7 +112,7 @@ class StageSide {
       this.figure("measured", title, palettes.power, 0, 1).view.draw(measured, [theirs], ink);
       this.difference ??= new Float32Array(picture.length);
       for (let i = 0; i < picture.length; i++) this.difference[i] = Math.min(1, Math.max(0, picture[i])) - measured[i];
-      this.figure("difference", "Predicted − measured, −0.5 to 0.5", palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
+      this.figure("difference", `Predicted − ${word.toLowerCase()}, −0.5 to 0.5`, palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
     }
     if (found.has("deviation")) {
       const title = "Spread of the members, 0 to 0.5";
@@ -123,7 +123,7 @@ class StageSide {
   showPowers(found, truth) {
     const points = (values) => Array.from(values, (dbm, k) => [k + 1, dbm]);
     const lines = [{ points: points(found.get("powers")), colour: PREDICTED_LINE, dots: true, dash: [4, 3], name: "× predicted" }];
-    if (truth) lines.push({ points: points(truth.get("powers")), colour: MEASURED_LINE, dots: true, name: "○ nearest measurement" });
+    if (truth) lines.push({ points: points(truth.get("powers")), colour: MEASURED_LINE, dots: true, name: `○ nearest ${this.stage.note.simulated ? "simulation" : "measurement"}` });
     const { map } = this.figure("powers", "Received power", null);
     drawChart(map, { x: "receiver", y: "dBm", lines }, this.stage.ink);
   }
@@ -132,7 +132,7 @@ class StageSide {
     const { plane, frequencies_hz: hz } = this.stage.note;
     const curves = (pack) => channelCurves(pack.get("picture"), plane.height, plane.width, hz);
     const both = [[curves(found), PREDICTED_LINE, [6, 4], "- - predicted"]];
-    if (truth) both.push([curves(truth), MEASURED_LINE, [], "— nearest measurement"]);
+    if (truth) both.push([curves(truth), MEASURED_LINE, [], `— nearest ${this.stage.note.simulated ? "simulation" : "measurement"}`]);
     const lines = (key) => both.map(([curve, colour, dash, name]) => ({ points: curve[key], colour, dash, name }));
     const dots = (all) => (both[0][0].magnitude.length === 1 ? all.map((line) => ({ ...line, dots: true })) : all);
     const magnitude = this.figure("magnitude", "Magnitude", null);
