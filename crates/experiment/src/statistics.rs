@@ -20,7 +20,7 @@ pub const REPLICATES: usize = 10_000;
 /// Coverage of the intervals.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// Mean, median and bad tail of per-sample values. Infinite values (a perfect PSNR) are stored as `null`.
+/// Mean, median and tail percentile of per-sample values. Infinite values (a perfect PSNR) are stored as `null`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Arithmetic mean.
@@ -360,7 +360,7 @@ mod tests {
         assert!((s.tail10 - 1.3).abs() < 1e-12);
         assert!(
             (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).tail10 - 3.7).abs() < 1e-12,
-            "the bad tail is at the other end"
+            "the tail is at the other end"
         );
         assert!(Summary::of(&[], true).mean.is_nan());
     }

@@ -186,7 +186,7 @@ impl Training<'_, '_> {
     }
 }
 
-/// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the bad tail
+/// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the tail
 /// of the first if there is no second.
 fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = EvaluationSet::new(data, part, &model.stages.plane);

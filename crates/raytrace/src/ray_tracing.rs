@@ -65,7 +65,7 @@ impl RayTracing {
                     .as_ref()
                     .map_or_else(|| format!("the scene of these simulated {things}"), |p| p.display().to_string());
                 format!(
-                    "ray tracing in {scene}, material constants off by {:.0} % and places by {:.0} cm (one standard \
+                    "ray tracing in {scene}, material constants off by {:.0} % and positions by {:.0} cm (one standard \
                      deviation, one draw)",
                     self.material_error * 100.0,
                     self.position_error_m * 100.0

@@ -26,8 +26,8 @@ use serde::{Deserialize, Serialize};
 /// Each receiver has its own process; a receiver without training links is predicted from all links. For received
 /// powers, the process models the residual of a least-squares path-loss model, RSSI = T - 10 gamma log10(d). Far from
 /// all measurements, the prediction is the path-loss model. The correlation is then Matern 3/2 with one length scale
-/// for all axes, and the fit maximises the likelihood of at most 320 training and validation powers, each given the 16 nearest before
-/// it in random order. Data with link features in place of positions are an error.
+/// for all axes, and the fit maximises the likelihood of at most 320 training and validation powers, each
+/// given the 16 nearest before it in random order. Data with link features in place of positions are an error.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};

@@ -43,7 +43,7 @@ impl MetricScale {
 }
 
 /// Fits a straight line of `values` over distance, weighted towards near pairs, for the mean at zero; values moved
-/// along it to distance zero give median and bad tail. There is at least one pair.
+/// along it to distance zero give median and tail percentile. There is at least one pair.
 pub(super) fn at_zero(
     pairs: &[SamplePair],
     values: &[f64],

@@ -38,7 +38,7 @@ pub struct Material {
     #[serde(default)]
     pub d: f64,
     /// Lowest and highest frequency of validity, GHz; unlimited by default.
-    #[serde(default = "everywhere", skip_serializing_if = "is_everywhere")] // JSON knows no infinity
+    #[serde(default = "everywhere", skip_serializing_if = "is_everywhere")] // JSON has no infinity
     pub range_ghz: (f64, f64),
 }
 
