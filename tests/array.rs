@@ -176,7 +176,7 @@ fn sixteen_waves(plane: &ImagePlane, w: &[f64]) -> (Splats, Vec<Real>) {
 }
 
 #[test]
-fn sixteen_gaussians_reproduce_measured_pictures_to_their_rounding() {
+fn sixteen_gaussians_fit_measured_spectra_to_rounding() {
     let Some(root) = shared("data/s23") else { return };
     let data = pwrfgs_data::Nerf2Spectrum { root, ..Default::default() }.load(Path::new("."), &|_, _| {}).unwrap();
     let plane = pwrfgs_raster::Mercator::default().plane(360, 90);
@@ -215,7 +215,7 @@ fn train(more: &str, steps: u64) -> Model {
 }
 
 #[test]
-fn a_strided_training_gives_whole_pictures_and_learns() {
+fn strided_training_predicts_whole_images_and_reduces_loss() {
     let loss = |steps| {
         let pipeline = pipeline(&format!(
             "{FIELDS}, training: (steps: 60, batch: 8, stride: 3, densify_until: 0, prune_until: 0)"
@@ -233,7 +233,7 @@ fn a_strided_training_gives_whole_pictures_and_learns() {
 }
 
 #[test]
-fn a_stride_that_does_not_fit_is_refused_with_those_that_do() {
+fn rejects_unsupported_stride_and_lists_valid_strides() {
     let refused = |more: &str| {
         let pipeline = pipeline(&format!(
             "data: Teacher(samples: 20, width: 72, height: 18), split: Random(test: 0.2), \
@@ -249,7 +249,7 @@ fn a_stride_that_does_not_fit_is_refused_with_those_that_do() {
 }
 
 #[test]
-fn waves_need_two_channels_and_a_plane_with_angles() {
+fn array_response_requires_complex_signals_and_angles() {
     let refused = |fields: &str| {
         let text = format!("Pipeline(name: \"x\", data: Teacher(), initializer: Grid(), {fields})");
         Pipeline::parse(&text, Path::new("x.ron")).unwrap_err().to_string()
@@ -285,7 +285,7 @@ fn ensemble_is_mean_of_members_with_deviation() {
 }
 
 #[test]
-fn a_closed_gate_leaves_the_field_and_an_open_one_changes_nothing() {
+fn closed_gate_removes_gaussian_and_open_gate_keeps_field() {
     let model = train("", 1);
     let splatting = model.stages.settings::<Splatting>().unwrap();
     let (Splatting { projector, rasterizer, .. }, pose, plane) = (splatting, &model.stages.pose(), &model.stages.plane);

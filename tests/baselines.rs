@@ -27,7 +27,7 @@ fn median(values: &[f64]) -> f64 {
 }
 
 #[test]
-fn baselines_reach_their_known_scores_on_the_measured_spectra() {
+fn baselines_reach_known_scores_on_measured_spectra() {
     let Some(root) = shared("data/s23") else { return };
     let data = Nerf2Spectrum { root, ..Default::default() }.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();

@@ -34,7 +34,7 @@ fn refused(arguments: &[&str]) -> String {
 }
 
 #[test]
-fn changes_are_checked_once_after_all_of_them() {
+fn changes_are_validated_together_after_last_change() {
     let both = ["training.densify_until=500", "training.prune_until=2000"];
     let lines = ["densify_until: 500,", "prune_until: 2000,"];
     assert_eq!(changed(&both), lines);
@@ -49,7 +49,7 @@ fn changes_are_checked_once_after_all_of_them() {
 }
 
 #[test]
-fn every_place_has_a_path() {
+fn every_setting_has_path() {
     assert_eq!(changed(&["pruners.LearnableMask.lambda=0.05"]), ["lambda: 0.05,"]);
     assert_eq!(changed(&["pruners.0.lambda=0.05"]), ["lambda: 0.05,"]);
     assert_eq!(changed(&["initializer.count=500"]), ["count: 500,"]);
@@ -114,7 +114,7 @@ fn invalid_changes_list_valid_alternatives() {
 }
 
 #[test]
-fn no_argument_panics() {
+fn change_arguments_never_panic() {
     let paths =
         ["training", "pruners", "pruners.0.lambda", "data.root", "split", "data", "name", "baselines.1", "readout"];
     let pieces = [

@@ -51,7 +51,7 @@ fn on_one() -> &'static (Vec<Vec<u8>>, Vec<usize>) {
 }
 
 #[test]
-fn training_gives_the_same_bits_at_one_and_two_threads() {
+fn training_is_bit_identical_with_one_and_two_threads() {
     let ((one, counts), (two, _)) = (on_one(), train_on(2));
     println!("N: {counts:?}");
     assert!(counts.windows(2).any(|w| w[1] > w[0]), "densification added something: {counts:?}");
@@ -62,7 +62,7 @@ fn training_gives_the_same_bits_at_one_and_two_threads() {
 }
 
 #[test]
-fn a_training_restored_at_any_step_ends_in_the_same_bits() {
+fn restored_training_is_bit_identical() {
     let pipeline = busy();
     let (checkpoints, _) = on_one();
     let (data, partition) = data_of(&pipeline);
@@ -80,7 +80,7 @@ fn a_training_restored_at_any_step_ends_in_the_same_bits() {
 }
 
 #[test]
-fn a_damaged_checkpoint_is_refused_with_a_sentence() {
+fn rejects_damaged_checkpoint() {
     let pipeline = busy();
     let (data, partition) = data_of(&pipeline);
     let good = pipeline.trainer(&data, &partition).unwrap().checkpoint();
@@ -92,7 +92,7 @@ fn a_damaged_checkpoint_is_refused_with_a_sentence() {
 }
 
 #[test]
-fn refuses_a_checkpoint_of_another_version() {
+fn rejects_checkpoint_of_other_version() {
     let pipeline = busy();
     let (data, partition) = data_of(&pipeline);
     let mut file = Tensors::from_bytes(&pipeline.trainer(&data, &partition).unwrap().checkpoint()).unwrap();
@@ -105,7 +105,7 @@ fn refuses_a_checkpoint_of_another_version() {
 }
 
 #[test]
-fn another_seed_gives_other_bits() {
+fn different_seed_gives_different_result() {
     let mut other = busy();
     other.set("seed=6").unwrap();
     let (data, partition) = data_of(&other);

@@ -122,7 +122,7 @@ enum Choice {
 }
 
 #[test]
-fn reads_every_sort_of_field_and_variant_from_a_schema() {
+fn reads_every_kind_of_field_and_variant_from_schema() {
     let docs = Docs::of::<Sorts>();
     let described: Vec<String> = docs.fields().iter().map(|f| format!("{}: {}", f.name, f.kind.words())).collect();
     assert_eq!(

@@ -30,7 +30,7 @@ const SETTINGS: &str = "data: Teacher(), deformation: Fixed(),
         optimizer: (means: Constant(0.02), log_scales: Constant(0.02), opacity_logits: Constant(0.05), signals: Constant(0.03)))";
 
 #[test]
-fn a_full_sphere_trains_in_front_and_behind_either_way_up() {
+fn full_sphere_trains_front_and_back_in_either_orientation() {
     for initializer in ["Grid(count: 80, distance_m: 3)", "Random(count: 300, std: 3)"] {
         for elevation in [(-90.0, 90.0), (90.0, -90.0)].map(Elevation::from) {
             let pipeline = pipeline(&format!("initializer: {initializer}, {SETTINGS}"));

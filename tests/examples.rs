@@ -20,7 +20,7 @@ fn numbers(line: &str) -> Vec<f64> {
 }
 
 #[test]
-fn arrays_in_memory_train_a_model_that_predicts_at_many_positions() {
+fn trains_on_arrays_in_memory_and_predicts_many_positions() {
     let folder = tempfile::tempdir().unwrap();
     let curve = run(folder.path(), "train", &["room.safetensors"]);
     let losses: Vec<f64> = curve.lines().filter(|l| l.contains("loss")).map(|l| numbers(l)[2]).collect();
@@ -38,7 +38,7 @@ fn arrays_in_memory_train_a_model_that_predicts_at_many_positions() {
 }
 
 #[test]
-fn a_cloud_of_ones_own_is_drawn_and_differentiated() {
+fn custom_cloud_is_drawn_and_differentiated() {
     let folder = tempfile::tempdir().unwrap();
     let message = run(folder.path(), "render", &["room.png"]);
     assert_eq!(image::image_dimensions(folder.path().join("room.png")).unwrap(), (360, 90));

@@ -12,7 +12,7 @@ use std::sync::Arc;
 const N: usize = 8;
 
 #[test]
-fn a_closed_gate_equals_an_absent_gaussian() {
+fn closed_gate_equals_absent_gaussian() {
     let deformations = [
         "Fixed()",
         "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)",
@@ -108,7 +108,7 @@ fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
 }
 
 #[test]
-fn pruning_open_gates_is_the_identity() {
+fn pruning_open_gates_is_identity() {
     let checkpoints = |every: u64| {
         let pipeline = training("LearnableMask(), OpacityThreshold()", &format!("prune_every: {every}"));
         let (data, partition) = data_of(&pipeline);
@@ -153,7 +153,7 @@ fn pruning_to_zero_stops_unless_target_is_one() {
 }
 
 #[test]
-fn the_best_is_the_one_its_pruner_scores_highest() {
+fn last_kept_gaussian_has_highest_score() {
     let pipeline = training("TopK(score: Opacity), OpacityThreshold(epsilon: 0.99)", "prune_every: 6, target_count: 1");
     let (data, partition) = data_of(&pipeline);
     let mut trainer = pipeline.trainer(&data, &partition).unwrap();

@@ -132,7 +132,7 @@ impl Step {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn without_deformation_every_column_differentiates_in_every_readout() {
+fn every_column_differentiates_in_every_readout() {
     for readout in [Readout::Magnitude, Readout::Power, Readout::Real] {
         for (seed, ssim_weight) in [(1, 0.0), (2, 0.2), (3, 1.0)] {
             let name = format!("Fixed, {readout:?}, SSIM {ssim_weight}");
@@ -144,7 +144,7 @@ fn without_deformation_every_column_differentiates_in_every_readout() {
 /// The network detaches the centres, as released: their own derivative is checked with the other deformations.
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn the_network_differentiates_where_it_moves_geometry() {
+fn network_that_moves_geometry_differentiates() {
     let mlp = "Mlp(depth: 3, width: 16, skip: 0, tx_hidden: 16, tx_features: 8, position_frequencies: 3, \
                tx_frequencies: 2, head_init: 0.3)";
     for (readout, ssim_weight) in [(Readout::Magnitude, 0.2), (Readout::Power, 1.0), (Readout::Real, 0.2)] {
@@ -154,7 +154,7 @@ fn the_network_differentiates_where_it_moves_geometry() {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn the_network_differentiates_where_it_moves_signals_of_a_batch() {
+fn network_that_changes_batch_signals_differentiates() {
     let mlp = "Mlp(depth: 2, width: 16, skip: None, tx_hidden: 16, tx_features: 8, position_frequencies: 3, \
                tx_frequencies: 2, outputs: Signals)";
     for (readout, ssim_weight) in [(Readout::Magnitude, 0.2), (Readout::Power, 0.2), (Readout::Real, 1.0)] {
@@ -217,7 +217,7 @@ const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(cou
 /// A power is the sky over solid angle, with a law of distance for each receiver.
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
+fn powers_differentiate_in_every_column_and_path_loss() {
     for power in [PixelLoss::Absolute, PixelLoss::Squared] {
         let mut step = links(
             &splats(NETWORK, "ReceivedPower(sky_deg: 20, filter_deg2: 120.0)"),
@@ -276,7 +276,7 @@ fn virtual_transmitters_differentiate() {
 /// Waves on an array, down to scales and centres, through a network that sees the centres.
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn waves_on_an_array_differentiate_in_every_column() {
+fn array_waves_differentiate_in_every_column() {
     let factored = "Factored(depth: 2, width: 8, tx_encoding: Octaves(2), position_encoding: Octaves(1))";
     let spherical = "ArrayResponse(rows: 3, columns: 4, wavefront: Spherical(wavelength_m: 0.8))";
     for (rasterizer, readout) in [("ArrayResponse()", Readout::MinMax), (spherical, Readout::Magnitude)] {
@@ -288,7 +288,7 @@ fn waves_on_an_array_differentiate_in_every_column() {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn every_term_of_each_transmitter_differentiates() {
+fn every_per_transmitter_term_differentiates() {
     let mut step = Step::new("Terms()", Readout::Magnitude, 2, 0.2, 6);
     let random = &mut rng::stream(6, "terms", 0);
     step.weights = (0..9 * N * 2).map(|_| 0.05 * rng::normal(random)).collect();
@@ -297,7 +297,7 @@ fn every_term_of_each_transmitter_differentiates() {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn the_released_network_differentiates_down_to_the_centres() {
+fn released_network_differentiates_to_centres() {
     for gain in ["1.5", "None"] {
         let wrfgs = format!("Wrfgs(depth: 3, width: 16, frequencies: 2, skip: Some(0), gain: {gain})");
         Step::new(&wrfgs, Readout::Real, 2, 0.2, 8).check(&wrfgs, None);
@@ -305,7 +305,7 @@ fn the_released_network_differentiates_down_to_the_centres() {
 }
 
 #[test]
-fn the_straight_through_gate_has_its_closed_form() {
+fn traced_straight_through_gate_has_closed_form() {
     let lambda: Real = 0.03;
     let base = cloud(N, 9);
     let step = |column: &str, values: Vec<Real>, pruner: &str| {

@@ -44,7 +44,7 @@ fn pose_check_confirms_correct_pose_and_corrects_wrong_pose() {
 }
 
 #[test]
-fn a_quaternion_in_another_order_is_recognised() {
+fn recognises_quaternion_in_other_order() {
     let data = &*OFFICE;
     let [x, y, z, w] = data.scene.pose().orientation;
     let found = found(&recorded_as(data, DQuat::from_xyzw(w, x, y, z)));
@@ -68,7 +68,7 @@ fn flipped(data: &Dataset, flip: impl Fn(&mut [u8], usize)) -> Dataset {
 }
 
 #[test]
-fn spectra_that_run_the_other_way_are_named() {
+fn reports_mirrored_spectra() {
     let data = &*OFFICE;
     let columns = |pixels: &mut [u8], width| pixels.chunks_exact_mut(width).for_each(<[u8]>::reverse);
     let rows = |pixels: &mut [u8], width| {

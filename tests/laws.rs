@@ -66,7 +66,7 @@ fn splits_are_deterministic_disjoint_and_sorted() {
 }
 
 #[test]
-fn pruners_answer_and_score_every_gaussian() {
+fn pruners_return_mask_and_score_per_gaussian() {
     for (name, pruner) in all::<dyn Pruner>() {
         for n in [0, 1, 9] {
             let mut cloud = cloud(n, 3);
@@ -88,7 +88,7 @@ fn pruners_answer_and_score_every_gaussian() {
 }
 
 #[test]
-fn deformations_keep_their_own_shapes() {
+fn deformations_return_declared_shapes() {
     for (name, deformation) in all::<dyn Deformation>() {
         let weights = deformation.layout().init(&mut rng::stream(1, "network", 0));
         assert_eq!(weights, deformation.layout().init(&mut rng::stream(1, "network", 0)), "{name}");
@@ -115,7 +115,7 @@ fn deformations_keep_their_own_shapes() {
 }
 
 #[test]
-fn projectors_and_rasterizers_answer_row_for_row() {
+fn projectors_and_rasterizers_return_one_row_per_gaussian() {
     let stages = stages("Fixed()", Readout::Real);
     let geometry =
         stages.settings::<Splatting>().unwrap().activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
@@ -152,7 +152,7 @@ fn projectors_and_rasterizers_answer_row_for_row() {
 }
 
 #[test]
-fn baselines_predict_pictures_of_the_right_size() {
+fn baselines_predict_images_of_correct_size() {
     let data = data();
     let train: Vec<usize> = (0..30).collect();
     for (name, baseline) in all::<dyn Baseline>() {
@@ -171,7 +171,7 @@ fn baselines_predict_pictures_of_the_right_size() {
 }
 
 #[test]
-fn metrics_measure_every_sample_or_the_whole() {
+fn metrics_return_values_per_sample_or_one_total() {
     let data = data();
     let pictures: Vec<Image> = (0..4).map(|i| data.image(i)).collect();
     for projector in ["Mercator()", "WrfgsCompat()"] {

@@ -75,7 +75,7 @@ fn learn(seed: u64, pruners: &str, steps: u64, prune_until: u64) -> End {
 }
 
 #[test]
-fn the_teacher_is_learned_and_the_surplus_pruned() {
+fn training_fits_teacher_and_prunes_surplus() {
     let seeds = if DOUBLE { 0..1 } else { 0..2 };
     if DOUBLE {
         println!("one seed only: double precision is slow");
@@ -98,7 +98,7 @@ fn the_teacher_is_learned_and_the_surplus_pruned() {
 }
 
 #[test]
-fn a_larger_lambda_leaves_fewer() {
+fn larger_lambda_keeps_fewer_gaussians() {
     let count =
         |lambda: &Real| learn(0, &format!("LearnableMask(lambda: {lambda}, learning_rate: 0.05)"), 600, 600).gaussians;
     let lambdas: [Real; 3] = [0.0, 0.1, 0.2];

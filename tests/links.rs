@@ -92,7 +92,7 @@ fn trained(trainer: &mut Trainer<'_>) -> Model {
 }
 
 #[test]
-fn a_training_of_links_ends_in_the_same_bits_however_it_is_interrupted_and_at_any_thread_count() {
+fn link_training_is_bit_identical_if_resumed_or_threaded() {
     for ((name, pipeline, data, partition), model) in cases().into_iter().zip(models()) {
         let whole = file::to_bytes(model);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
@@ -108,7 +108,7 @@ fn a_training_of_links_ends_in_the_same_bits_however_it_is_interrupted_and_at_an
 }
 
 #[test]
-fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
+fn batch_predictions_equal_single_predictions_after_reload() {
     let folder = tempfile::tempdir().unwrap();
     for ((name, _, data, _), model) in cases().into_iter().zip(models()) {
         let path = folder.path().join(name);
@@ -134,7 +134,7 @@ fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
 }
 
 #[test]
-fn every_task_is_learned() {
+fn training_reduces_error_for_every_task() {
     for ((name, _, data, partition), model) in cases().into_iter().zip(models()) {
         let error = |predict: &dyn Predict| -> f64 {
             let of = |&i: &usize| {
@@ -171,7 +171,7 @@ fn virtual_transmitters_are_not_densified() {
 
 /// The law of distance is in closed form from the first step.
 #[test]
-fn powers_begin_with_the_law_that_fits_best() {
+fn power_model_starts_with_fitted_path_loss() {
     let (_, pipeline, data, partition) = cases().remove(0);
     let model = pipeline.trainer(&data, &partition).unwrap().model();
     let exponents = &model.weights[model.weights.len() - 2..];
@@ -179,7 +179,7 @@ fn powers_begin_with_the_law_that_fits_best() {
 }
 
 #[test]
-fn parts_of_different_kinds_are_refused_at_their_place() {
+fn reports_position_of_parts_for_other_task() {
     let message = |text: &str| Pipeline::parse(text, Path::new("a.ron")).unwrap_err().to_string();
     let mixed = "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: AroundReceivers(),\n    readout: Magnitude,\n)";
     assert!(message(mixed).starts_with("a.ron:5:14: readout: it predicts spectra, but the data are received powers"));

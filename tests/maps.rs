@@ -40,7 +40,7 @@ fn trained(pipeline: &Pipeline, data: &Dataset) -> Model {
 }
 
 #[test]
-fn shifted_data_train_to_the_same_bits_and_predict_the_same_at_shifted_places() {
+fn training_and_predictions_are_shift_invariant() {
     let deformations = ["Mlp(depth: 2, width: 16, skip: None)", "Wrfgs(depth: 2, width: 8, skip: None)"];
     for (initializer, deformation) in ["PointCloud()", "Random(count: 60, std: 3)"].into_iter().zip(deformations) {
         let pipeline = pipeline(&format!(
@@ -67,7 +67,7 @@ fn shifted_data_train_to_the_same_bits_and_predict_the_same_at_shifted_places() 
 }
 
 #[test]
-fn a_teacher_on_a_map_is_the_teacher_at_home() {
+fn teacher_is_shift_invariant() {
     let teacher = |[x, y, z]: [f64; 3]| {
         let text = format!(
             "data: Teacher(gaussians: 6, samples: 8, width: 90, height: 24,

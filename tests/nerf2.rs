@@ -99,7 +99,7 @@ fn spectra_powers_and_channels_differentiate_in_every_layer() {
 }
 
 #[test]
-fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
+fn subsets_and_batches_are_bit_identical_to_whole_image() {
     let room = Room::new(Task::Spectrum, "far_m: 3");
     let (all, pixels) = (room.numbers(&room.weights, &LINKS, PixelSubset::All), room.setup.numbers());
     let every: Vec<usize> = (0..pixels).collect();
@@ -151,7 +151,7 @@ fn darker(room: &Room, factor: Real) -> Vec<Real> {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn rays_that_end_early_differentiate() {
+fn truncated_rays_differentiate() {
     // Powers are some hundreds, of which differences keep too few digits.
     for kind in [Task::Spectrum, Task::Channel] {
         let mut room = Room::new(kind, "far_m: 3");
@@ -171,7 +171,7 @@ fn small(training: &str) -> Pipeline {
 }
 
 #[test]
-fn trainings_of_rays_give_the_same_bits_at_any_thread_count_and_resumed() {
+fn ray_training_is_bit_identical_if_threaded_or_resumed() {
     let squared = "loss: (ssim_weight: 0, pixel: Squared)";
     let all = [
         "steps: 12, loss: (ssim_weight: 0.5)".to_owned(),
@@ -207,7 +207,7 @@ fn trainings_of_rays_give_the_same_bits_at_any_thread_count_and_resumed() {
 
 /// The projector does not count, not even where every third pixel is looked at.
 #[test]
-fn a_stride_asks_no_projector() {
+fn ray_stride_ignores_projector() {
     let first = |projector: &str| {
         let rays = "rays: Same(9), stride: 3, loss: (ssim_weight: 0)";
         let mut pipeline = small(rays);
@@ -220,7 +220,7 @@ fn a_stride_asks_no_projector() {
 }
 
 #[test]
-fn rays_are_learned() {
+fn ray_training_reduces_loss() {
     let pipeline = small(
         "steps: 150, rays: Same(60), loss: (ssim_weight: 0, pixel: Squared), optimizer: (network: Constant(0.003))",
     );

@@ -20,7 +20,7 @@ fn read(path: &Path) -> Pipeline {
 }
 
 #[test]
-fn the_shipped_pipelines_are_there() {
+fn shipped_pipelines_exist() {
     let names: Vec<String> =
         files("pipelines").iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
     for name in ["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"] {
@@ -29,7 +29,7 @@ fn the_shipped_pipelines_are_there() {
 }
 
 #[test]
-fn every_pipeline_survives_its_own_text() {
+fn every_pipeline_round_trips_through_ron() {
     for path in files("pipelines") {
         let text = read(&path).to_ron();
         let again = Pipeline::parse(&text, &path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
@@ -110,7 +110,7 @@ fn every_pipeline_runs_some_steps() {
 }
 
 #[test]
-fn every_joined_sweep_scores_the_mean_of_its_models() {
+fn joined_sweeps_score_mean_of_their_models() {
     let set = [
         "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
         "split=Random()",
@@ -188,7 +188,7 @@ fn every_experiment_resolves_and_its_variants_train() {
 }
 
 #[test]
-fn wrfgs_densifies_at_the_steps_of_the_released_code() {
+fn wrfgs_densifies_at_steps_of_released_code() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));
     pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
     pipeline.set("initializer.count=20").unwrap();
@@ -206,7 +206,7 @@ fn wrfgs_densifies_at_the_steps_of_the_released_code() {
 }
 
 #[test]
-fn the_quickstart_runs_on_the_office_it_names() {
+fn quickstart_uses_documented_office() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/quickstart.ron"));
     for change in [
         r#"data=Simulated(scene: "../scenes/office.ron", samples: 30, points: 500, cache: false)"#,

@@ -66,7 +66,7 @@ fn train(pipeline: &Pipeline) -> (Vec<u8>, Vec<u8>, Vec<usize>) {
 }
 
 #[test]
-fn every_strategy_takes_some_and_resumes_to_the_same_bytes_at_any_thread_count() {
+fn every_pruner_removes_some_and_resumes_bit_identically() {
     for (name, text) in all() {
         let pipeline = small(&text);
         let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -86,7 +86,7 @@ fn every_strategy_takes_some_and_resumes_to_the_same_bytes_at_any_thread_count()
 }
 
 #[test]
-fn exact_target_is_reached() {
+fn pruners_reach_exact_target() {
     for (name, text) in all() {
         if plugin::<dyn Pruner>(&text).traits().budget == Some(Budget::UpperBound) {
             continue;
@@ -101,7 +101,7 @@ fn exact_target_is_reached() {
 }
 
 #[test]
-fn rules_by_weight_are_the_same_with_a_target() {
+fn weight_rules_agree_with_target() {
     let gaussian_ids = |rule: &str| {
         let pipeline = targeted(&format!("MiniSplatting(rule: {rule})"), 7);
         let (data, partition) = data_of(&pipeline);
@@ -116,7 +116,7 @@ fn rules_by_weight_are_the_same_with_a_target() {
 }
 
 #[test]
-fn rounds_take_the_same_share_each() {
+fn prune_rounds_remove_equal_fractions() {
     let (_, _, counts) = train(&targeted("RandomReference()", 5));
     // Five prune steps from 40 to 5: 8^(1/5) each.
     assert_eq!([4, 8, 12, 16, 20].map(|step: usize| counts[step - 1]), [26, 17, 11, 7, 5]);
@@ -155,7 +155,7 @@ fn context() -> StepContext {
 }
 
 #[test]
-fn strategies_that_draw_no_lots_do_not_care_for_the_order_of_gaussians() {
+fn deterministic_pruners_ignore_order_of_gaussians() {
     let n = 23;
     let column: Vec<Real> = (0..n).map(|i| ((i * 7 + 3) % n) as Real / n as Real).collect();
     let mut order: Vec<usize> = (0..n).collect();
@@ -196,7 +196,7 @@ fn unrelated_gaussians_are_removed_first() {
 }
 
 #[test]
-fn equals_stay_in_order() {
+fn equal_scores_keep_order() {
     for (name, settings) in [("OpacityThreshold", ""), ("TopK", ""), ("SignalContribution", "shares: [0.5]")] {
         let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}({settings})"));
         let same = cloud(1, 1).select(&[0, 0, 0, 0]);

@@ -205,7 +205,7 @@ fn references() -> impl Iterator<Item = (Reference, Start)> {
 }
 
 #[test]
-fn splats_are_those_of_the_released_projection() {
+fn splats_match_released_projection() {
     for (reference, start) in references() {
         let (_, splats, ..) = start.draw();
         let seen: Vec<Real> = splats.radii.iter().map(|r| Real::from(u8::from(*r > 0.0))).collect();
@@ -231,7 +231,7 @@ fn splats_are_those_of_the_released_projection() {
 }
 
 #[test]
-fn pictures_are_those_of_the_reference() {
+fn images_match_reference() {
     for (reference, start) in references() {
         let (geometry, _, pixels, transmittance) = start.draw();
         let name = &reference.name;
@@ -244,7 +244,7 @@ fn pictures_are_those_of_the_reference() {
 }
 
 #[test]
-fn the_loss_and_every_derivative_are_those_of_the_reference() {
+fn loss_and_every_derivative_match_reference() {
     for (reference, start) in references() {
         let outcome = start.step();
         let name = &reference.name;
@@ -275,7 +275,7 @@ fn the_loss_and_every_derivative_are_those_of_the_reference() {
 }
 
 #[test]
-fn the_released_projection_with_a_pose_comes_as_near_as_the_pose_does() {
+fn released_projection_matches_reference_to_pose_precision() {
     for (reference, literal) in references() {
         let (found, exact) = (Start::of(&reference, plugin("WrfgsCompat()")).step(), literal.step());
         let name = &reference.name;

@@ -32,7 +32,7 @@ fn linked() -> Vec<(&'static PluginFamily, PluginEntry)> {
 }
 
 #[test]
-fn links_every_plugin_of_the_sources() {
+fn every_plugin_of_sources_is_linked() {
     let mut names: Vec<String> = linked().iter().map(|(family, m)| format!("{} {}", family.kind, m.name)).collect();
     names.sort();
     assert_eq!(names, in_sources());
@@ -40,7 +40,7 @@ fn links_every_plugin_of_the_sources() {
 }
 
 #[test]
-fn defaults_pass_their_own_check_and_survive_their_own_text() {
+fn plugin_defaults_are_valid_and_round_trip() {
     for (family, member) in linked() {
         let what = format!("{} {}", family.kind, member.name);
         let text = member.text.unwrap_or_else(|why| panic!("{what}: {why}"));
@@ -51,7 +51,7 @@ fn defaults_pass_their_own_check_and_survive_their_own_text() {
 }
 
 #[test]
-fn every_doc_comment_begins_with_a_sentence_and_has_an_example_that_reads() {
+fn every_doc_comment_has_summary_and_valid_example() {
     let mut faults = Vec::new();
     for (family, member) in linked() {
         let what = format!("{} {}", family.kind, member.name);

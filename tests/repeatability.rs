@@ -19,7 +19,7 @@ fn at_zero<'a>(similarity: &'a PairSimilarity, key: &str) -> &'a Result<ZeroDist
 
 /// The table of pairs measured elsewhere (Python, scikit-image): SSIM near in time, and far apart.
 #[test]
-fn measured_spectra_at_one_place_are_alike_only_near_in_time() {
+fn measured_spectra_repeat_only_near_in_time() {
     let Some(root) = shared("data/s23") else { return };
     let data = Nerf2Spectrum { root, ..Default::default() }.load(Path::new("."), &|_, _| {}).unwrap();
     let found = measure(&data, &["Ssim()", "GaussianCount()"]);
@@ -66,7 +66,7 @@ fn line(turns: u32, drift: impl Fn(u32) -> f32) -> Dataset {
 }
 
 #[test]
-fn without_noise_spectra_repeat() {
+fn spectra_without_noise_repeat() {
     let found = measure(&line(5, |_| 0.0), &["Ssim()", "L1()"]);
     for similarity in [&found.near, &found.far] {
         let (ssim, l1) = (at_zero(similarity, "ssim").clone().unwrap(), at_zero(similarity, "l1").clone().unwrap());
@@ -77,7 +77,7 @@ fn without_noise_spectra_repeat() {
 
 /// Two values of the level in turn, at random: |difference| is 0 or 0.1, so 0.05 in the mean, whatever the time.
 #[test]
-fn noise_of_every_spectrum_is_found_in_pairs_of_any_time() {
+fn finds_noise_of_independent_spectra_at_any_lag() {
     let noise = |id| if rng::uniform(&mut rng::stream(1, "noise", u64::from(id))) < 0.5 { 0.1 } else { 0.0 };
     let found = measure(&line(5, noise), &["L1()"]);
     for similarity in [&found.near, &found.far] {

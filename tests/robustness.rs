@@ -45,7 +45,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
 
     #[test]
-    fn an_odd_number_spoils_no_picture(
+    fn extreme_values_keep_image_finite(
         seed in 0u64..50, row in 0..N, at in 0usize..10, odd in 0..ODD.len(), compat: bool,
     ) {
         let mut p = geometry(seed);
@@ -72,7 +72,7 @@ proptest! {
     }
 
     #[test]
-    fn any_finite_cloud_has_a_finite_loss(
+    fn every_finite_cloud_has_finite_loss(
         seed in 0u64..50, row in 0..N, column in 0usize..4, magnitude in -30i32..30, sign: bool,
     ) {
         let value = (10.0 as Real).powi(magnitude) * if sign { 1.0 } else { -1.0 };
@@ -86,7 +86,7 @@ proptest! {
 }
 
 #[test]
-fn a_zero_quaternion_is_no_rotation() {
+fn zero_quaternion_is_identity_rotation() {
     let stages = stages("Fixed()", Readout::Magnitude);
     let with = |quat: [Real; 4]| {
         let mut cloud = cloud(N, 1);
@@ -101,7 +101,7 @@ fn a_zero_quaternion_is_no_rotation() {
 }
 
 #[test]
-fn a_loss_that_is_no_number_is_an_error_and_names_the_step() {
+fn reports_step_of_non_finite_loss() {
     let stages = stages("Fixed()", Readout::Magnitude);
     let mut cloud = cloud(N, 1);
     cloud.signals.fill([Real::NAN; 2]);

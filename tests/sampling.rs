@@ -68,7 +68,7 @@ fn places(plane: &ImagePlane, width: usize) -> impl Iterator<Item = usize> {
 }
 
 #[test]
-fn a_strided_image_holds_the_pixels_of_the_whole_one() {
+fn strided_image_has_pixels_of_whole_image() {
     let cloud = narrow_and_wide();
     let close = if size_of::<Real>() == 8 { 1e-11 } else { 2e-4 };
     every_way(|way, stages| {
@@ -86,7 +86,7 @@ fn a_strided_image_holds_the_pixels_of_the_whole_one() {
 }
 
 #[test]
-fn the_gradient_of_a_strided_image_is_that_of_the_same_pixels_of_the_whole_one() {
+fn strided_gradient_equals_gradient_of_same_pixels() {
     let cloud = narrow_and_wide();
     let close = if size_of::<Real>() == 8 { 1e-9 } else { 5e-3 };
     every_way(|way, stages| {
@@ -112,7 +112,7 @@ fn the_gradient_of_a_strided_image_is_that_of_the_same_pixels_of_the_whole_one()
 }
 
 #[test]
-fn the_loss_with_a_stride_is_that_of_the_whole_image_in_the_mean_over_places() {
+fn mean_strided_loss_equals_loss_of_whole_image() {
     let losses = |stride: usize, steps: usize| {
         let still: String = ["means", "log_scales", "quats", "opacity_logits", "signals", "network"]
             .map(|rate| format!("{rate}: Constant(0.0)"))
@@ -156,7 +156,7 @@ fn kept(training: &str) -> Vec<u32> {
 }
 
 #[test]
-fn a_prune_step_with_a_stride_keeps_what_one_without_keeps() {
+fn strided_prune_step_keeps_same_gaussians() {
     let whole = kept("stride: 1");
     for training in ["stride: 3", "stride: 3, moving_stride: false"] {
         let common = kept(training).iter().filter(|id| whole.contains(id)).count();
@@ -166,7 +166,7 @@ fn a_prune_step_with_a_stride_keeps_what_one_without_keeps() {
 }
 
 #[test]
-fn whole_tiles_refuse_a_stride() {
+fn whole_tiles_reject_stride() {
     let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| {
         splatting.projector = plugin("WrfgsCompat()");
         splatting.rasterizer = plugin("AlphaBlending(support: TileSquares)");
@@ -178,7 +178,7 @@ fn whole_tiles_refuse_a_stride() {
 }
 
 #[test]
-fn a_strided_plane_knows_its_whole_image() {
+fn strided_plane_recovers_whole_plane() {
     let axis = |first, step| AngleAxis { first, step };
     let plane = stages("Fixed()", Readout::Magnitude).plane.clone();
     let strided = plane.strided(STRIDE, [2, 1]);
@@ -213,7 +213,7 @@ fn power(elevation_deg: Real, sky_deg: u32) -> Real {
 }
 
 #[test]
-fn the_sky_of_a_power_covers_the_sphere_with_one_filter_at_any_resolution() {
+fn power_sky_covers_sphere_at_any_resolution() {
     for sky_deg in [6, 10, 30] {
         let base = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| {
             splatting.readout = Readout::ReceivedPower { sky_deg, filter_deg2: 30.0 }

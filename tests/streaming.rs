@@ -63,7 +63,7 @@ fn metric_receives_samples_of_its_scope() {
 }
 
 #[test]
-fn scores_are_those_of_all_predictions_at_once() {
+fn streamed_scores_equal_scores_of_all_predictions() {
     let data = data();
     let part: Vec<usize> = (50..300).rev().collect();
     let fitted = plugin::<dyn Baseline>("NearestNeighbours()")
@@ -89,7 +89,7 @@ fn stored(here: &Path) -> Dataset {
 }
 
 #[test]
-fn training_and_scores_have_the_same_bits_from_a_file() {
+fn streamed_training_and_scores_are_bit_identical() {
     let here = tempfile::tempdir().unwrap();
     let text = "Pipeline(name: \"file\", data: Teacher(), initializer: Grid(count: 8), deformation: Fixed(),
         training: (steps: 4, stride: 2, batch: 3, densify_until: 0, prune_until: 0))";

@@ -257,7 +257,7 @@ impl Modules<'_> {
 }
 
 #[test]
-fn files_and_crates_keep_their_size() {
+fn files_and_crates_are_within_size_limits() {
     let all = sources();
     let small: Vec<&str> = all.iter().filter(|s| s.lines() < 50).map(|s| s.name.as_str()).collect();
     for source in &all {
@@ -299,7 +299,7 @@ fn files_use_each_other_in_one_direction() {
 }
 
 #[test]
-fn crates_depend_on_each_other_as_drawn() {
+fn crate_dependencies_match_architecture_diagram() {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let output = Command::new(cargo)
         .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])

@@ -18,7 +18,7 @@ fn is_allowed(expression: &str, allowed: &BTreeSet<String>) -> bool {
 }
 
 #[test]
-fn licences_sources_and_duplicates_are_those_of_deny_toml() {
+fn licences_sources_and_duplicates_match_deny_toml() {
     let root = env!("CARGO_MANIFEST_DIR");
     let text = |name: &str| std::fs::read_to_string(format!("{root}/{name}")).unwrap();
     let (policy, lock) = (text("deny.toml"), text("Cargo.lock"));

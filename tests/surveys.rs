@@ -292,7 +292,7 @@ fn derivatives_of_presence(sight: &Sight) {
 }
 
 #[test]
-fn absent_gaussians_leave_the_picture_of_the_others() {
+fn absent_gaussians_do_not_change_image() {
     let sight = Sight::new("Factored(width: 12, depth: 2)", Readout::Magnitude);
     let rows = [0, 2, 4];
     let few = Sight {

@@ -16,7 +16,7 @@ fn third_picture(here: &Path) -> PathBuf {
 }
 
 #[test]
-fn missing_and_unreadable_files_are_named() {
+fn reports_missing_and_unreadable_files() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     refuse(here, &["run", "nowhere.ron"], 2, &["cannot read nowhere.ron"]);
@@ -35,7 +35,7 @@ fn missing_and_unreadable_files_are_named() {
 }
 
 #[test]
-fn pictures_that_are_not_like_the_others_are_named() {
+fn reports_unreadable_and_mismatched_images() {
     let name = "00003.png";
     spoilt(&[name, "13 x 6"], |h| picture(&third_picture(h), 13, 6));
     spoilt(&[name], |h| write(&third_picture(h), "not a picture"));
@@ -49,7 +49,7 @@ fn pictures_that_are_not_like_the_others_are_named() {
 }
 
 #[test]
-fn broken_tables_are_named_with_line_and_column() {
+fn reports_line_and_column_of_invalid_tables() {
     let table = |text: &str| {
         let text = text.to_owned();
         move |h: &Path| write(&h.join("data/tx_pos.csv"), text)
@@ -63,14 +63,14 @@ fn broken_tables_are_named_with_line_and_column() {
 }
 
 #[test]
-fn ids_without_a_row_or_a_picture_are_named() {
+fn reports_ids_without_row_or_image() {
     spoilt(&["index.txt", "9"], |h| write(&h.join("data/train_index.txt"), "00001\n00009\n"));
     spoilt(&["00002"], |h| std::fs::remove_file(h.join("data/spectrum/00002.png")).unwrap());
     spoilt(&["index.txt"], |h| write(&h.join("data/test_index.txt"), "00005\nsix\n"));
 }
 
 #[test]
-fn quaternions_must_be_of_unit_length() {
+fn rejects_quaternion_without_unit_length() {
     for wrong in ["[0.0, 0.0, 0.0, 0.0]", "[0.0, 0.0, 0.0, 1.01]", "[0.0, 0.0, .nan, 1.0]", "[0.0, 0.0, 1.0]"] {
         spoilt(&["gateway_info.yml"], |h| {
             let text = format!("gateway1:\n  position: [0.0, 0.0, 0.0]\n  orientation: {wrong}\n");
@@ -80,13 +80,13 @@ fn quaternions_must_be_of_unit_length() {
 }
 
 #[test]
-fn an_empty_part_is_refused() {
+fn rejects_empty_training_or_test_set() {
     spoilt(&["test"], |h| write(&h.join("data/test_index.txt"), ""));
     spoilt(&["train"], |h| write(&h.join("data/train_index.txt"), "\n"));
 }
 
 #[test]
-fn point_clouds_must_be_whole() {
+fn rejects_truncated_or_damaged_point_cloud() {
     let cloud = |name: &'static str, content: &[u8]| {
         let content = content.to_owned();
         spoilt(&[name], move |h| {
@@ -147,7 +147,7 @@ fn reports_position_of_pipeline_errors() {
 }
 
 #[test]
-fn mistakes_on_the_command_line_are_named() {
+fn reports_command_line_errors() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
@@ -189,7 +189,7 @@ fn rejects_too_many_threads_in_the_environment() {
 }
 
 #[test]
-fn mistakes_in_positions_are_named_with_line_and_column() {
+fn reports_line_and_column_of_invalid_positions() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);

@@ -24,7 +24,7 @@ fn names_its_commit(here: &Path, facts: &serde_json::Value) {
 }
 
 #[test]
-fn a_run_becomes_a_folder_that_predicts_and_evaluates() {
+fn run_folder_predicts_and_evaluates() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("pipelines/small.ron"), SMALL);

@@ -3,7 +3,7 @@ use crate::common::{SMALL, call, measured, picture, refuse, stdout, succeed, wri
 use std::path::Path;
 
 #[test]
-fn the_page_of_the_reference_has_fields_and_settings_and_every_plugin() {
+fn reference_page_lists_fields_settings_and_every_plugin() {
     let page = stdout(&succeed(Path::new("."), &["plugins", "--markdown"]));
     for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::PluginFamily>() {
         assert!((family.members)().iter().all(|plugin| page.contains(&format!("\n### {}\n", plugin.name))));
@@ -14,7 +14,7 @@ fn the_page_of_the_reference_has_fields_and_settings_and_every_plugin() {
 }
 
 #[test]
-fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
+fn schema_lists_every_plugin_with_fields_and_defaults() {
     let text = stdout(&succeed(Path::new("."), &["plugins", "--schema"]));
     let schema: serde_json::Value = serde_json::from_str(&text).unwrap();
     let types = &schema["$defs"];
@@ -34,7 +34,7 @@ fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
 }
 
 #[test]
-fn everything_that_a_pipeline_may_name_can_be_asked_for() {
+fn plugins_command_describes_every_pipeline_setting() {
     let here = Path::new(".");
     let message = |name: &str| stdout(&succeed(here, &["plugins", name]));
     let asked: [(&str, &[&str]); 10] = [
@@ -60,7 +60,7 @@ fn everything_that_a_pipeline_may_name_can_be_asked_for() {
 }
 
 #[test]
-fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
+fn init_writes_runnable_pipeline_and_never_overwrites() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     measured(here);
@@ -89,7 +89,7 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
 }
 
 #[test]
-fn init_holds_out_space_where_no_split_comes_with_the_data_and_finds_the_point_cloud() {
+fn init_selects_voxel_split_without_lists_and_finds_points() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     measured(here);
@@ -114,7 +114,7 @@ fn init_holds_out_space_where_no_split_comes_with_the_data_and_finds_the_point_c
 }
 
 #[test]
-fn shells_and_manuals_know_every_command() {
+fn completions_and_manual_pages_cover_every_command() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     for shell in ["bash", "zsh", "fish"] {
@@ -138,7 +138,7 @@ fn shells_and_manuals_know_every_command() {
 }
 
 #[test]
-fn a_variant_may_give_a_field_by_its_path() {
+fn variant_sets_field_by_its_path() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 #[test]
-fn names_damaged_file_and_recreates_it_after_removal() {
+fn reports_damaged_file_and_recreates_it_after_removal() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     copy_small_run(here, "r");
@@ -41,7 +41,7 @@ fn names_damaged_file_and_recreates_it_after_removal() {
 }
 
 #[test]
-fn a_run_folder_is_resumed_and_repeated_by_its_name() {
+fn run_command_resumes_and_repeats_run_folder() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
@@ -64,7 +64,7 @@ fn a_run_folder_is_resumed_and_repeated_by_its_name() {
 }
 
 #[test]
-fn a_checkpoint_of_another_training_or_with_a_flipped_bit_is_refused() {
+fn rejects_checkpoint_of_other_run_or_with_flipped_bit() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
@@ -140,7 +140,7 @@ fn fails_if_result_cannot_be_written() {
 }
 
 #[test]
-fn a_run_that_shall_outlive_its_terminal_does() {
+fn run_under_nohup_outlives_its_terminal() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     if ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1) {

@@ -64,7 +64,7 @@ fn ensemble_predicts_mean_and_deviation() {
 }
 
 #[test]
-fn a_model_in_sixteen_bits_is_half_as_large_and_predicts_nearly_the_same() {
+fn half_precision_model_halves_file_and_keeps_predictions() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
@@ -211,7 +211,7 @@ fn refuses_to_join_incompatible_runs() {
 }
 
 #[test]
-fn a_file_for_another_command_is_refused_with_that_command() {
+fn rejects_file_of_other_command_and_suggests_command() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write_joined(here);

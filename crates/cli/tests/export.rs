@@ -122,7 +122,7 @@ fn exports_ply_of_base_or_of_one_transmitter() {
 }
 
 #[test]
-fn signals_that_exist_for_a_transmitter_only_are_grey_without_one() {
+fn export_without_transmitter_has_grey_signals() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     trained(here, &["deformation=Wrfgs(depth: 2, width: 8, skip: None)", "readout=Real", "calibration=AsReleased"]);
@@ -148,7 +148,7 @@ fn npz(path: &Path) -> BTreeMap<String, (Vec<usize>, Vec<f64>)> {
 }
 
 #[test]
-fn an_npz_file_holds_every_number_of_the_model() {
+fn npz_export_contains_every_number_of_model() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let model = trained(here, &[]);

@@ -38,7 +38,7 @@ fn full_disk_keeps_written_files_and_run_resumes() {
 }
 
 #[test]
-fn numbers_that_leave_the_finite_range_stop_the_run_and_keep_the_checkpoint() {
+fn non_finite_values_stop_run_and_keep_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let wild =

@@ -179,7 +179,7 @@ fn machine() -> String {
 }
 
 #[test]
-fn eight_runs_give_the_recorded_content() {
+fn eight_runs_reproduce_recorded_content() {
     let folder = tempfile::tempdir().unwrap();
     let found = run_all(folder.path());
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/expected.txt");
@@ -216,7 +216,7 @@ fn eight_runs_give_the_recorded_content() {
 }
 
 #[test]
-fn a_changed_bit_and_a_changed_shape_are_found() {
+fn comparison_finds_changed_bit_and_changed_shape() {
     let one = Content::of("a[2]".into(), &[1.0, 2.0]);
     let bit = Content::of("a[2]".into(), &[1.0, 2.0 + f64::EPSILON * 2.0]);
     assert!(one.digest != bit.digest && one.is_near(&bit));

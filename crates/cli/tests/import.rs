@@ -127,7 +127,7 @@ fn rejects_invalid_pose() {
 }
 
 #[test]
-fn a_shape_that_does_not_suit_its_angles_is_refused_as_readers_refuse_it() {
+fn import_rejects_shape_that_contradicts_angles() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let array = |number, shape: &[usize], bytes: Vec<u8>| [npy_header(number, shape), bytes].concat();

@@ -41,7 +41,7 @@ fn inspects_simulated_office_as_folder_and_as_pipeline() {
 }
 
 #[test]
-fn odd_pictures_of_an_array_are_named() {
+fn inspect_reports_outliers_in_array_data() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let (count, width, height) = (24usize, 16usize, 4usize);

@@ -82,7 +82,7 @@ fn shorter(kind: &str, command: &str) -> Vec<String> {
 }
 
 #[test]
-fn every_command_takes_every_kind_of_data_or_refuses_it() {
+fn every_command_accepts_or_rejects_every_data_kind() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     folders(here);

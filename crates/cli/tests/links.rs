@@ -100,7 +100,7 @@ fn free_space(here: &Path) {
 }
 
 #[test]
-fn gains_that_are_too_large_are_named_with_their_place() {
+fn reports_position_of_too_large_channel_gain() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     free_space(here);
@@ -119,7 +119,7 @@ fn gains_that_are_too_large_are_named_with_their_place() {
 }
 
 #[test]
-fn names_of_receivers_are_no_formulas_in_tables() {
+fn receiver_names_are_not_formulas_in_tables() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     hall(here);
@@ -140,7 +140,7 @@ fn names_of_receivers_are_no_formulas_in_tables() {
 }
 
 #[test]
-fn killed_runs_of_powers_and_channels_end_as_those_never_stopped() {
+fn killed_link_runs_resume_to_identical_result() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     hall(here);
@@ -165,7 +165,7 @@ fn killed_runs_of_powers_and_channels_end_as_those_never_stopped() {
 }
 
 #[test]
-fn sweeps_of_powers_are_compared_by_their_error() {
+fn power_sweeps_are_compared_by_error() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     hall(here);
@@ -194,7 +194,7 @@ fn sweeps_of_powers_are_compared_by_their_error() {
 }
 
 #[test]
-fn a_pipeline_is_suggested_for_every_layout() {
+fn suggests_pipeline_for_every_layout() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     hall(here);

@@ -58,7 +58,7 @@ fn predictions_return_positions_unchanged() {
 }
 
 #[test]
-fn coordinates_beyond_all_maps_are_wrong_input() {
+fn reports_coordinates_out_of_range() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     measured(here);

@@ -192,7 +192,7 @@ fn numpy_predicts_from_documented_format() {
 }
 
 #[test]
-fn waves_may_be_absent_from_an_old_file_and_must_not_be_others() {
+fn restores_missing_encoding_waves_and_rejects_others() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let model = model(CASES[2]);

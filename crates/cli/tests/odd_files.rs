@@ -29,7 +29,7 @@ fn rejects_paths_that_are_not_utf8() {
 }
 
 #[test]
-fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
+fn rejects_pipe_as_input_file_without_blocking() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     measured(here);

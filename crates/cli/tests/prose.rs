@@ -109,7 +109,7 @@ impl Count {
 }
 
 #[test]
-fn pages_help_and_plugin_comments_are_plain() {
+fn pages_help_and_plugin_comments_use_plain_language() {
     let mut count = Count::new();
     for page in pages() {
         let text = std::fs::read_to_string(&page).unwrap();
@@ -133,7 +133,7 @@ fn pages_help_and_plugin_comments_are_plain() {
 }
 
 #[test]
-fn doc_comments_are_plain() {
+fn doc_comments_use_plain_language() {
     let (mut sources, mut count) = (Vec::new(), Count::new());
     files(&root(), ".rs", &mut sources);
     for source in sources {
@@ -156,7 +156,7 @@ fn anchor(heading: &str) -> String {
 }
 
 #[test]
-fn links_between_pages_lead_to_files_and_headings() {
+fn links_between_pages_resolve_to_files_and_headings() {
     let link = Regex::new(r"\]\(([^)\s]+)\)").unwrap();
     let code = Regex::new("`[^`]*`").unwrap();
     let anchors = |page: &Path| -> BTreeSet<String> {

@@ -70,7 +70,7 @@ fn reports_target_reached_at_start_and_marks_equal_models() {
 }
 
 #[test]
-fn a_mask_that_cannot_close_in_time_is_reported() {
+fn reports_mask_that_cannot_close_in_time() {
     let folder = folder();
     let here = folder.path();
     let slow = ["p.ron", "--set", "pruners=[LearnableMask(learning_rate: 0.1)]"];
@@ -88,7 +88,7 @@ fn a_mask_that_cannot_close_in_time_is_reported() {
 }
 
 #[test]
-fn a_shorter_training_still_prunes() {
+fn shorter_training_still_prunes() {
     let folder = folder();
     let here = folder.path();
     let text = SMALL
@@ -108,7 +108,7 @@ fn a_shorter_training_still_prunes() {
 }
 
 #[test]
-fn a_step_that_removes_more_than_half_names_its_rule() {
+fn reports_rule_that_removes_more_than_half() {
     let folder = folder();
     let here = folder.path();
     let message = stderr(&succeed(
@@ -119,7 +119,7 @@ fn a_step_that_removes_more_than_half_names_its_rule() {
 }
 
 #[test]
-fn training_stops_when_one_gaussian_is_left() {
+fn training_stops_if_one_gaussian_remains() {
     let folder = folder();
     let here = folder.path();
     let size = "training.densify=(every: 5, from: 5, large_above: 0.0001, large_after: 10)";

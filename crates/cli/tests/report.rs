@@ -46,7 +46,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 }
 
 #[test]
-fn runs_become_a_report() {
+fn report_compares_runs() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     runs(here);
@@ -197,7 +197,7 @@ fn damaged_runs_are_told(here: &Path) {
 }
 
 #[test]
-fn runs_that_differ_in_validation_share_a_table() {
+fn runs_with_different_validation_sets_share_table() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));
@@ -252,7 +252,7 @@ fn runs_that_differ_in_validation_share_a_table() {
 
 /// The end of a run, its page and `run.json` say what `report` says of the same pairs.
 #[test]
-fn a_run_gives_its_differences_from_the_baselines() {
+fn run_reports_differences_from_baselines() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));

@@ -30,7 +30,7 @@ fn trained(run: &Path) -> [SystemTime; 3] {
 }
 
 #[test]
-fn unsuitable_baselines_are_refused_before_the_first_step() {
+fn rejects_unsuitable_baselines_before_first_step() {
     let folder = folder();
     let here = folder.path();
     measured(here);
@@ -53,7 +53,7 @@ fn unsuitable_baselines_are_refused_before_the_first_step() {
 }
 
 #[test]
-fn equal_numbers_of_samples_are_the_same_only_on_the_data_of_the_run() {
+fn evaluate_reports_same_training_set_only_for_data_of_run() {
     let folder = folder();
     let here = folder.path();
     for other in ["", "other"] {
@@ -75,7 +75,7 @@ fn equal_numbers_of_samples_are_the_same_only_on_the_data_of_the_run() {
 }
 
 #[test]
-fn a_finished_run_is_scored_anew_without_training() {
+fn finished_run_is_rescored_without_training() {
     let folder = folder();
     let here = folder.path();
     let run = here.join("r");
@@ -123,7 +123,7 @@ fn stopped_run_resumes_with_other_metrics() {
 }
 
 #[test]
-fn sweeps_and_joined_models_are_scored_anew_too() {
+fn sweeps_and_joined_models_are_rescored() {
     let folder = folder();
     let here = folder.path();
     succeed(here, &["sweep", "both.ron", "-q"]);
@@ -145,7 +145,7 @@ fn sweeps_and_joined_models_are_scored_anew_too() {
 }
 
 #[test]
-fn a_run_killed_while_its_model_is_made_and_scored_anew_is_not_finished() {
+fn run_killed_during_rescoring_is_not_finished() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     copy_small_run(here, "r");

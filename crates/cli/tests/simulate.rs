@@ -17,7 +17,7 @@ const SCENE: &str = r#"(
 )"#;
 
 #[test]
-fn a_scene_becomes_a_data_set_that_can_be_trained_on() {
+fn simulated_data_set_is_trainable() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();
@@ -47,7 +47,7 @@ fn a_scene_becomes_a_data_set_that_can_be_trained_on() {
 }
 
 #[test]
-fn mistakes_leave_nothing_behind() {
+fn invalid_scenes_leave_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("brik.ron"), SCENE.replace("brick", "brik")).unwrap();
@@ -152,7 +152,7 @@ fn interrupted(mut child: Child) -> String {
 
 #[test]
 #[cfg(unix)]
-fn ctrl_c_ends_commands_while_their_data_are_simulated() {
+fn ctrl_c_stops_commands_during_simulation() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();
@@ -175,7 +175,7 @@ fn ctrl_c_ends_commands_while_their_data_are_simulated() {
 }
 
 #[test]
-fn polygons_and_fans_of_thousands_of_corners_are_simulated() {
+fn simulates_polygons_and_fans_of_thousands_of_corners() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let count = 4_000;
@@ -224,7 +224,7 @@ fn removes_partial_cache_entries_of_killed_processes() {
 }
 
 #[test]
-fn every_layout_is_written() {
+fn simulate_writes_every_layout() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let more = "more_receivers: [(name: \"high\", position: (2.8, 1, 2), orientation: Facing(direction: (-1, 0, 0)))],

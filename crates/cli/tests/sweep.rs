@@ -46,7 +46,7 @@ fn written(path: &Path) -> std::time::SystemTime {
 }
 
 #[test]
-fn every_combination_is_run_once_and_variants_change_what_they_name() {
+fn sweep_runs_each_combination_once_with_its_settings() {
     let folder = folder(EXPERIMENT, SMALL);
     let here = folder.path();
     let plan = stdout(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
@@ -99,7 +99,7 @@ fn killed_sweep_resumes_to_identical_result() {
 }
 
 #[test]
-fn a_run_that_fails_does_not_stop_the_others() {
+fn failed_run_does_not_stop_other_runs() {
     // Far too fast: its numbers leave the finite range.
     let wild = "(label: \"few\", set: {\"training.optimizer\": (network: Constant(1e30), log_scales: Constant(1e30))})";
     let folder = folder(&EXPERIMENT.replace("(label: \"few\", set: {\"initializer\": Grid(count: 6)})", wild), SMALL);
@@ -124,7 +124,7 @@ fn a_run_that_fails_does_not_stop_the_others() {
 }
 
 #[test]
-fn shards_share_the_runs_out() {
+fn shards_divide_runs() {
     let folder = folder(EXPERIMENT, SMALL);
     let here = folder.path();
     succeed(here, &["sweep", "e.ron", "--shard", "2/3"]);
@@ -139,7 +139,7 @@ fn shards_share_the_runs_out() {
 }
 
 #[test]
-fn two_sweeps_in_one_folder_share_the_work() {
+fn concurrent_sweeps_share_runs_of_folder() {
     let base = SMALL.replace("steps: 60", "steps: 100");
     let folder = folder(EXPERIMENT, &base);
     let here = folder.path();
@@ -207,7 +207,7 @@ fn reports_position_of_experiment_errors_before_first_run() {
 }
 
 #[test]
-fn values_for_all_runs_are_checked_together_with_those_of_the_axes() {
+fn checks_common_settings_together_with_axis_settings() {
     let of_target = |last: &str| {
         format!(
             "Experiment(name: \"t\", base: \"base/p.ron\",\nset: {{\"pruners\": [TopK()]}},\naxes: [Axis(name: \"n\", variants: [
@@ -254,7 +254,7 @@ fn refuses_folder_of_other_experiment_unchanged() {
 }
 
 #[test]
-fn another_experiment_of_the_same_name_leaves_the_listing_of_the_first() {
+fn other_experiment_of_same_name_keeps_first_listing() {
     let folder = folder(EXPERIMENT, SMALL);
     let here = folder.path();
     let listing = || std::fs::read_to_string(here.join("runs/tiny/sweep.json")).unwrap();

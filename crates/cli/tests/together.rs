@@ -151,7 +151,7 @@ fn concurrent_runs_in_one_folder_complete_one_run() {
 }
 
 #[test]
-fn sweeps_that_share_a_folder_leave_runs_to_each_other_and_fail_at_nothing() {
+fn concurrent_sweeps_skip_locked_runs_and_succeed() {
     let Some(place) = Place::new() else { return };
     let (here, runs) = (place.here(), ["seed=0", "seed=1"]);
     succeed(here, &sweep("whole"));
@@ -221,7 +221,7 @@ fn shards_submitted_to_slurm_at_once_submit_each_run_once() {
 }
 
 #[test]
-fn a_run_whose_folder_gives_way_to_a_link_writes_nothing_through_it() {
+fn run_does_not_write_through_symlink_replacing_its_folder() {
     let Some(place) = Place::new() else { return };
     let here = place.here();
     succeed(here, &run("a.ron", "whole"));
@@ -249,7 +249,7 @@ fn a_run_whose_folder_gives_way_to_a_link_writes_nothing_through_it() {
 }
 
 #[test]
-fn a_file_system_without_links_holds_runs_too() {
+fn run_works_on_file_system_without_hard_links() {
     let Some(place) = Place::new() else { return };
     let here = place.here();
     succeed(here, &run("a.ron", "whole"));

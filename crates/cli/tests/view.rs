@@ -107,7 +107,7 @@ fn viewer_excludes_training_samples_of_baseline() {
 }
 
 #[test]
-fn pages_open_on_a_test_sample_name_the_set_and_move_together() {
+fn page_opens_on_test_sample_and_synchronises_views() {
     let folder = small_run();
     let run = folder.join("run");
     let served = Served::start(folder, &["run", "NearestNeighbours(k: 1)"]);
@@ -162,7 +162,7 @@ fn grip(page: &Browser, stage: &str) -> [f64; 2] {
 }
 
 #[test]
-fn the_page_follows_the_transmitter_and_ends_with_its_window() {
+fn viewer_updates_on_drag_and_stops_with_its_window() {
     let folder = small_run();
     let mut served = Served::start(folder, &["run"]);
     let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
@@ -214,7 +214,7 @@ fn the_page_follows_the_transmitter_and_ends_with_its_window() {
 }
 
 #[test]
-fn models_predict_in_the_page_as_in_the_program() {
+fn page_predictions_equal_program_predictions() {
     let folder = small_run();
     let served = Served::start(folder, &["run"]);
     let Some(page) = Browser::open(&served.address, [600, 400]) else { return skipped(NO_BROWSER) };
@@ -247,7 +247,7 @@ fn models_predict_in_the_page_as_in_the_program() {
 }
 
 #[test]
-fn a_report_is_alive_without_a_server_and_still_without_scripts() {
+fn report_works_offline_and_without_scripts() {
     let folder = small_run();
     let path = folder.join("run/report.html");
     assert!(std::fs::metadata(&path).unwrap().len() < 8_000_000);
@@ -284,7 +284,7 @@ fn a_report_is_alive_without_a_server_and_still_without_scripts() {
 }
 
 #[test]
-fn a_run_under_way_is_followed() {
+fn viewer_follows_active_run() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     write(&folder.join("small.ron"), SMALL.replace("steps: 60", "steps: 100_000"));
@@ -365,7 +365,7 @@ fn next_head(stream: &mut BufReader<TcpStream>) -> String {
 }
 
 #[test]
-fn silent_connections_do_not_block_the_page() {
+fn idle_connections_do_not_block_page() {
     let folder = small_run();
     let served = Served::start(folder, &["run/model.safetensors"]);
     let (host, token) = served.parts();
@@ -412,7 +412,7 @@ fn reports_models_that_cannot_be_viewed() {
 
 #[test]
 #[ignore = "draws docs/images/view.png, walk-start.png and walk-end.png, of runs/quickstart"]
-fn the_images_of_the_docs() {
+fn draws_images_of_documentation() {
     let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let served = Served::start(&checkout, &["runs/quickstart"]);
     let page = Browser::open(&served.address, [1360, 860]).expect("there is a Chromium");

@@ -41,7 +41,7 @@ fn warned(here: &Path, arguments: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn wrong_units_and_orders_are_warned_of_once() {
+fn warns_once_of_wrong_units_and_axis_order() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let with_positions = |change: &dyn Fn([f64; 3]) -> [f64; 3]| (hall().0.into_iter().map(change).collect(), hall().1);
@@ -80,7 +80,7 @@ fn wrong_units_and_orders_are_warned_of_once() {
 }
 
 #[test]
-fn imports_of_wrong_units_are_warned_of() {
+fn import_warns_of_wrong_units() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let array = |number, shape: &[usize], bytes: Vec<u8>| -> Vec<u8> { [npy_header(number, shape), bytes].concat() };

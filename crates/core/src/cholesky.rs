@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_symmetric_matrix_is_solved_and_its_factor_inverted() {
+    fn cholesky_solves_system_and_inverts_factor() {
         let found = Cholesky::new(vec![4.0, f64::NAN, 2.0, 3.0], 2).unwrap();
         let mut x = [8.0, 7.0];
         found.solve(&mut x);

@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn once_around_has_no_seam() {
+    fn cyclic_palette_has_no_seam() {
         let gap = |a: Rgb, b: Rgb| a.iter().zip(b).map(|(a, b)| a.abs_diff(b)).max().unwrap();
         let steps: Vec<Rgb> = (0..=100).map(|i| cyclic(f64::from(i) / 100.0)).collect();
         assert!(steps.windows(2).all(|w| gap(w[0], w[1]) < 16) && steps[0] == steps[100], "{steps:?}");
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn brighter_means_more() {
+    fn palette_luminance_increases_with_value() {
         let steps: Vec<f64> = (0..=50).map(|i| luminance(sequential(f64::from(i) / 50.0))).collect();
         assert!(steps.windows(2).all(|w| w[1] > w[0]), "{steps:?}");
         for sign in [-1.0, 1.0] {

@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn map_coordinates_count_from_the_receiver() {
+    fn map_coordinates_are_relative_to_receiver() {
         let one = || Spectra::grey((3, 2), vec![0; 6]).unwrap();
         let at = |x: f64| vec![Sample::new(1, [x, 0.25, 0.0])];
         let receiver = Pose { position: [5.5, 0.0, 0.0], ..Pose::IDENTITY };

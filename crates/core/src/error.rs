@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn near_names_are_suggested_and_far_ones_not() {
+    fn suggests_similar_names_only() {
         assert_eq!(did_you_mean("topk", ["LearnableMask", "TopK"]), "; did you mean `TopK`?");
         assert_eq!(did_you_mean("lamda", ["lambda", "epsilon"]), "; did you mean `lambda`?");
         assert_eq!(did_you_mean("wavefront", ["ssim", "l1"]), "");

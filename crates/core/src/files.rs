@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_file_never_replaces_one() {
+    fn new_file_never_replaces_existing_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.txt");
         let made: Vec<bool> = std::thread::scope(|scope| {
@@ -369,12 +369,12 @@ mod tests {
     }
 
     #[test]
-    fn a_digest_is_that_of_sha256sum() {
+    fn digest_matches_sha256sum() {
         assert_eq!(digest(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
     }
 
     #[test]
-    fn a_byte_order_mark_is_dropped_and_binary_is_refused() {
+    fn strips_byte_order_mark_and_rejects_binary() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ron");
         fs::write(&path, b"\xef\xbb\xbfx").unwrap();
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn only_regular_files_of_a_bounded_size_are_read() {
+    fn reads_only_regular_files_of_limited_size() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
         fs::write(&path, "12345").unwrap();

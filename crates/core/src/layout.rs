@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropout_silences_whole_units_and_nothing_else() {
+    fn dropout_zeroes_whole_hidden_units_only() {
         let hidden = |name: &str, shape| WeightSpec { hidden: true, ..WeightSpec::uniform(name, shape, 1.0) };
         let weights = vec![
             WeightSpec::zeros("other", vec![3]),

@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cell_is_read_as_its_text() {
+    fn table_cell_round_trips_text_without_formulas() {
         let mut texts = vec![String::new()];
         for _ in 0..4 {
             let longer = texts.iter().flat_map(|text| "'=+-@a1. ".chars().map(move |c| format!("{text}{c}")));

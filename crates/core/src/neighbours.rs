@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_agree_with_brute_force() {
+    fn neighbour_distances_match_brute_force() {
         let (a, b) = (cloud(700, "a"), cloud(90, "b"));
         let sorted = |p: &[Real; 3], others: &[[Real; 3]]| {
             let mut d: Vec<Real> = others.iter().map(|q| squared(p, q)).collect();
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_points_are_those_of_brute_force() {
+    fn nearest_points_match_brute_force() {
         let (from, points) = (cloud(40, "from"), cloud(300, "points"));
         for (p, found) in from.iter().zip(k_nearest(&from, &points, 7)) {
             let mut all: Vec<(usize, Real)> = points.iter().map(|q| squared(p, q)).enumerate().collect();
@@ -123,14 +123,14 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_are_at_distance_zero() {
+    fn duplicate_points_have_distance_zero() {
         let points = vec![[1.0, 2.0, 3.0]; 1000];
         assert!(nearest_other_squared(&points).iter().all(|d| *d == 0.0));
         assert!(mean_of_k_nearest_squared(&points, 3).iter().all(|d| *d == 0.0));
     }
 
     #[test]
-    fn too_few_points_are_no_accident() {
+    fn neighbour_search_accepts_too_few_points() {
         let one = [[1.0, 2.0, 3.0]];
         assert!(nearest_other_squared(&[]).is_empty());
         assert_eq!(nearest_other_squared(&one), [Real::INFINITY]);

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_headers_are_refused() {
+    fn rejects_damaged_npy_headers() {
         let good = npy_header(Number::F32, &[2, 3]);
         for end in 0..good.len() {
             assert!(read(&good[..end]).unwrap_err().contains("is truncated"), "{end}");

@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn samples_are_chosen_evenly() {
+    fn selects_evenly_spaced_samples() {
         let part: Vec<usize> = (100..110).collect();
         assert_eq!(evenly(&part, 3), [100, 103, 106]);
         assert_eq!(evenly(&part, 50), part);

@@ -262,7 +262,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rooms_count_from_zero_and_maps_from_the_receiver() {
+    fn origin_is_zero_in_rooms_and_receiver_on_maps() {
         let near = [[1000.0, -1000.0, 0.0], [-0.3, 0.4, 3.0]];
         assert_eq!(Origin::of([0.4, 7.0, -0.0], near), Origin::ZERO);
         let far = [500_000.25, 5_399_999.54, -0.3];
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn no_coordinate_is_beyond_all_maps() {
+    fn rejects_coordinates_out_of_range() {
         assert_eq!(place_fault([1e8, -1e8, 0.0]), None);
         let message = place_fault([0.0, 1e308, 0.0]).unwrap();
         assert_eq!(message, "is 1e308 m, beyond 1e8 m; write three numbers in metres");

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn both_forms_agree_with_scikit_image_and_scipy() {
+    fn ssim_matches_scikit_image_and_scipy() {
         // width, height, ramp, skimage.metrics.structural_similarity(data_range=1), scipy convolve1d (zero padding)
         let known = [
             (7, 7, false, -0.311_215_119_881, 0.247_837_366_820),
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn measured_spectra_give_the_known_values() {
+    fn ssim_of_measured_spectra_matches_known_values() {
         let Some(folder) = crate::testing::shared("data/s23/spectrum") else { return };
         let read = |id: &str| {
             let picture = image::open(folder.join(format!("{id}.png"))).unwrap().into_luma8();
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_pictures_score_one_at_any_size() {
+    fn ssim_of_equal_images_is_one_at_any_size() {
         for (width, height) in [(0, 0), (1, 1), (2, 9), (6, 6), (7, 7), (30, 11)] {
             let a = picture(width, height, 3, true);
             assert_eq!(evaluation(&a, &a), 1.0, "{width}x{height}");
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_picture_is_one_window() {
+    fn small_image_uses_one_ssim_window() {
         let (a, b) = (picture(3, 3, 1, false), picture(3, 3, 2, false));
         let mean = |f: &dyn Fn(usize) -> f64| (0..9).map(f).sum::<f64>() / 9.0;
         let (x, y) = (|i: usize| a.pixels[i] as f64, |i: usize| b.pixels[i] as f64);

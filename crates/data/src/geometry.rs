@@ -141,7 +141,7 @@ mod mesh_tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_file_is_read_by_its_extension() {
+    fn file_format_follows_extension() {
         let folder = tempfile::tempdir().unwrap();
         let triangle: Triangles = (vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.1, 0.0]], vec![[0, 1, 2]]);
         let files = [
@@ -165,7 +165,7 @@ mod mesh_tests {
     proptest! {
         /// Any bytes give triangles over existing vertices, or an error.
         #[test]
-        fn noise_never_panics(
+        fn random_bytes_never_panic(
             noise in prop::collection::vec(any::<u8>(), 0..300),
             words in "(v |f |-?[0-9]{1,20} |[0-9]/|nan |\\.|\n){0,60}",
             header in 0..2usize,
@@ -194,7 +194,7 @@ mod obj_tests {
     }
 
     #[test]
-    fn vertices_and_faces_of_all_forms_are_read_in_double_precision() {
+    fn reads_vertices_and_faces_in_double_precision() {
         let text = "# desk\r\nmtllib desk.mtl\no top\nv 0 0 0.1\nv 1 0 .1 1.0\nv 1 1 1e-1 0.5 0.5 0.5\nvt 0 0\n\
                     vn 0 0 1\nf 1/1/1 2//1 3/1 4 # forward\nv 0 1 0.1\nusemtl oak\ns off\nf -4 -3 -1\n";
         let (vertices, triangles) = read(text).unwrap();

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn convex_and_star_shaped_polygons_are_filled_and_keep_their_sense() {
+    fn triangulated_polygons_keep_area_and_orientation() {
         let square = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
         let cut = triangles(&square).unwrap();
         assert_eq!(cut.1, [[0, 1, 2], [0, 2, 3]]);
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fan_is_found_with_a_few_tests_per_corner() {
+    fn finds_fan_with_few_tests_per_corner() {
         for n in [8, 500, 60_000] {
             let (vertices, corners) = (dented(n), (0..n as u32).collect::<Vec<_>>());
             let apex = fan_apex(&vertices, &corners, 4 * n).unwrap();

@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fields_know_their_columns() {
+    fn split_fields_have_their_columns() {
         let fields = split_commas(" a, \"b,c\" ,,é,d");
         let got: Vec<_> = fields.iter().map(|f| (f.text, f.column)).collect();
         assert_eq!(got, [("a", 2), ("b,c", 6), ("", 12), ("é", 13), ("d", 15)]);

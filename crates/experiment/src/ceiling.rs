@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn lags_are_to_the_nearest_known_sample() {
+    fn lag_is_measured_to_nearest_training_sample() {
         let walk = data(f64::from);
         let known = Partition { train: vec![3, 390], validation: vec![200], test: vec![0, 100, 399] };
         assert_eq!(lags(&walk, &known), [3, 97, 9]);

@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_come_back_as_the_bits_that_were_written() {
+    fn numbers_round_trip_bit_identically() {
         // serde_json rounds to the nearest only with its feature `float_roundtrip`; a table printed again would differ.
         let mut random = pwrfgs_core::rng::stream(0, "facts", 0);
         for _ in 0..20_000 {
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn linux_tells() {
+    fn reads_peak_and_free_memory_on_linux() {
         if cfg!(target_os = "linux") {
             assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
         }

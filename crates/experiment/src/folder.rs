@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn snapshots_of_prune_steps_are_spread_over_all_of_them() {
+    fn prune_snapshots_are_spread_over_all_prune_steps() {
         let all = |rounds: u64| (1..=rounds).filter_map(|k| pruned_snapshot((k, rounds))).collect::<Vec<_>>();
         assert_eq!(all(3), PRUNED_SNAPSHOTS[..3]);
         assert_eq!(all(100), PRUNED_SNAPSHOTS);

@@ -189,14 +189,14 @@ mod tests {
     use crate::record::{read_series, whole_series};
 
     #[test]
-    fn rows_depend_on_the_step_alone() {
+    fn journal_rows_depend_on_step_only() {
         assert!((1..=2000).all(|step| has_row(step, 2000)));
         let sparse: Vec<u64> = (1..=2001).filter(|&s| has_row(s, 2001)).collect();
         assert_eq!((sparse[0], sparse[1], *sparse.last().unwrap(), sparse.len()), (1, 10, 2001, 202));
     }
 
     #[test]
-    fn a_series_is_cut_back_to_the_checkpoint() {
+    fn series_is_truncated_to_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.csv");
         let (mut series, rows) = Series::open(&path, "step,loss", 0).unwrap();

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_carry_their_sign() {
+    fn formats_numbers_with_sign() {
         let expected = ["+0.0028", "−0.0027", "+0.000052", "0.0000", "0.0000", "0.0000"];
         assert_eq!([0.002_84, -0.0027, 5.2e-5, 0.0, -1e-9, 1e-9].map(signed), expected);
     }

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn correlations_are_those_of_scipy() {
+    fn correlations_match_scipy() {
         // scipy.stats.spearmanr([1, 2, 2, 4, 5, 3], [2, 1, 3, 9, 4, 4]) = 0.7941176470588235
         let c = confidence(&[1.0, 2.0, 2.0, 4.0, 5.0, 3.0], &[2.0, 1.0, 3.0, 9.0, 4.0, 4.0]);
         assert!((c.rank_correlation() - 0.794_117_647_058_823_5).abs() < 1e-12, "{}", c.rank_correlation());
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_are_of_equal_size_and_rise_in_spread() {
+    fn calibration_groups_have_equal_size_and_rising_spread() {
         let c = confidence(&[0.4, 0.1, 0.3, 0.2], &[4.0, 1.0, 3.0, 2.0]);
         let groups = c.groups(2);
         assert!((groups[0].0 - 0.15).abs() < 1e-12 && (groups[1].0 - 0.35).abs() < 1e-12);

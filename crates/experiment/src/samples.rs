@@ -111,7 +111,7 @@ mod tests {
     use pwrfgs_core::{Pose, Sample, Spectra};
 
     #[test]
-    fn distances_leave_the_sample_itself_out() {
+    fn nearest_distance_excludes_sample_itself() {
         let sample = |id, x: f64| Sample::new(id, [x, 0.0, 0.0]);
         let samples = vec![sample(1, 0.0), sample(2, 2.0), sample(5, 2.5), sample(6, 9.0)];
         let data =

@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_is_in_no_ranking() {
+    fn oracle_baseline_is_unranked() {
         let table = ScoreTable { oracles: vec![MODEL.into()], ..scores().table };
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
         let text = table.to_text();
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_marks_the_best_and_survives_json() {
+    fn table_marks_best_and_round_trips_through_json() {
         let table = scores().table;
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");

@@ -156,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stage_begins_at_nothing_and_never_goes_back() {
+    fn stage_progress_starts_at_zero_and_never_decreases() {
         #[derive(Default)]
         struct RecordingObserver(Vec<(String, usize, usize)>);
         impl Observer for RecordingObserver {

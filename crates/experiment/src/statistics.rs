@@ -8,7 +8,7 @@
 //! From n seeds (or blocks) a replicate draws n−1, with replacement: the variance of its mean is then s²/n, where n
 //! draws would give s²(n−1)/n² (Rao and Wu, 1988). That matters with three seeds. With few seeds the intervals remain
 //! optimistic in shape: percentiles of three values lack the long tails of Student's distribution.
-//! `coverage_over_repetitions` measures this.
+//! `bootstrap_interval_has_expected_coverage` measures this.
 
 use pwrfgs_core::rng::{self, Rng};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn spread_is_that_of_a_sample() {
+    fn spread_is_sample_standard_deviation() {
         let s = Spread::of(&[1.0, 2.0, 3.0, 6.0]).unwrap();
         assert_eq!((s.mean, s.n), (3.0, 4));
         assert!((s.deviation.unwrap() - (14.0f64 / 3.0).sqrt()).abs() < 1e-15);
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn one_seed_of_normal_differences_has_the_textbook_interval() {
+    fn interval_of_one_seed_matches_normal_theory() {
         let n = 400;
         let cells = Model { sample: 0.3, ..Model::default() }.draw(&mut rng::stream(1, "test", 0), [1, n, 1]);
         let values: Vec<f64> = cells[0].iter().map(|c| c.sum).collect();
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_that_differ_widen_the_interval_as_their_own_mean_would() {
+    fn seed_variation_widens_interval_as_mean_of_seeds() {
         let model = Model { seed: 1.0, sample: 0.01, ..Model::default() };
         let cells = model.draw(&mut rng::stream(2, "test", 0), [60, 40, 1]);
         let means: Vec<f64> = cells.iter().map(|c| c.iter().map(|c| c.sum).sum::<f64>() / 40.0).collect();
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_over_repetitions() {
+    fn bootstrap_interval_has_expected_coverage() {
         let all = [
             // One seed; samples in a block are independent or strongly correlated.
             (Model { sample: 1.0, ..Model::default() }, [1, 40, 1], 0.92..0.97),
@@ -333,13 +333,13 @@ mod tests {
     }
 
     #[test]
-    fn the_same_numbers_give_the_same_bits() {
+    fn bootstrap_is_bit_identical_for_equal_input() {
         let cells = Model { seed: 1.0, block: 1.0, sample: 1.0 }.draw(&mut rng::stream(4, "test", 0), [3, 9, 2]);
         assert_eq!(Difference::of(&cells), Difference::of(&cells));
     }
 
     #[test]
-    fn too_little_gives_no_interval() {
+    fn too_few_samples_give_no_interval() {
         assert_eq!(Difference::of(&[]), None);
         assert_eq!(Difference::of(&[vec![BlockSum::default(); 3]]), None);
         let one = |sum| BlockSum { sum, count: 1 };
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_interpolate_as_numpy_does() {
+    fn quantiles_match_numpy() {
         let s = Summary::of(&[4.0, 1.0, 2.0, 3.0], true);
         assert_eq!((s.mean, s.median), (2.5, 2.5));
         assert!((s.tail10 - 1.3).abs() < 1e-12);
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_share_a_cube() {
+    fn neighbouring_positions_share_cube() {
         // 10 x 10 places, 1 m apart, in clumps of two that are 1 cm apart.
         let places =
             (0..200u32).map(|id| (id, Some([f64::from(id / 2 % 10), f64::from(id / 20), 0.01 * f64::from(id % 2)])));
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_without_positions_are_blocks_of_their_own() {
+    fn samples_without_positions_are_single_blocks() {
         let positions = (0..1_000).map(|id| (id, if id < 2 { Some([0.0; 3]) } else { None })).collect();
         let blocks = Blocks::new(&positions);
         assert_eq!((blocks.edge_m, blocks.count), (None, 1_000));

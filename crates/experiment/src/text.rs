@@ -176,13 +176,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_short() {
+    fn formats_numbers_with_four_digits() {
         let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456].map(number);
         assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5"]);
     }
 
     #[test]
-    fn numbers_keep_two_digits_and_no_sign_of_zero() {
+    fn formats_two_digits_without_negative_zero() {
         let all = [
             (0.8012, 3),
             (0.0035, 3),
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_broken_into_lines() {
+    fn wraps_words_into_lines() {
         assert_eq!(wrapped("aa bb cc", ["// "; 2], 8), "// aa bb\n// cc\n");
         let text = wrapped(&"twelve chars ".repeat(20), ["pose  ", "      "], 100);
         assert!(text.starts_with("pose  twelve") && text.lines().count() > 2);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_aligned_by_letters_not_bytes() {
+    fn aligns_columns_by_characters_not_bytes() {
         let lines = [["λ", "1"], ["ab", "23"], ["", ""]].map(|line| line.map(str::to_owned).to_vec());
         assert_eq!(aligned(&lines, 1), "λ    1\nab  23\n");
         let long = vec![vec!["x".repeat(100_000), "1".into()]];

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn the_count_is_exact_and_the_distance_kept() {
+    fn grid_has_exact_count_and_minimum_distance() {
         for count in [1, 2, 3, 7, 10, 157, 500, 2613] {
             for (angles, centre) in [(true, Vec3::new(5.0, 0.26, 0.0)), (false, Vec3::new(-0.261_66, 4.993_15, -0.26))]
             {
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn with_angles_every_gaussian_is_in_front() {
+    fn grid_with_angles_is_in_front_of_receiver() {
         let receiver = scene().pose();
         let boresight = receiver.world_from_receiver().z_axis;
         let lowest = make(500, true)
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_are_about_a_spacing_apart_and_overlap() {
+    fn grid_neighbours_are_one_spacing_apart_and_overlap() {
         for angles in [true, false] {
             let cloud = make(2000, angles);
             let scale = cloud.log_scales[0][0].exp();

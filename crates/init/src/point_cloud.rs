@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn scales_are_distances_to_the_nearest_neighbour() {
+    fn scales_equal_distance_to_nearest_neighbour() {
         let points = scene().points;
         let cloud = start(&PointCloud::default(), points.clone());
         assert_eq!(cloud.means, points);
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_the_points_is_taken_without_repetition() {
+    fn subset_of_points_has_no_repetition() {
         let points: Vec<[Real; 3]> = (0..100).map(|i| [i as Real, 0.0, 0.0]).collect();
         let some = PointCloud { max_points: Some(30), ..PointCloud::default() };
         let cloud = start(&some, points.clone());
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_and_a_single_point_are_safe() {
+    fn accepts_duplicate_points_and_single_point() {
         for points in [vec![[1.0; 3]; 50], vec![[1.0; 3]]] {
             let cloud = start(&PointCloud::default(), points);
             assert!(cloud.log_scales.iter().flatten().all(|l| l.is_finite()));

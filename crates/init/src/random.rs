@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn with_angles_all_are_in_front_of_the_receiver() {
+    fn random_start_with_angles_is_in_front_of_receiver() {
         let (means, receiver) = (means(true), scene().pose());
         let boresight = receiver.world_from_receiver().z_axis;
         assert!(means.iter().all(|m| (*m - receiver.origin()).dot(boresight) > -1e-4));
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn the_released_scales_come_out() {
+    fn initial_scales_match_released_code() {
         let cloud = Random::default().initialize(&scene(), &plane(false), &mut rng::stream(1, "init", 0)).unwrap();
         let mut scales: Vec<Real> = cloud.log_scales.iter().map(|l| l[0].exp()).collect();
         scales.sort_by(Real::total_cmp);

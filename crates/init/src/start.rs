@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_start_as_stated() {
+    fn columns_have_documented_initial_values() {
         let mut random = rng::stream(0, "init", 0);
         let cloud = cloud(vec![[0.0; 3]; 500], &[0.5; 500], 0.1, 0.2, &mut random);
         assert!((cloud.opacity_logits[7] - -2.197_224_6).abs() < 1e-5);

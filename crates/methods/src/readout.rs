@@ -224,12 +224,12 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_pixel_has_no_derivative() {
+    fn magnitude_has_zero_derivative_at_zero_pixel() {
         assert_eq!(Readout::Magnitude.vjp(&[0.0, 0.0], 1, &[1.0]), vec![0.0, 0.0]);
     }
 
     #[test]
-    fn min_max_reaches_from_zero_to_one_whatever_the_scale() {
+    fn min_max_spans_zero_to_one_at_any_scale() {
         let signals: Vec<Real> = (0..80).map(|i| (i as Real * 0.9).cos() + 2.0).collect();
         let picture = |scale: Real| {
             let scaled: Vec<Real> = signals.iter().map(|s| scale * s).collect();
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_without_contrast_is_black_and_still() {
+    fn min_max_of_constant_image_is_zero_with_zero_derivative() {
         let flat: Vec<Real> = [[3.0; 20], [4.0; 20]].concat();
         assert!(Readout::MinMax.forward(&flat, 20).iter().all(|v| *v == 0.0));
         assert!(Readout::MinMax.vjp(&flat, 20, &[1.0; 20]).iter().all(|v| *v == 0.0));

@@ -72,7 +72,7 @@ fn field_derivative_agrees_with_differences() {
 
 /// A node in front of a wall at x = 0: two rays, the second from the mirror image with the sign of its reflection.
 #[test]
-fn one_image_behind_a_wall_is_the_two_ray_model() {
+fn one_virtual_transmitter_equals_two_ray_model() {
     let (node, gain, reflection) = ([2.0, 0.5, 1.5], 0.026, -0.8);
     let mut pair = GaussianCloud::zeros(2);
     pair.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];

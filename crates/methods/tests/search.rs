@@ -46,7 +46,7 @@ fn nearest(found: &VirtualSources, v: [f64; 3]) -> f64 {
 
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn images_of_a_room_are_found() {
+fn finds_virtual_transmitters_of_room() {
     let (positions, truth) = (places(120), truth([IDENTITY; 4]));
     let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
@@ -70,7 +70,7 @@ fn images_of_a_room_are_found() {
 
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn a_mirrored_array_is_found_with_its_rotation() {
+fn finds_rotation_of_mirrored_array() {
     // A planar array on a wall y = const: its reflection in x equals a rotation about y, and so on.
     let (a, b) = ([0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]);
     let antennas: Vec<[Real; 3]> =
@@ -91,7 +91,7 @@ fn a_mirrored_array_is_found_with_its_rotation() {
 /// Dipoles: gains that decrease with the squared cosine, and one visible from only half of the room.
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn gains_over_direction_are_found() {
+fn finds_direction_dependent_gains() {
     let positions = places(200);
     let mut truth = VirtualSources::new(2);
     for (place, gain) in [([1.1, 0.3, 1.4], [1.0, 0.0]), ([-1.3, 0.3, 1.4], [-0.6, 0.3])] {
@@ -118,7 +118,7 @@ fn gains_over_direction_are_found() {
 
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn gains_of_given_places_are_exact() {
+fn gains_at_given_positions_are_exact() {
     let (positions, truth) = (places(30), truth([IDENTITY; 4]));
     let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);

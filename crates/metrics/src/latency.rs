@@ -116,7 +116,7 @@ mod tests {
     use std::cell::Cell;
 
     #[test]
-    fn medians_are_of_the_repeats_alone() {
+    fn latency_median_excludes_warm_up() {
         let calls = Cell::new(0);
         let predict = || {
             calls.set(calls.get() + 1);
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_baseline_has_a_total_and_is_not_waited_for() {
+    fn baseline_latency_is_total_only_and_time_limited() {
         let slow = || {
             std::thread::sleep(std::time::Duration::from_millis(3));
             StageTimes { total: 0.25, ..StageTimes::default() }
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_time_and_no_repeats_are_no_latency() {
+    fn latency_requires_predictor_and_repeats() {
         let found = of_model(&Latency::default(), None, &scene(&[]));
         assert!(found.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
         assert!(Plugin::<dyn Metric>::parse("Latency(repeats: 0)").is_err());

@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_of_another_size_are_refused() {
+    fn rejects_images_of_different_size() {
         let (small, large) = (Image::zeros(3, 3), Image::zeros(4, 3));
         let (plane, scene) = (fixture::plane(4, 3), fixture::scene(&[]));
         let (predictions, truths) = (&[small][..], &[large][..]);

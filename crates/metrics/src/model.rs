@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn both_ways_are_averaged_and_added() {
+    fn chamfer_adds_mean_squared_distances_of_both_directions() {
         let points = [[0.0; 3], [2.0, 0.0, 0.0]];
         let means = [[0.0, 1.0, 0.0]];
         let found = of_model(&Chamfer {}, Some(model(&means)), &scene(&points));
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn parallel_planes_are_twice_their_squared_distance_apart() {
+    fn chamfer_of_parallel_planes_is_twice_squared_distance() {
         let floor = plane(30, 0.1, [0.0; 3]);
         for distance in [0.0, 0.04, 0.5, 2.0] {
             let found = between(&floor, &plane(30, 0.1, [0.0, 0.0, distance]));
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_moved_along_itself_differs_at_its_rim_only() {
+    fn chamfer_of_shifted_plane_depends_on_rim_only() {
         // A shift by two spacings leaves two rows on each side without a counterpart, one and two spacings away.
         let (n, spacing) = (20, 0.1);
         let found = between(&plane(n, spacing, [0.0; 3]), &plane(n, spacing, [2.0 * spacing, 0.0, 0.0]));
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn concentric_spheres_are_twice_the_squared_difference_of_their_radii_apart() {
+    fn chamfer_of_concentric_spheres_has_closed_form() {
         // Fibonacci points; the nearest point of the other sphere has the same direction.
         let sphere = |radius: f64| -> Vec<[Real; 3]> {
             let point = |i: usize| {
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn centres_are_counted() {
+    fn counts_gaussian_centres() {
         let means = [[0.0; 3]; 5];
         let model = ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0 };
         assert_eq!(value(&of_model(&GaussianCount {}, Some(model), &scene(&[]))[0]), 5.0);
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn the_network_counts_in_the_second() {
+    fn model_bytes_include_network() {
         let model = ModelFacts { means: &[], gaussian_bytes: 560, network_bytes: 40 };
         let found = of_model(&ModelSize {}, Some(model), &scene(&[]));
         assert_eq!((found[0].key.as_str(), value(&found[0])), ("gaussian_bytes", 560.0));

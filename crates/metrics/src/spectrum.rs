@@ -225,7 +225,7 @@ mod tests {
     use pwrfgs_core::Plugin;
 
     #[test]
-    fn constant_pictures_have_a_closed_form() {
+    fn ssim_of_constant_images_has_closed_form() {
         let constant = |v| Image { width: 9, height: 8, pixels: vec![v; 72] };
         let found = fixture::value(&fixture::of_pictures(&Ssim {}, &constant(0.25), &constant(0.5)));
         let expected = (2.0 * 0.25 * 0.5 + 1e-4) / (0.25 * 0.25 + 0.5 * 0.5 + 1e-4);
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn squares_are_averaged_and_an_exact_picture_stays_finite() {
+    fn psnr_averages_squares_and_is_finite_for_exact_image() {
         let (p, t) = (spots(2, 2, &[(0, 0, 0.5)]), spots(2, 2, &[(0, 0, 0.25), (1, 0, 0.25)]));
         let expected = -10.0 * (0.125f64 / 4.0).log10();
         assert!((value(&of_pictures(&Psnr {}, &p, &t)) - expected).abs() < 1e-12);
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_without_angles_has_no_direction() {
+    fn direction_error_requires_angles() {
         let peak = spots(4, 3, &[(1, 1, 1.0)]);
         let blind = ImagePlane { angles: None, ..plane(4, 3) };
         let found = of_plane(&DirectionError {}, &peak, &peak, &blind);
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ratio_is_that_of_the_two_rates() {
+    fn rate_ratio_divides_both_rates() {
         let truth = spots(4, 3, &[(1, 1, 1.0), (2, 2, 0.5)]);
         let prediction = spots(4, 3, &[(1, 1, 1.5), (2, 2, 1.6)]);
         let found = of_pictures(&RateRatio::default(), &prediction, &truth);
@@ -285,21 +285,21 @@ mod tests {
     }
 
     #[test]
-    fn equal_pixels_count_as_the_first() {
+    fn rate_ratio_uses_first_of_equal_peaks() {
         let truth = spots(4, 3, &[(1, 1, 1.0), (2, 0, 0.25)]);
         let prediction = spots(4, 3, &[(1, 1, 0.7), (2, 0, 0.7)]);
         assert!((value(&of_pictures(&RateRatio::default(), &prediction, &truth)) - 1.25f64.log2()).abs() < 1e-12);
     }
 
     #[test]
-    fn a_dark_spectrum_gives_one() {
+    fn rate_ratio_of_zero_spectrum_is_one() {
         let (dark, prediction) = (spots(4, 3, &[]), spots(4, 3, &[(1, 1, 0.7)]));
         assert_eq!(value(&of_pictures(&RateRatio::default(), &prediction, &dark)), 1.0);
         assert_eq!(value(&of_pictures(&RateRatio::default(), &spots(0, 0, &[]), &spots(0, 0, &[]))), 1.0);
     }
 
     #[test]
-    fn absurd_ratios_are_refused() {
+    fn rejects_snr_out_of_range() {
         for snr in ["NaN", "inf", "-101.0"] {
             let why = Plugin::<dyn Metric>::parse(&format!("RateRatio(snr_db: {snr})")).unwrap_err();
             assert!(why.contains("between -100 and 100"), "{why}");

@@ -235,7 +235,7 @@ mod tests {
     use pwrfgs_core::rng;
 
     #[test]
-    fn products_agree_with_the_textbook_for_every_layout() {
+    fn products_match_naive_multiplication_in_every_layout() {
         let mut random = rng::stream(7, "product", 0);
         let (m, k, n) = (5, 7, 3);
         let a: Vec<Real> = (0..m * k).map(|_| rng::normal(&mut random)).collect();
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn products_that_are_cut_agree_with_whole_ones() {
+    fn split_products_equal_whole_products() {
         let mut random = rng::stream(8, "product", 0);
         let (m, k) = (5, 7);
         for n in [64, 65, 80, 81, 144, 192] {
@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "a matrix lies inside its slice")]
-    fn a_stride_that_overflows_is_refused() {
+    fn rejects_overflowing_stride() {
         let _ = Matrix::strided(&[0.0], (3, 1), (1 << 63, 1)); // 2 · 2^63 wraps around to 0
     }
 

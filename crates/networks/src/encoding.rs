@@ -370,14 +370,14 @@ mod tests {
     }
 
     #[test]
-    fn angle_doubling_is_as_exact_as_the_library_at_forty_metres() {
+    fn angle_doubling_is_as_accurate_as_sin_cos_at_40_m() {
         let (ten, most) = (worst_error(10), worst_error(MOST_FREQUENCIES));
         let (ten_allowed, most_allowed) = if size_of::<Real>() == 8 { (2e-12, 2e-8) } else { (4e-8, 1e-7) };
         assert!(ten < ten_allowed && most < most_allowed, "largest errors {ten}, {most}");
     }
 
     #[test]
-    fn no_frequency_leaves_the_point_alone() {
+    fn encoding_without_frequencies_returns_position() {
         let mut out = vec![0.0; 6];
         encode([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]].into_iter(), 0, &mut out);
         assert_eq!(out, [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn waves_have_their_lengths_and_another_seed_other_directions() {
+    fn encoding_waves_have_set_lengths_and_seeded_directions() {
         let vectors = |seed| match (Encoding::Waves { count: 40, reach: 20.0, seed }).encoder() {
             Encoder::Waves(vectors, _) => vectors,
             _ => unreachable!("they are waves"),

@@ -187,7 +187,7 @@ mod tests {
     use pwrfgs_core::rng;
 
     #[test]
-    fn correlated_numbers_of_any_size_become_uncorrelated_ones() {
+    fn whitening_decorrelates_inputs() {
         let random = &mut rng::stream(0, "whiten", 0);
         let mut values: Vec<Real> = Vec::new();
         for _ in 0..2000 {

@@ -219,7 +219,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn items_cover_every_gaussian_and_transmitter_once() {
+    fn work_items_cover_each_gaussian_and_transmitter_once() {
         for (n, batch, width) in [(1, 1, 256), (50, 3, 64), (157, 1, 256), (157, 32, 256), (2613, 5, 1024), (7, 40, 1)]
         {
             let mut seen = vec![0; n * batch];

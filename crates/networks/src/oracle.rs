@@ -23,7 +23,7 @@ fn error(found: &[Real], expected: &[Real]) -> f64 {
 }
 
 #[test]
-fn wrfgs_reproduces_the_reference_signals_and_derivatives() {
+fn wrfgs_matches_reference_signals_and_derivatives() {
     // In single precision a coordinate of 40 m has a resolution of 2e-6 m, and an angle of 2⁹·x one of 1e-3 rad.
     let (signal_tolerance, derivative_tolerance) = if size_of::<Real>() == 8 { (1e-12, 1e-10) } else { (2e-3, 2e-2) };
     for name in ["n8", "n64", "n64_mask"] {

@@ -118,7 +118,7 @@ fn factored_derivatives_agree_with_central_differences() {
 }
 
 #[test]
-fn networks_have_the_published_sizes() {
+fn networks_have_published_sizes() {
     let count = |d: &dyn Deformation| d.layout().numbers();
     assert_eq!(count(&Mlp::default()), 574_819);
     assert_eq!(count(&Wrfgs::default()), 189_636);
@@ -130,7 +130,7 @@ fn networks_have_the_published_sizes() {
 }
 
 #[test]
-fn initial_weights_are_uniform_within_one_over_root_inputs() {
+fn initial_weights_are_uniform_and_scaled_by_inputs() {
     let mlp = Mlp { head_init: 0.01, ..Mlp::default() };
     let weights = mlp.layout().init(&mut rng::stream(0, "init", 0));
     let mut rest = weights.as_slice();
@@ -163,7 +163,7 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
 }
 
 #[test]
-fn one_thread_and_two_give_the_same_bits() {
+fn result_is_bit_identical_with_one_and_two_threads() {
     let mlp = Mlp { width: 64, ..Mlp::default() };
     let factored = Factored::default();
     let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
@@ -175,7 +175,7 @@ fn one_thread_and_two_give_the_same_bits() {
 }
 
 #[test]
-fn a_batch_gives_the_bits_of_single_calls() {
+fn batch_is_bit_identical_to_single_calls() {
     let mlp = Mlp { width: 64, depth: 6, ..Mlp::default() };
     let factored = Factored::default();
     let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
@@ -207,7 +207,7 @@ fn a_batch_gives_the_bits_of_single_calls() {
 }
 
 #[test]
-fn no_gaussian_and_no_transmitter_are_no_reason_to_fail() {
+fn accepts_zero_gaussians_and_zero_transmitters() {
     let wrfgs = Wrfgs { width: 8, ..Wrfgs::default() };
     let deformations: [&dyn Deformation; 4] = [&small_mlp(), &wrfgs, &small_factored(), &Fixed {}];
     for deformation in deformations {
@@ -219,7 +219,7 @@ fn no_gaussian_and_no_transmitter_are_no_reason_to_fail() {
 }
 
 #[test]
-fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
+fn rejects_invalid_settings_and_defaults_round_trip() {
     for text in
         ["Mlp()", "Wrfgs()", "Factored()", "Fixed()", "Mlp(skip: 2, depth: 4, outputs: Signals)", "Wrfgs(gain: 12.5)"]
     {

@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_left_out_take_the_defaults_of_the_task() {
+    fn omitted_fields_use_defaults_of_task() {
         let cases = [
             (
                 "Teacher()",
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_unsupported_fields_have_a_place() {
+    fn reports_position_of_missing_and_unsupported_fields() {
         let refused = |fields: &str| parse(fields).unwrap_err();
         assert_eq!(refused("name: \"a\", initializer: Random()"), "a.ron:2:33: the field `data` is missing");
         assert!(refused("name: \"a\", data: Teacher()").ends_with("the field `initializer` is missing"));
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn paths_of_plugins_become_absolute() {
+    fn plugin_paths_become_absolute() {
         let data = "Channels(root: \"r\", points: \"p.ply\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
         let relative = parse(&format!("name: \"a\", data: {data}, initializer: Trained(model: \"m\")")).unwrap();
         let absolute = relative.rebased(&|path| Path::new("/base").join(path)).unwrap().to_ron();
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_that_the_method_of_channels_lacks_are_refused_unless_at_their_default() {
+    fn rejects_fields_unsupported_by_channel_method() {
         let channels = |field: &str| {
             let data = "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
             parse(&format!("name: \"a\", data: {data}, initializer: Random(),\n{field}"))

@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn every_value_has_its_place() {
+    fn ron_tree_locates_every_value() {
         let text = r##"P(a: -1.5e-3, /* b */ b: [X(), Y(1, "),\"("), true], // c
             c: (d: r#"a"#, e: {"x": (1, 2)}, f: 'x', g: '\'', h: None),)"##;
         let tree = of(text);

@@ -93,7 +93,7 @@ mod tests {
     use pwrfgs_core::{Real, rng};
 
     #[test]
-    fn there_and_back() {
+    fn covariance_round_trips_through_axes() {
         let mut random = rng::stream(3, "covariance", 0);
         for _ in 0..200 {
             let mut cloud = GaussianCloud::zeros(1);

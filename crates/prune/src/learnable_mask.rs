@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn the_straight_through_gate_has_its_closed_form() {
+    fn straight_through_gate_has_closed_form() {
         let (mask, traced) = (LearnableMask::default(), TracedCloud::new(&masked(&LOGITS)));
         let gate = mask.gate(&traced, &context(Phase::Densify)).unwrap().factor();
         assert_eq!(gate.as_vec(), [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn the_penalty_presses_on_every_mask() {
+    fn penalty_gradient_reaches_every_mask_logit() {
         let mask = LearnableMask { lambda: 0.03, ..LearnableMask::default() };
         let traced = TracedCloud::new(&masked(&LOGITS));
         let penalty = mask.penalty(&traced, &context(Phase::Prune)).unwrap();
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mask_that_nothing_needs_closes_after_the_steps_that_are_counted() {
+    fn unused_mask_closes_after_computed_number_of_steps() {
         // Rates of the paper and of the quickstart, and both without Adam; expected values from an independent
         // simulation.
         let steps = |rate, adam| {
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shorter_training_moves_masks_faster_within_bounds() {
+    fn shorter_training_scales_mask_rate_within_limits() {
         let of = |text: &str, scale| {
             let pruner = pwrfgs_core::Plugin::<dyn Pruner>::parse(text).unwrap();
             pruner.traits().mask_rate.unwrap().shortened(scale)
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn fine_tuning_has_no_masks() {
+    fn fine_tuning_ignores_masks() {
         let (mask, traced) = (LearnableMask::default(), TracedCloud::new(&cloud(&[0.0; 3])));
         assert!(mask.gate(&traced, &context(Phase::Finetune)).is_none());
         assert!(mask.penalty(&traced, &context(Phase::Finetune)).is_none());

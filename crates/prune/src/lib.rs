@@ -78,7 +78,7 @@ mod tests {
     use pwrfgs_core::{CloudStats, Phase, Plugin, Pruner, Real};
 
     #[test]
-    fn masks_floors_and_budgets_keep_a_fresh_cloud() {
+    fn pruners_keep_initial_cloud() {
         for name in ["LearnableMask", "OpacityThreshold", "TopK"] {
             let plugin = Plugin::<dyn Pruner>::parse(&format!("{name}()")).unwrap();
             for n in [0, 1, 7] {

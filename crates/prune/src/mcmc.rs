@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn share_out_keeps_opacity_of_copies() {
+    fn copies_preserve_opacity_of_original() {
         // Amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
         for opacity in [0.05, 0.3, 0.8] {
             let (own, shrink) = share_out(opacity, 2);

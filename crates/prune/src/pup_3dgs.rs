@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn determinants_of_known_matrices() {
+    fn log_determinants_match_known_matrices() {
         // diag(1, 2, .., 6) has determinant 720; that of a product of two known factors is the squared product of the
         // diagonal.
         let mut diagonal = [0.0; 21];

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn each_score_has_its_own_best() {
+    fn each_score_has_its_own_ranking() {
         let mut cloud = cloud(&[0.0, 2.0, 1.0, -3.0]);
         cloud.log_scales[3] = [2.0; 3];
         let weight = [5.0, 0.0, 7.0, 6.0];
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn the_budget_is_exact_even_among_equals() {
+    fn target_count_is_exact_for_equal_scores() {
         let cloud = cloud(&[1.0; 9]);
         for score in [ImportanceScore::Weight, ImportanceScore::Opacity, ImportanceScore::OpacityVolume] {
             assert_eq!(kept(4, score, &cloud, &[2.0; 9]), [0, 1, 2, 3]);

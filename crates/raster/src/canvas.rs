@@ -95,7 +95,7 @@ mod tests {
 
     /// Uses neither rayon nor vectors, because Miri runs this test.
     #[test]
-    fn threads_fill_their_tiles_and_nothing_else() {
+    fn threads_write_only_their_own_tiles() {
         for (width, height, channels) in [(37, 21, 2), (16, 16, 1), (5, 40, 3), (32, 1, 1), (0, 7, 0)] {
             let plane = ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
             let mut pictures = vec![-1.0; channels * width * height];

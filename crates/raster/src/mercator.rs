@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_is_a_degree() {
+    fn mercator_pixel_spans_one_degree() {
         let plane = Mercator::default().plane(360, 90);
         for (az, el) in [(0.0, 0.0), (33.0, 45.0), (359.0, 10.0), (180.0, 89.0)] {
             let v = Vec3::from_array(plane.direction(az, el).unwrap()) * 3.0;
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn on_the_axis_and_at_the_receiver_everything_is_finite() {
+    fn projection_is_finite_on_axis_and_at_receiver() {
         for v in [Vec3::Z * 3.0, Vec3::ZERO, Vec3::new(1e-9, 0.0, 2.0), -Vec3::Z] {
             let p = Primitives {
                 means: vec![v.to_array()],

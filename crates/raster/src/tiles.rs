@@ -319,7 +319,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(400))]
 
         #[test]
-        fn every_pixel_that_counts_is_offered(
+        fn tiles_include_every_contributing_pixel(
             mean in prop::array::uniform2(-30.0..160.0f64), sigmas in (0.55..80.0f64, 0.55..8.0f64),
             angle in 0.0..3.2f64, opacity in 0.004..1.0f64, width in 20usize..150, height in 5usize..80, wraps: bool,
             faint in prop::option::of((-9.0..-5.0f64, prop::array::uniform2(-6.0..-3.0f64))),
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thin_slanting_splat_does_not_take_the_tiles_of_its_box() {
+    fn thin_slanted_splat_skips_tiles_of_bounding_box() {
         let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: None, sampling: Sampling::WHOLE };
         let splats = one([100.0, 45.0], [30.0, 1.0], 0.6, 0.9);
         let count = |list: &[bool]| list.iter().filter(|&&p| p).count();

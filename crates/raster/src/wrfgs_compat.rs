@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn axes_land_where_the_released_code_puts_them() {
+    fn axes_project_as_in_released_code() {
         let model = FullSphere { width: 360.0, height: 90.0 };
         let near = |a: Real, b: Real, tolerance: Real| assert!((a - b).abs() < tolerance, "{a} is not {b}");
         let [x, y] = model.pixel(Vec3::Z);

@@ -76,7 +76,7 @@ fn by_definition(array: &ArrayResponse, p: &Primitives, signals: &[Real], plane:
 }
 
 #[test]
-fn the_picture_is_the_definition() {
+fn array_image_matches_definition() {
     let p = points(&[(20.0, 15.0), (200.0, 50.0), (301.0, 80.0), (359.5, 3.0)], 3.0);
     let s = signals(4, 2, 1);
     // Even, odd, asymmetric, a single row, and images that do not fill the last block or have no opposite pixels.
@@ -92,7 +92,7 @@ fn the_picture_is_the_definition() {
 }
 
 #[test]
-fn a_plane_wave_gives_the_array_factor() {
+fn plane_wave_gives_array_factor() {
     let (az, el) = (130.0, 35.0);
     let array = ArrayResponse { rows: 3, columns: 5, spacing_wavelengths: 0.45, widened: false, ..Default::default() };
     let found = magnitude(&draw(&array, &points(&[(az, el)], 5.0), &Pose::IDENTITY, &[0.6, -0.8]));
@@ -114,7 +114,7 @@ fn a_plane_wave_gives_the_array_factor() {
 }
 
 #[test]
-fn width_is_the_mean_over_the_gaussian() {
+fn widened_response_is_mean_over_gaussian() {
     // Compares a ball at the zenith, at 45 degrees and near the horizon with points drawn from it. The first-order
     // error (the mean direction of a ball is shorter than that of its centre) is largest if u is in the plane of the
     // array.
@@ -143,7 +143,7 @@ fn width_is_the_mean_over_the_gaussian() {
 }
 
 #[test]
-fn far_away_spherical_waves_are_plane() {
+fn distant_spherical_waves_equal_plane_waves() {
     let directions = [(10.0, 20.0), (200.0, 70.0)];
     let spherical = Wavefront::Spherical { wavelength_m: 0.326 };
     let picture = |wavefront, distance| {
@@ -157,7 +157,7 @@ fn far_away_spherical_waves_are_plane() {
 }
 
 #[test]
-fn a_spherical_wave_has_the_exact_phase_at_every_antenna() {
+fn spherical_wave_has_exact_phase_at_every_antenna() {
     // Two antennas: |aᴴh| of one source is |1 + exp(j(φ - ψ))|/2 with φ - ψ from the difference of the two path
     // lengths.
     let (wavelength, spacing) = (0.5, 0.7);
@@ -181,7 +181,7 @@ fn a_spherical_wave_has_the_exact_phase_at_every_antenna() {
 }
 
 #[test]
-fn turning_everything_changes_nothing_and_a_quarter_turn_turns_the_picture() {
+fn array_image_is_invariant_and_equivariant_under_rotation() {
     let n = 30;
     let p = primitives(n, 5);
     let s = signals(n, 2, 5);
@@ -216,7 +216,7 @@ fn turning_everything_changes_nothing_and_a_quarter_turn_turns_the_picture() {
 }
 
 #[test]
-fn order_and_closed_gates_do_not_matter() {
+fn array_image_ignores_order_and_closed_gates() {
     let n = 50;
     let p = primitives(n, 2);
     let s = signals(n, 4, 2);
@@ -239,7 +239,7 @@ fn order_and_closed_gates_do_not_matter() {
 }
 
 #[test]
-fn transmitters_do_not_meet() {
+fn batched_transmitters_are_independent() {
     let p = primitives(20, 6);
     let s = signals(20, 6, 6);
     let array = ArrayResponse::default();
@@ -295,7 +295,7 @@ fn derivatives_agree_with_differences() {
 }
 
 #[test]
-fn nothing_strange_comes_of_strange_splats() {
+fn array_response_is_finite_for_degenerate_splats() {
     let plane = plane();
     let mut splats = Splats::zeros(3);
     splats.conics = vec![[0.0; 3], [1e-30, 0.0, 1e-30], [1e30, 0.0, 1e30]];

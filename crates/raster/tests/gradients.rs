@@ -102,7 +102,7 @@ impl CameraModel for Disc {
 }
 
 #[test]
-fn a_camera_model_of_three_functions_projects() {
+fn custom_camera_model_projects() {
     let (disc, plane) = (&DISC, &PLANE);
     let mut scene = primitives(N, 0);
     let shown = project(disc, &scene, &POSE, plane);
@@ -122,7 +122,7 @@ fn a_camera_model_of_three_functions_projects() {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-fn a_camera_model_of_three_functions_differentiates() {
+fn custom_camera_model_differentiates() {
     for seed in 0..4 {
         let vjp = |p: &Primitives, splats: &Splats, d: &Splats| project_vjp(&DISC, p, &POSE, splats, d);
         check(&PLANE, |p| project(&DISC, p, &POSE, &PLANE), vjp, &AlphaBlending::default(), seed);

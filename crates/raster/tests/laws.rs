@@ -12,7 +12,7 @@ fn draw(p: &Primitives, pose: &Pose, signals: &[Real], channels: usize) -> Vec<R
 }
 
 #[test]
-fn turning_the_scene_turns_the_picture_across_the_seam() {
+fn rotated_scene_gives_rotated_image_across_seam() {
     let n = 40;
     let p = primitives(n, 11);
     let s = signals(n, 1, 11);
@@ -62,7 +62,7 @@ fn multiply(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
 }
 
 #[test]
-fn the_order_of_rows_does_not_matter() {
+fn image_ignores_order_of_gaussians() {
     let n = 50;
     let p = primitives(n, 2);
     let s = signals(n, 2, 2);
@@ -78,7 +78,7 @@ fn the_order_of_rows_does_not_matter() {
 }
 
 #[test]
-fn a_gaussian_without_opacity_is_absent() {
+fn gaussian_without_opacity_equals_absent_gaussian() {
     let p = primitives(20, 4);
     let s = signals(20, 1, 4);
     let mut closed = p.clone();
@@ -96,7 +96,7 @@ fn a_gaussian_without_opacity_is_absent() {
 }
 
 #[test]
-fn a_splat_wider_than_the_circle_covers_every_column_once() {
+fn splat_wider_than_image_covers_every_column_once() {
     // A ball that fills a quarter of the view, 2° off the zenith.
     let p = Primitives {
         means: vec![[0.1, 0.0, 3.0]],

@@ -13,7 +13,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn tiles_are_bookkeeping_that_no_picture_shows(
+    fn tiled_rendering_equals_untiled_reference(
         n in 1usize..60, seed in 0u64..10_000, channels in 1usize..5, width in 40usize..130, height in 10usize..60,
     ) {
         let (splats, plane) = splats(n, seed, width, height);
@@ -38,7 +38,7 @@ proptest! {
 /// After two splats of maximum opacity, 10⁻⁴ of the light is left. Rounding then decides whether the second splat is
 /// drawn, and kernel and brute force must round alike.
 #[test]
-fn splats_on_top_of_each_other_fill_a_pixel_as_by_brute_force() {
+fn coincident_splats_match_brute_force() {
     let (mut splats, plane) = splats(4, 3, 60, 30);
     for i in 0..4 {
         (splats.means2d[i], splats.radii[i]) = ([20.0, 12.0], 15.0);
@@ -52,7 +52,7 @@ fn splats_on_top_of_each_other_fill_a_pixel_as_by_brute_force() {
 }
 
 #[test]
-fn the_same_bits_at_one_and_two_threads() {
+fn rendering_is_bit_identical_with_one_and_two_threads() {
     let (splats, plane) = splats(300, 5, 360, 90);
     let signals = signals(300, 2, 5);
     let run = |threads| {

@@ -61,7 +61,7 @@ fn assert_near(found: Complex, expected: Complex) {
 }
 
 #[test]
-fn a_panel_on_a_wall_reflects_instead_of_it() {
+fn panel_on_wall_replaces_reflection_of_wall() {
     for material in ["metal", "wood"] {
         // Exactly there, and within the tenth of a millimetre that counts as there, on either side.
         for x in ["10", "9.99995", "10.00005"] {
@@ -78,7 +78,7 @@ fn a_panel_on_a_wall_reflects_instead_of_it() {
 }
 
 #[test]
-fn a_panel_on_a_box_and_a_box_let_into_a_wall_count() {
+fn panel_on_box_and_box_in_wall_reflect() {
     // In either order of the file, and once where both are the same.
     let cupboard = "Box(name: \"cupboard\", low: (10, -3, 0), high: (10.5, 3, 3), finish: (material: \"marble\")),";
     assert_near(gain(cupboard, 3.0, 2.0), expected("marble", None, 3.0));
@@ -91,7 +91,7 @@ fn a_panel_on_a_box_and_a_box_let_into_a_wall_count() {
 }
 
 #[test]
-fn waves_pass_both_of_two_sheets_that_lie_on_each_other() {
+fn waves_pass_both_of_two_coincident_sheets() {
     let partition = panel("partition", "(0, -5)", "(0, 5)", "(0.1, 5)", "glass");
     let board = panel("board", "(0, -1)", "(0, 1)", "(1, 3)", "wood");
     let through = |objects: &str| {
@@ -112,7 +112,7 @@ fn waves_pass_both_of_two_sheets_that_lie_on_each_other() {
 }
 
 #[test]
-fn behind_the_wall_the_wall_counts() {
+fn back_of_wall_reflects_and_ignores_panel_in_front() {
     // A U about a yard: from the right leg waves pass the wall x = 2, and meet the wall x = -2 from behind.
     let corners = "(-6, -6), (-2, -6), (-2, 0), (2, 0), (2, -6), (6, -6), (6, 6), (-6, 6)";
     let room = format!(
@@ -135,7 +135,7 @@ fn behind_the_wall_the_wall_counts() {
 }
 
 #[test]
-fn an_opening_lets_everything_through_and_reflects_nothing() {
+fn opening_transmits_all_and_reflects_none() {
     let wall = panel("partition", "(0, -5)", "(0, 5)", "(0.1, 5)", "metal");
     let door = opening("(0, -1)", "(0, 1)", "(1, 3)");
     let paths = |objects: &str, to: [f64; 3]| simulator(objects, to, ONCE).trace(DVec3::new(-4.0, 0.0, 2.0));
@@ -193,7 +193,7 @@ fn field_behind(objects: &str, tx: DVec3) -> Complex {
 }
 
 #[test]
-fn an_opening_up_to_the_end_of_a_panel_is_a_shorter_panel() {
+fn opening_to_panel_end_equals_shorter_panel() {
     for material in ["metal", "glass"] {
         let short = panel("a", "(0, -40)", "(0, 0)", "(-45, 45)", material);
         let long = panel("a", "(0, -40)", "(0, 20)", "(-45, 45)", material);
@@ -215,7 +215,7 @@ fn an_opening_up_to_the_end_of_a_panel_is_a_shorter_panel() {
 }
 
 #[test]
-fn the_rims_of_an_opening_diffract() {
+fn edges_of_opening_diffract() {
     let wall = panel("a", "(0, -40)", "(0, 40)", "(-45, 45)", "metal") + &opening("(0, 0)", "(0, 3)", "(-20, 20)");
     // From (-4, y) the line of sight touches the rim at y = 0 for y = 1.5, and that at y = 3 for y = 7.5.
     for y in [1.5, 7.5] {
@@ -247,7 +247,7 @@ fn rejects_opening_outside_surface() {
 }
 
 #[test]
-fn an_opening_moves_with_its_wall_where_a_scene_is_known_with_errors() {
+fn opening_moves_with_its_wall_in_perturbed_scene() {
     use pwrfgs_core::{Baseline, DataSource, FittingSet, Plugin};
     let folder = tempfile::tempdir().unwrap();
     let objects = opening("(10, -1)", "(10, 1)", "(0, 6)")

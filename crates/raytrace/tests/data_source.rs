@@ -44,7 +44,7 @@ fn write(recipe: &SimulationRecipe, layout: OutputLayout, paths: bool, out: &Pat
 }
 
 #[test]
-fn a_folder_that_holds_something_is_not_touched() {
+fn refuses_to_simulate_into_non_empty_folder() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
     let message = write(&recipe, OutputLayout::Pictures, true, folder.path()).unwrap_err();
@@ -118,7 +118,7 @@ fn array_layout_equals_image_layout() {
 }
 
 #[test]
-fn the_shipped_scenes_are_simulated() {
+fn simulates_shipped_scenes() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
     for name in ["office", "conference", "lab-s23"] {
         let simulator = Simulator::new(&SceneFile::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
@@ -135,7 +135,7 @@ fn the_shipped_scenes_are_simulated() {
 }
 
 #[test]
-fn rooms_may_have_niches_and_panels_in_line_with_walls() {
+fn accepts_niches_and_panels_aligned_with_walls() {
     let niche = "Plan(corners: [(0, 0), (1, 0), (1, -1), (2, -1), (2, 0), (4, 0), (4, 3), (0, 3)], ceiling: 2.5)";
     let text = scene_text("").replace("Box(low: (0, 0, 0), high: (4, 3, 2.5))", niche);
     let simulator = Simulator::new(&SceneFile::parse(&text, Path::new("niche.ron")).unwrap()).unwrap();
@@ -151,7 +151,7 @@ fn rooms_may_have_niches_and_panels_in_line_with_walls() {
 }
 
 #[test]
-fn the_scene_of_the_manual_is_read() {
+fn parses_scene_of_simulator_page() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     let page = fs::read_to_string(root.join("docs/simulator.md")).unwrap();
     let text = page.split("```ron\n").nth(1).unwrap().split("```").next().unwrap();
@@ -161,7 +161,7 @@ fn the_scene_of_the_manual_is_read() {
 }
 
 #[test]
-fn ray_tracing_in_the_exact_scene_is_the_generator() {
+fn ray_tracing_in_exact_scene_reproduces_data() {
     let folder = tempfile::tempdir().unwrap();
     file(folder.path(), "small.ron", &scene_text(""));
     let source: Plugin<dyn DataSource> =
@@ -266,7 +266,7 @@ fn reports_position_of_scene_errors() {
 }
 
 #[test]
-fn transmitters_do_not_stand_inside_things() {
+fn transmitters_are_outside_objects() {
     let folder = tempfile::tempdir().unwrap();
     let in_desk = scene_text("").replace(
         "Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))",

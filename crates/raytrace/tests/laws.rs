@@ -12,7 +12,7 @@ const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: 
 const NOTHING: &str = "order: 0, room_order: 0, diffraction: false";
 
 #[test]
-fn free_space_is_friis() {
+fn free_space_gain_matches_friis() {
     let rx = [1.0, -2.0, 3.0];
     let simulator = Simulator::new(&scene(WALLS, "", rx, NOTHING)).unwrap();
     let wavelength = simulator.scene().wavelength();
@@ -87,7 +87,7 @@ fn field(paths: &[PropagationPath]) -> Complex {
 }
 
 #[test]
-fn without_scattering_transmitter_and_receiver_may_change_places() {
+fn paths_without_scattering_are_reciprocal() {
     for pair in PAIRS {
         let [there, back] = both_ways(pair, "order: 2, room_order: 3");
         assert_same(&there, &back);
@@ -126,7 +126,7 @@ fn scattering_is_not_reciprocal() {
 }
 
 #[test]
-fn a_solid_closes_the_way_and_a_sheet_weakens_it() {
+fn solid_blocks_line_of_sight_and_sheet_attenuates_it() {
     let rx = [4.0, 1.5, 1.0];
     let tx = DVec3::new(0.0, 1.5, 1.0); // the cupboard stands between them
     let line_of_sight = |s: &Simulator, tx: DVec3| {
@@ -158,7 +158,7 @@ fn behind_a_board(material: &str, tx: DVec3) -> Complex {
 }
 
 #[test]
-fn diffraction_makes_up_for_the_edge_of_the_shadow() {
+fn diffraction_makes_field_continuous_at_shadow_edge() {
     // From (-4, y) the line of sight touches the rim (0, 0) at y = 1.5.
     let at = |y: f64| behind_a_board("metal", DVec3::new(-4.0, y, 0.0));
     let jump = (at(1.5 + 1e-6) - at(1.5 - 1e-6)).norm();
@@ -246,7 +246,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn energy_never_grows_by_reflection(x in -4.0..4.0f64, y in -4.0..4.0f64, z in 0.3..5.0f64) {
+    fn reflection_does_not_increase_energy(x in -4.0..4.0f64, y in -4.0..4.0f64, z in 0.3..5.0f64) {
         let simulator = cluttered([6.0, -5.0, 2.0], "order: 2, room_order: 3, diffraction: false");
         let wavelength = simulator.scene().wavelength();
         let tx = DVec3::new(x, y, z);

@@ -28,7 +28,7 @@ fn plain() -> String {
 }
 
 #[test]
-fn numbers_out_of_range_are_named() {
+fn reports_numbers_out_of_range() {
     let text = plain();
     for (from, to, expected) in [
         ("position: (0.0, 0.0, 2.0)", "position: (1e308, 0, 0)", "receiver: `position`"),
@@ -55,7 +55,7 @@ fn numbers_out_of_range_are_named() {
 }
 
 #[test]
-fn names_are_short_and_plain() {
+fn rejects_long_names_and_control_characters() {
     let long = "x".repeat(5_000_000);
     for name in [long.as_str(), "a\u{1b}[31mb"] {
         for (from, expected) in
@@ -101,7 +101,7 @@ fn rejects_oversized_scene_before_tracing() {
 }
 
 #[test]
-fn brackets_without_end_do_not_overflow_the_stack() {
+fn deeply_nested_brackets_do_not_overflow_stack() {
     for (bracket, field) in
         [("(", "objects: ["), ("[", "objects: ["), ("Some(", "noise: "), ("{", "materials: {"), ("/*", "(")]
     {
@@ -110,7 +110,7 @@ fn brackets_without_end_do_not_overflow_the_stack() {
 }
 
 #[test]
-fn names_meshes_that_cannot_be_traced() {
+fn reports_meshes_that_cannot_be_traced() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = |name: &str| {
         let file = folder.path().join(name);

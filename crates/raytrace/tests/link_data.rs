@@ -15,7 +15,7 @@ fn load(folder: &Path, observe: &str) -> pwrfgs_core::Result<Dataset> {
 }
 
 #[test]
-fn a_data_set_has_a_link_each_transmitter_and_receiver() {
+fn data_set_has_one_link_per_transmitter_and_receiver() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("s.ron"), small_room(CSI)).unwrap();
     let scene = SceneFile::read(&folder.path().join("s.ron")).unwrap();
@@ -66,7 +66,7 @@ fn unreceived_transmitters_have_no_link() {
 }
 
 #[test]
-fn ray_tracing_is_the_generator_of_every_kind() {
+fn ray_tracing_reproduces_every_observation_kind() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("s.ron"), small_room(CSI).replace(QUIET, "")).unwrap();
     let fit = |data: &Dataset, text: &str| -> pwrfgs_core::Result<_> {

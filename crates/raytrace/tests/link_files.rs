@@ -52,7 +52,7 @@ const KINDS: [(OutputLayout, ObservationKind); 5] = [
 ];
 
 #[test]
-fn every_layout_has_the_same_bytes_at_any_thread_count() {
+fn every_layout_is_bit_identical_at_any_thread_count() {
     let folder = tempfile::tempdir().unwrap();
     for (layout, observe) in KINDS {
         let recipe = recipe(folder.path(), &small_room(CSI), observe);
@@ -156,7 +156,7 @@ fn files_hold_simulated_observations() {
 }
 
 #[test]
-fn data_of_old_scenes_keep_their_key() {
+fn single_receiver_scenes_keep_cache_key() {
     let scene = parse(&small_room("")).with_receiver(&parse(&small_room("")).receiver);
     let text = scene.to_ron();
     for word in ["more_receivers", "subcarriers", "power_dbm", "gateway1"] {

@@ -56,7 +56,7 @@ fn wave(distance: f64, f: f64) -> Complex {
 }
 
 #[test]
-fn subcarriers_stand_about_the_carrier() {
+fn subcarriers_are_centred_on_carrier() {
     let even = parse(&large_room("vacuum", &format!("{ANYWHERE}, {BAND}"))).frequencies();
     assert_eq!(even.len(), 16);
     assert_eq!((even[0], even[15]), (2.4e9 - 18.75e6, 2.4e9 + 18.75e6));
@@ -67,7 +67,7 @@ fn subcarriers_stand_about_the_carrier() {
 }
 
 #[test]
-fn free_space_at_two_receivers() {
+fn free_space_channels_match_closed_form_at_two_receivers() {
     let sent = ANYWHERE.replace("(positions", "(power_dbm: 17, positions");
     let simulator = simulator(&large_room("vacuum", &format!("{sent}, {BAND}")));
     let hz = simulator.scene().frequencies();
@@ -89,7 +89,7 @@ fn free_space_at_two_receivers() {
 }
 
 #[test]
-fn two_rays_over_a_mirror() {
+fn two_ray_channel_over_mirror_matches_closed_form() {
     let simulator = simulator(&large_room("perfect_conductor", &format!("{ANYWHERE}, {BAND}")));
     let tx = DVec3::new(2.0, -6.0, 1.3);
     let mirrored = DVec3::new(tx.x, tx.y, -tx.z);
@@ -106,7 +106,7 @@ fn two_rays_over_a_mirror() {
 }
 
 #[test]
-fn at_the_carrier_a_channel_is_that_of_the_spectrum() {
+fn channel_at_carrier_equals_channel_of_spectrum() {
     for wavefront in ["Plane", "Spherical", "Traced"] {
         let text = small_room("subcarriers: (count: 3, bandwidth_hz: 20e6)");
         let text = text.replace("columns: 4)", &format!("columns: 4, wavefront: {wavefront})"));
@@ -133,7 +133,7 @@ fn at_the_carrier_a_channel_is_that_of_the_spectrum() {
 }
 
 #[test]
-fn errors_have_the_stated_size() {
+fn channel_errors_have_set_size() {
     let simulator = simulator(&small_room(CSI));
     let [a, b] = simulator.listeners() else { panic!() };
     let tx = DVec3::new(2.5, 1.2, 1.1);
@@ -160,7 +160,7 @@ fn errors_have_the_stated_size() {
 }
 
 #[test]
-fn the_offices_of_links_are_simulated() {
+fn simulates_shipped_link_scenes() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
     let open = |name: &str| Simulator::new(&SceneFile::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
     let office = SceneFile::read(&root.join("office.ron")).unwrap();

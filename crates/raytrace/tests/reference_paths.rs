@@ -76,7 +76,7 @@ fn points(path: &PropagationPath) -> Vec<DVec3> {
 }
 
 #[test]
-fn every_path_of_the_reference_room_is_found_with_its_gain() {
+fn finds_every_path_of_reference_room_with_its_gain() {
     let txs = [("tx1", [-2.1, 1.4, 1.1]), ("tx2", [0.45, -1.85, 2.35]), ("tx3", [-1.3, -0.65, 0.8])];
     for (megahertz, model) in [(920, "slab"), (920, "halfspace"), (3500, "slab"), (3500, "halfspace")] {
         let Some(expected) = rows(&format!("paths_{megahertz}MHz_{model}.csv")) else { return };
@@ -108,7 +108,7 @@ fn every_path_of_the_reference_room_is_found_with_its_gain() {
 }
 
 #[test]
-fn an_empty_box_has_the_known_number_of_images() {
+fn empty_box_has_known_number_of_images() {
     for (order, count) in [(0, 1), (1, 7), (2, 25), (3, 63), (4, 129), (5, 231)] {
         let simulator = Simulator::new(&reference_room(920e6, true, order)).unwrap();
         for tx in [[-2.1, 1.4, 1.1], [0.45, -1.85, 2.35], [-1.3, -0.65, 0.8]] {
@@ -118,7 +118,7 @@ fn an_empty_box_has_the_known_number_of_images() {
 }
 
 #[test]
-fn every_antenna_traced_on_its_own_sees_the_reference_channel() {
+fn separately_traced_antennas_match_reference_channel() {
     let Some(folder) = shared("reference/paths") else { return };
     let mut reader = csv::Reader::from_path(folder.join("sceneA/array_4x4_920MHz_slab.csv")).unwrap();
     let txs = [("tx1", [-2.1, 1.4, 1.1]), ("tx2", [0.45, -1.85, 2.35]), ("tx3", [-1.3, -0.65, 0.8])];

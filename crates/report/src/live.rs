@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn modules_become_one_script_and_each_has_its_own_names() {
+    fn joins_modules_into_one_script_with_separate_scopes() {
         let script = bundle("start();");
         assert!(script.ends_with("start();") && !script.contains("\nimport ") && !script.contains("\nexport "));
         assert!(!script.contains("</script"), "a page would end there");

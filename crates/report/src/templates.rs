@@ -112,7 +112,7 @@ mod tests {
     use minijinja::context;
 
     #[test]
-    fn a_label_adds_no_sentence() {
+    fn labels_are_escaped_in_legend() {
         let (name, reference, least, most) = ("differences", "a\nb\u{1b}", 3, 3);
         let words = context! { name, reference, least, most, replicates => 9, percent => 95, edge => "1", cubes => 20 };
         let message = sentences("legend.txt", words.clone());
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn every_special_character_is_tex() {
+    fn escapes_every_tex_special_character() {
         let found = tex(r"\ { } $ & # ^ _ % ~");
         let expected = r"\textbackslash{} \{ \} \$ \& \# \textasciicircum{} \_ \% \textasciitilde{}";
         assert_eq!(found, expected);

@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_adam_a_column_goes_down_its_slope_by_rate_times_n() {
+    fn column_without_adam_uses_gradient_descent_times_n() {
         let mut cloud = GaussianCloud::zeros(3);
         let column = |values: &[Real]| pwrfgs_core::ExtraColumn { name: "m".into(), width: 1, values: values.to_vec() };
         cloud.extra.push(column(&[1.0, 2.0, 3.0]));
@@ -161,7 +161,7 @@ mod tests {
 
     /// Three steps of PyTorch's Adam (lr 0.1, betas 0.9 and 0.999, eps 1e-8) from x = 1 with gradients 0.5, -1, 2.
     #[test]
-    fn follows_pytorch() {
+    fn adam_matches_pytorch() {
         let update = |step: i32| Update {
             rate: 0.1,
             beta1: 0.9,
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn decoupled_decay_shrinks_and_l2_goes_through_the_moments() {
+    fn decoupled_decay_shrinks_and_l2_enters_moments() {
         let quiet =
             Update { rate: 0.1, beta1: 0.9, beta2: 0.999, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.5 };
         let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_out_of_range_is_reported() {
+    fn reports_optimizer_setting_out_of_range() {
         let update =
             Update { rate: 0.1, beta1: 0.9, beta2: 0.999, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.0 };
         assert!(update.apply(&mut [1.0], &[Real::NAN], &mut [0.0], &mut [0.0]).is_err());

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn small_ones_are_cloned_large_ones_split_and_transparent_ones_removed() {
+    fn densify_clones_splits_and_removes_by_size_and_opacity() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify::default();
         let mut gaussian_ids = GaussianIds::of(cloud.len());
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn the_budget_takes_the_strongest_first() {
+    fn densify_limit_selects_largest_gradients_first() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { max_gaussians: 5, opacity_floor: 0.0, ..Densify::default() };
         let mut gaussian_ids = GaussianIds::of(cloud.len());
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_lowers_opacities_and_forgets_their_moments_only() {
+    fn reset_lowers_opacities_and_clears_only_their_moments() {
         let (mut cloud, mut adam, _) = scene();
         reset_opacities(0.01, &mut cloud, &mut adam);
         assert!(cloud.opacity_logits.iter().all(|o| sigmoid(*o) <= 0.010_001));

@@ -344,7 +344,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_of_a_batch_are_all_of_it_in_order() {
+    fn batch_parts_cover_batch_in_order() {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
         let places = BatchPixels::Own((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();

@@ -216,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_files_are_plain_and_differ() {
+    fn map_file_names_are_plain_and_unique() {
         let mut taken = BTreeSet::new();
         let mut name = |receiver| file_name("power", receiver, &mut taken);
         let names = [name(Some("../a b")), name(Some("../a/b")), name(None), name(Some(&"x".repeat(500)))];

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_receivers_by_name_and_suggests_the_nearest() {
+    fn finds_receivers_by_name_and_suggests_nearest_name() {
         let known: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
         let chosen = |names: &[&str]| chosen(&known, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
         assert_eq!(chosen(&["g03", "g01", "g03"]).unwrap(), [0, 2]);

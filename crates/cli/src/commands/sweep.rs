@@ -215,7 +215,7 @@ mod tests {
     use super::{Shard, shard};
 
     #[test]
-    fn a_shard_is_a_part_of_a_whole() {
+    fn parses_shard_index_and_count() {
         assert_eq!(shard("2/5"), Ok(Shard { index: 2, count: 5 }));
         for wrong in ["0/5", "6/5", "2", "a/b", "1/0", "-1/2"] {
             assert!(shard(wrong).is_err(), "{wrong}");

@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn comments_become_prose() {
+    fn doc_comments_become_prose() {
         let text = "One [`crate::TopK`] of\ntwo [`Random`](x::Random).\n\n```\nlet a;\n```\n\n| a |\n| b |";
         assert_eq!(paragraphs(text), ["One `TopK` of two `Random`.", "| a |", "| b |"]);
     }

@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn locks_follow_the_name_of_a_file() {
+    fn lock_follows_name_of_replaced_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
         assert_eq!(try_lock(&path).unwrap_err().kind(), ErrorKind::NotFound);
@@ -170,7 +170,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_held_folder_is_not_left_for_a_link_of_its_name() {
+    fn held_folder_ignores_symlink_replacing_its_name() {
         let (here, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let (name, moved) = (here.path().join("a"), here.path().join("b"));
         fs::create_dir(&name).unwrap();

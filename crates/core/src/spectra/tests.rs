@@ -42,7 +42,7 @@ fn file_and_memory_give_equal_values() {
 }
 
 #[test]
-fn grey_values_are_255ths() {
+fn grey_values_are_multiples_of_one_255th() {
     let spectra = Spectra::grey((3, 2), (0..12).collect()).unwrap();
     assert_eq!(spectra.image(1), Image::from_bytes(3, 2, &[6, 7, 8, 9, 10, 11]));
     let full = Spectra::in_memory((1, 1), Number::U16, vec![255, 255]).unwrap();
@@ -50,7 +50,7 @@ fn grey_values_are_255ths() {
 }
 
 #[test]
-fn a_coarse_picture_has_every_second_row_and_column() {
+fn coarse_image_has_every_second_row_and_column() {
     for (number, bytes) in kinds() {
         let spectra = Spectra::in_memory((3, 4), number, bytes).unwrap();
         let all = spectra.image(0).pixels;

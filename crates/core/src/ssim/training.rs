@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
-    fn the_derivative_agrees_with_central_differences() {
+    fn ssim_derivative_matches_central_differences() {
         for (width, height) in [(1, 1), (3, 14), (17, 12), (33, 4)] {
             let (p, g) = (noise(width * height, "p"), noise(width * height, "g"));
             check_vjp(
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn scratch_of_another_size_leaves_no_trace() {
+    fn result_is_independent_of_scratch_buffer() {
         let (p, g) = (noise(90 * 40, "p"), noise(90 * 40, "g"));
         let before = differentiated(&p, &g, 90, 40);
         for (width, height) in [(40, 90), (7, 7), (1, 3600), (45, 80)] {
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn the_weights_are_a_gaussian_of_unit_sum() {
+    fn ssim_weights_are_gaussian_with_unit_sum() {
         let raw = |k: usize| (-0.5 * ((k as f64 - 5.0) / 1.5).powi(2)).exp();
         let sum: f64 = (0..TAPS).map(raw).sum();
         for (k, weight) in WEIGHTS.iter().enumerate() {

@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_channel_is_rows_of_real_and_imaginary_parts() {
+    fn channel_has_rows_of_real_and_imaginary_parts() {
         let all = two();
         assert_eq!((all.len(), all.size(), all.task()), (2, (3, 4), Task::Channel));
         let second = all.image(1);
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn names_and_axes_differ_and_fit_their_observations() {
+    fn task_names_and_shapes_match_observations() {
         for task in Task::ALL {
             assert_eq!(Task::named(task.name), Some(task));
             let size = if task.is_scalar { (1, 1) } else { (5, 4) };
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_and_scores_are_in_their_units() {
+    fn task_levels_and_scores_have_their_units() {
         let image = |pixels: &[Real]| Image { width: 1, height: pixels.len(), pixels: pixels.to_vec() };
         assert_eq!(Task::Spectrum.level(&image(&[0.1, 0.75])), 0.75);
         assert_eq!(Task::Power.level(&image(&[-61.0])), -61.0);

@@ -49,7 +49,7 @@ impl Folder {
 }
 
 #[test]
-fn a_good_folder_is_read() {
+fn reads_valid_array_folder() {
     let folder = Folder::new();
     let data = folder.try_load().unwrap();
     assert_eq!((data.title.as_str(), data.width, data.height), ("s (measured, arrays)", 3, 2));

@@ -47,7 +47,7 @@ fn hold(data: &Dataset, partition: &Partition, expected: &[(&dyn Baseline, [f64;
 }
 
 #[test]
-fn powers_of_the_index_files_have_the_floors_that_others_measured() {
+fn official_power_split_reproduces_published_baselines() {
     let Some(data) = ble() else { return };
     assert_eq!((data.transmitters.len(), data.scene.receivers.len(), data.len()), (4800, 21, 33_600));
     let partition = Official::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap();
@@ -67,7 +67,7 @@ fn powers_of_the_index_files_have_the_floors_that_others_measured() {
 }
 
 #[test]
-fn powers_of_held_out_cells_have_about_the_floors_that_others_measured() {
+fn held_out_cells_approximate_published_power_baselines() {
     let Some(data) = ble() else { return };
     // Results depend on the drawn cells: this draw has about the nearest neighbours of the reference.
     let voxel = Voxel { size_m: 2.0, ..Voxel::default() };
@@ -80,7 +80,7 @@ fn powers_of_held_out_cells_have_about_the_floors_that_others_measured() {
 
 /// g08 and g09 share one position, so both are left out; 20 links of each determine its offset.
 #[test]
-fn a_gateway_left_out_has_a_law_and_an_offset() {
+fn held_out_gateway_has_path_loss_and_offset() {
     let Some(data) = ble() else { return };
     for calibration in [0, 20] {
         let split = LeaveReceiverOut { receivers: vec!["g08".into(), "g09".into()], calibration, validation: 0.1 };

@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn laws_are_found_and_degenerate_ones_are_constants() {
+    fn fits_path_loss_and_returns_constant_if_degenerate() {
         let law = PathLoss { level: -40.0, slope: 21.0 };
         let on = |law: PathLoss, xs: &[f64]| xs.iter().map(|x| (*x, law.at(*x))).collect::<Vec<_>>();
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} instead of {b}");

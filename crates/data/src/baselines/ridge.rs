@@ -126,7 +126,7 @@ mod tests {
 
     /// Powers are 3 − x₀ + 2x₁ at the first receiver and 5 x₀ at the second, as functions of two features.
     #[test]
-    fn a_linear_map_is_found_for_each_receiver() {
+    fn ridge_recovers_linear_map_per_receiver() {
         let receivers = ["a", "b"].map(|name| Receiver::new(name, Pose::IDENTITY)).to_vec();
         let random = &mut rng::stream(0, "ridge", 0);
         let x: Vec<[Real; 2]> = (0..30).map(|_| [rng::normal(random), rng::normal(random)]).collect();

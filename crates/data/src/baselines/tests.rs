@@ -21,13 +21,13 @@ fn close(a: f64, b: f64) -> bool {
 }
 
 #[test]
-fn the_mean_spectrum_ignores_the_transmitter() {
+fn mean_spectrum_ignores_transmitter() {
     let data = line_of_samples(4); // values 0, 1, 2, 3
     assert!(close(predict(&MeanSpectrum {}, &data, &[1, 3], 100.0), 2.0));
 }
 
 #[test]
-fn neighbours_are_weighted_by_inverse_distance() {
+fn nearest_neighbours_are_weighted_by_inverse_distance() {
     let data = line_of_samples(10);
     assert!(close(predict(&k_nearest(1), &data, &[0, 4, 9], 5.0), 4.0));
     assert!(close(predict(&k_nearest(2), &data, &[0, 4, 9], 6.0), (4.0 / 2.0 + 9.0 / 3.0) / (1.0 / 2.0 + 1.0 / 3.0)));
@@ -44,13 +44,13 @@ fn nearest_neighbour_at_sample_returns_its_observation() {
 }
 
 #[test]
-fn a_tie_goes_to_the_lower_index() {
+fn ties_select_lower_index() {
     let data = line_of_samples(3);
     assert!(close(predict(&k_nearest(1), &data, &[2, 0], 1.0), 0.0));
 }
 
 #[test]
-fn the_nearest_of_thousands_are_found() {
+fn finds_nearest_of_thousands_of_samples() {
     let places: Vec<[f64; 3]> = (0..5000).map(|i| [f64::from(i * 7919 % 5000), f64::from(i % 3), 0.0]).collect();
     let data = samples_at(&places);
     for k in [1, 3, 700, 5000] {
@@ -83,7 +83,7 @@ fn noisy_line(noise: f64) -> Dataset {
 }
 
 #[test]
-fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
+fn auto_selects_more_neighbours_for_noisy_spectra() {
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
     let chosen = |noise, known: FittingSet<'_>| {
         let data = noisy_line(noise);
@@ -99,7 +99,7 @@ fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
 
 /// The automatic choice agrees with scoring every k separately.
 #[test]
-fn auto_takes_the_best() {
+fn auto_selects_best_k() {
     let data = noisy_line(0.1);
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
     let score = |k: usize| -> f64 {
@@ -119,7 +119,7 @@ fn auto_takes_the_best() {
 }
 
 #[test]
-fn k_is_a_number_or_auto() {
+fn parses_k_as_number_or_auto() {
     let parse = pwrfgs_core::Plugin::<dyn Baseline>::parse;
     for text in ["NearestNeighbours(k:Auto)", "NearestNeighbours(k:12)", "NearestNeighbours(k:1_000)"] {
         let name = parse(text).unwrap().name();
@@ -132,7 +132,7 @@ fn k_is_a_number_or_auto() {
 }
 
 #[test]
-fn nothing_to_learn_from_is_an_error() {
+fn rejects_empty_training_set() {
     let data = line_of_samples(3);
     for baseline in [&MeanSpectrum {} as &dyn Baseline, &NearestNeighbours::default()] {
         let message = baseline.fit(&data, FittingSet::default()).err().unwrap().to_string();

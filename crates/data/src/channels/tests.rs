@@ -33,7 +33,7 @@ fn folder(shape: [usize; 3]) -> tempfile::TempDir {
 }
 
 #[test]
-fn channels_are_read_with_their_antennas_and_frequencies() {
+fn reads_channels_with_antennas_and_frequencies() {
     let folder = folder([2, 2, 3]);
     let mut source = source(folder.path().into());
     let message = source.load(".".as_ref(), &|_, _| {}).unwrap_err();
@@ -118,7 +118,7 @@ fn rejects_mismatched_files() {
 
 /// Neighbours are wavelengths apart, or a good part of one at 433 MHz: their mean is next to nothing, or worse.
 #[test]
-fn neighbours_hardly_predict_the_channels_of_newrf() {
+fn nearest_neighbours_hardly_predict_newrf_channels() {
     let Some(root) = shared("data/newrf") else { return };
     let receiver = ReceiverPlace { position: [-1.5, 0.0, 1.7], ..ReceiverPlace::default() };
     let files = [

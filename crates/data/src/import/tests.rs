@@ -65,7 +65,7 @@ fn array(number: Number, shape: &[usize], bytes: impl IntoIterator<Item = u8>) -
 }
 
 #[test]
-fn numbers_keep_their_precision() {
+fn imported_numbers_keep_their_precision() {
     let folder = Folder::new();
     let thirds: Vec<f64> = (0..24).map(|v| f64::from(v) / 23.0).collect();
     let singles: Vec<u8> = thirds.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect();
@@ -93,7 +93,7 @@ fn numbers_keep_their_precision() {
 }
 
 #[test]
-fn pictures_of_8_and_16_bits_are_read() {
+fn reads_images_of_8_and_16_bits() {
     let folder = Folder::new();
     fs::create_dir(folder.path("p")).unwrap();
     let save = |id: u32, bits: u32| {
@@ -121,7 +121,7 @@ fn pictures_of_8_and_16_bits_are_read() {
 }
 
 #[test]
-fn archives_are_read_stored_and_deflated() {
+fn reads_stored_and_deflated_archives() {
     let folder = Folder::new();
     for method in [CompressionMethod::Stored, CompressionMethod::Deflated] {
         let mut archive = ZipWriter::new(File::create(folder.path("all.npz")).unwrap());
@@ -244,7 +244,7 @@ fn rejects_ambiguous_import_with_advice() {
 }
 
 #[test]
-fn a_folder_that_holds_something_is_not_touched() {
+fn refuses_to_import_into_non_empty_folder() {
     let folder = Folder::new();
     let work = folder.floats("a.npy", 0, 0.0);
     fs::create_dir(folder.path("out")).unwrap();

@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn the_released_file_is_read() {
+    fn reads_released_gateway_file() {
         let text = "dataset_name: s23\ngateway1:\n  position: [5.0, 0.26, 0]\n  \
                     orientation: [0.51291602, -0.48674136, -0.48674136, 0.51291602]  # quaternion\n";
         let gateway = read_str(text).unwrap();
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn deep_nesting_and_large_files_are_refused_at_once() {
+    fn rejects_deep_nesting_and_large_files_immediately() {
         let start = std::time::Instant::now();
         let spaces = (0..1_400).map(|i| format!("{:i$}a:\n", ""));
         let cases = [
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn the_parsers_words_are_kept() {
+    fn parser_errors_are_reported_with_position() {
         let cases = [
             ("gateway2: 1\n", "DIR/g.yml:1:1: missing field `gateway1`"),
             ("gateway1:\n  position: [0, 0]\n", "DIR/g.yml:2:3: expected `gateway1"),

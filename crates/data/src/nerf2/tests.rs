@@ -59,7 +59,7 @@ impl Folder {
 }
 
 #[test]
-fn a_good_folder_is_read() {
+fn reads_valid_nerf2_folder() {
     let folder = Folder::new();
     let data = folder.load();
     assert_eq!(data.title, "s (measured, NeRF2 layout)");
@@ -76,7 +76,7 @@ fn a_good_folder_is_read() {
 }
 
 #[test]
-fn variations_found_in_the_wild_read_the_same() {
+fn file_format_variants_give_same_data() {
     let folder = Folder::new();
     let plain = folder.load();
     folder.write("s/tx_pos.csv", "\u{feff}time, Z,Y ,X\r\n0,3,2,1\r\n1,6,5,4\r\n2,9,8,7\r\n3,1,1,1\r\n\r\n");
@@ -97,7 +97,7 @@ fn variations_found_in_the_wild_read_the_same() {
 }
 
 #[test]
-fn index_files_may_be_absent_and_pictures_without_a_row_are_left_out() {
+fn accepts_missing_lists_and_skips_images_without_row() {
     let folder = Folder::new();
     folder.remove("s/train_index.txt");
     folder.remove("s/test_index.txt");
@@ -135,7 +135,7 @@ fn simulated_data_are_marked() {
 }
 
 #[test]
-fn pictures_must_suit_their_angles() {
+fn rejects_image_size_that_contradicts_angles() {
     let folder = Folder::new();
     let shape = |width, height| (1..=3).for_each(|id| folder.grey(&format!("{id:05}"), width, height, 0));
     let load = |elevation: Option<(f64, f64)>| {
@@ -180,7 +180,7 @@ fn pictures_must_suit_their_angles() {
 }
 
 #[test]
-fn points_widen_the_bounds() {
+fn point_cloud_extends_scene_bounds() {
     let folder = Folder::new();
     folder.write("room.xyz", "-1 0 0\n0 20 0\n");
     let source = Nerf2Spectrum { points: Some("room.xyz".into()), ..Folder::source() };
@@ -190,7 +190,7 @@ fn points_widen_the_bounds() {
 }
 
 #[test]
-fn a_missing_file_is_named() {
+fn reports_missing_file() {
     let of = |name: &str| {
         let folder = Folder::new();
         folder.remove(name);
@@ -227,7 +227,7 @@ fn a_missing_file_is_named() {
 }
 
 #[test]
-fn names_unreadable_file() {
+fn reports_unreadable_file() {
     for name in ["gateway_info.yml", "tx_pos.csv", "train_index.txt", "spectrum/00002.png"] {
         let folder = Folder::new();
         folder.remove(&format!("s/{name}"));
@@ -290,7 +290,7 @@ fn reports_line_and_column_in_index_files() {
 }
 
 #[test]
-fn bad_pictures_are_named_and_described() {
+fn reports_invalid_images() {
     let save = |folder: &Folder, bytes: &[u8], color: ExtendedColorType| {
         image::save_buffer(folder.path("s/spectrum/00002.png"), bytes, WIDTH, HEIGHT, color).unwrap();
         folder.fault()
@@ -320,7 +320,7 @@ fn bad_pictures_are_named_and_described() {
 }
 
 #[test]
-fn a_truncated_or_damaged_picture_is_an_error() {
+fn rejects_truncated_or_damaged_image() {
     let folder = Folder::new();
     let whole = fs::read(folder.path("s/spectrum/00002.png")).unwrap();
     let end_of_data = whole.len() - 12; // the last chunk, IEND, adds nothing
@@ -337,7 +337,7 @@ fn a_truncated_or_damaged_picture_is_an_error() {
 }
 
 #[test]
-fn a_colour_profile_that_unpacks_to_much_is_not_unpacked() {
+fn does_not_unpack_large_colour_profile() {
     use image::{ImageDecoder as _, ImageEncoder as _, codecs::png::PngEncoder};
     let profile_of = |bytes: usize| {
         let mut png = Vec::new();
@@ -355,7 +355,7 @@ fn a_colour_profile_that_unpacks_to_much_is_not_unpacked() {
 }
 
 #[test]
-fn ids_of_pictures_are_unique_and_count_from_one() {
+fn image_ids_are_unique_and_start_at_one() {
     let folder = Folder::new();
     folder.grey("2", WIDTH, HEIGHT, 0);
     assert_eq!(folder.fault(), "DIR/s/spectrum/2.png: 00002.png is id 2 as well; remove one of the two");
@@ -368,7 +368,7 @@ fn ids_of_pictures_are_unique_and_count_from_one() {
 }
 
 #[test]
-fn a_folder_without_pictures_is_an_error() {
+fn rejects_folder_without_images() {
     let folder = Folder::new();
     (1..=3).for_each(|id| folder.remove(&format!("s/spectrum/{id:05}.png")));
     folder.remove("s/train_index.txt");
@@ -386,7 +386,7 @@ fn measured() -> Option<(PathBuf, Dataset)> {
 }
 
 #[test]
-fn the_measured_spectra_are_read() {
+fn reads_measured_spectra() {
     let Some((_, data)) = measured() else { return };
     assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
     assert!(!data.is_simulated());
@@ -400,7 +400,7 @@ fn the_measured_spectra_are_read() {
 
 /// Independent check: the file has four decimals, so whole tenths of a millimetre decide.
 #[test]
-fn voxels_of_the_measured_spectra_share_no_cell() {
+fn voxel_split_of_measured_spectra_shares_no_cell() {
     let Some((root, data)) = measured() else { return };
     let text = fs::read_to_string(root.join("tx_pos.csv")).unwrap();
     let tenths = |field: &str| field.trim().replace('.', "").parse::<i64>().unwrap();

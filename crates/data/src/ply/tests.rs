@@ -45,7 +45,7 @@ fn read(bytes: &[u8]) -> Result<Vec<[f64; 3]>, String> {
 }
 
 #[test]
-fn every_encoding_gives_the_same_points() {
+fn every_ply_encoding_gives_same_points() {
     let points = vec![[1.0, -2.0, 0.5], [0.0, 4.0, 3.0]];
     assert_eq!(read(&ascii()).unwrap(), points);
     assert_eq!(read(&binary(false)).unwrap(), points);
@@ -55,7 +55,7 @@ fn every_encoding_gives_the_same_points() {
 }
 
 #[test]
-fn every_truncation_is_an_error() {
+fn rejects_every_truncated_point_cloud() {
     for (whole, has_line_end) in [(ascii(), true), (binary(false), false), (binary(true), false)] {
         // The end of the last line may be missing, and a number that is cut short may still be one.
         for length in 0..whole.len() - 2 * usize::from(has_line_end) {
@@ -129,7 +129,7 @@ fn rejects_non_finite_binary_vertex() {
 }
 
 #[test]
-fn a_header_that_promises_too_much_is_an_error_at_once() {
+fn rejects_header_count_beyond_file_size_immediately() {
     let huge = u64::MAX;
     for format in ["ascii", "binary_big_endian"] {
         let text = format!(
@@ -166,7 +166,7 @@ fn square(format: &str) -> Vec<u8> {
 }
 
 #[test]
-fn faces_are_cut_into_triangles_in_double_precision() {
+fn triangulates_faces_in_double_precision() {
     let corners = [[0.0, 0.0, 0.1], [1.0, 0.0, 0.1], [1.0, 1.0, 0.1], [0.0, 1.0, 0.1]];
     for format in ["ascii", "binary_little_endian"] {
         let (vertices, triangles) = parse_mesh(Path::new("a.ply"), &square(format)).unwrap();
@@ -176,7 +176,7 @@ fn faces_are_cut_into_triangles_in_double_precision() {
 }
 
 #[test]
-fn every_truncation_of_a_mesh_is_an_error() {
+fn rejects_every_truncated_mesh() {
     for format in ["ascii", "binary_little_endian"] {
         let whole = square(format);
         for length in 0..whole.len() - 3 * usize::from(format == "ascii") {

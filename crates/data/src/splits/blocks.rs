@@ -186,7 +186,7 @@ mod tests {
     proptest! {
         /// Positions on walls and close to them, written as decimals; expected cells by integer arithmetic.
         #[test]
-        fn a_wall_belongs_to_the_cell_above(
+        fn cell_boundary_belongs_to_upper_cell(
             size in 1..=5_000_i64, cell in -2_000..2_000_i64, off in -1..=1_i64, decimals in 0..6_usize,
         ) {
             let written = |number: i64| -> f64 {
@@ -201,7 +201,7 @@ mod tests {
         }
 
         #[test]
-        fn no_number_is_too_large_or_too_small(v in any::<f64>(), size_m in any::<f64>()) {
+        fn voxel_cell_accepts_every_finite_number(v in any::<f64>(), size_m in any::<f64>()) {
             prop_assume!(v.is_finite() && size_m.is_finite() && size_m > 0.0);
             let [cell, ..] = Voxel { size_m, ..Voxel::default() }.cell([v, 0.0, 0.0]);
             prop_assert_eq!(cell < 0, v < 0.0);

@@ -27,7 +27,7 @@ fn split(text: &str, data: &Dataset) -> Result<Partition, String> {
 }
 
 #[test]
-fn all_links_of_a_transmitter_share_a_part() {
+fn all_links_of_transmitter_are_in_one_set() {
     let data = three_receivers(40);
     for text in ["Official()", "Random()", "TimeBlock()", "Voxel(size_m: 3)", "Sparse(train: 20)"] {
         let parts = split(text, &data).unwrap();
@@ -42,7 +42,7 @@ fn all_links_of_a_transmitter_share_a_part() {
 }
 
 #[test]
-fn random_links_part_the_links_of_a_transmitter() {
+fn random_links_split_links_of_transmitter() {
     let data = three_receivers(40);
     let parts = split("RandomLinks()", &data).unwrap();
     assert_eq!((parts.train.len(), parts.validation.len(), parts.test.len()), (72, 8, 20));
@@ -52,7 +52,7 @@ fn random_links_part_the_links_of_a_transmitter() {
 }
 
 #[test]
-fn a_receiver_left_out_is_the_test() {
+fn held_out_receiver_is_test_set() {
     let data = three_receivers(40);
     let parts = split(r#"LeaveReceiverOut(receivers: ["c"])"#, &data).unwrap();
     assert!(parts.test.iter().all(|i| data.links[*i].receiver == 2) && parts.test.len() == 20);
@@ -98,7 +98,7 @@ fn validation_does_not_change_the_test_set() {
 }
 
 #[test]
-fn baselines_learn_each_receiver_by_itself() {
+fn baselines_are_fitted_per_receiver() {
     let data = three_receivers(40);
     let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-3, "{a} instead of {b}");
     let predict = |text: &str, known: FittingSet<'_>, i: usize| {
@@ -142,7 +142,7 @@ fn baselines_learn_each_receiver_by_itself() {
 }
 
 #[test]
-fn features_stand_where_positions_do() {
+fn neighbours_use_features_if_positions_are_unknown() {
     let mut data = three_receivers(10);
     data.placed = false;
     let all: Vec<usize> = (0..data.len()).collect();

@@ -41,7 +41,7 @@ fn keeps_the_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestC
 
 proptest! {
     #[test]
-    fn official_holds_out_of_its_training_list(n in 5usize..60, validation in 0.0..0.99) {
+    fn official_split_takes_validation_from_training_list(n in 5usize..60, validation in 0.0..0.99) {
         let data = line_of_samples(n);
         let partition = keeps_the_laws(&Official { validation }, &data)?;
         let (train, test) = data.official.clone().unwrap();
@@ -50,21 +50,21 @@ proptest! {
     }
 
     #[test]
-    fn random_has_the_shares_asked_for(n in 2usize..60, test in 0.01..0.99, validation in 0.0..0.99) {
+    fn random_split_has_requested_shares(n in 2usize..60, test in 0.01..0.99, validation in 0.0..0.99) {
         let partition = keeps_the_laws(&Random { test, validation }, &line_of_samples(n))?;
         prop_assert_eq!(partition.test.len(), part(test, n));
         prop_assert_eq!(partition.validation.len(), part(validation, n - part(test, n)));
     }
 
     #[test]
-    fn sparse_has_the_number_asked_for(n in 2usize..60, share in 0.0..0.99, validation in 0.0..0.99) {
+    fn sparse_split_has_requested_count(n in 2usize..60, share in 0.0..0.99, validation in 0.0..0.99) {
         let train = part(share, n).max(1);
         let partition = keeps_the_laws(&Sparse { train, validation }, &line_of_samples(n))?;
         prop_assert_eq!(partition.train.len() + partition.validation.len(), train);
     }
 
     #[test]
-    fn a_time_block_is_contiguous_and_validation_lies_next_to_it(
+    fn time_block_is_contiguous_and_adjacent_to_validation(
         n in 2usize..60, start in 0.0..0.99, length in 0.01..0.99, validation in 0.0..0.99,
     ) {
         let plugin = TimeBlock { start, length: length * (1.0 - start), gap: 0, validation };
@@ -78,7 +78,7 @@ proptest! {
     }
 
     #[test]
-    fn voxel_cells_are_never_divided(
+    fn voxel_split_never_divides_cell(
         places in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), 10..80),
         size_m in 0.1..0.9, test in 0.01..0.99, validation in 0.0..0.99,
     ) {
@@ -96,7 +96,7 @@ proptest! {
 }
 
 #[test]
-fn no_validation_gives_an_empty_list() {
+fn zero_validation_share_gives_empty_validation_set() {
     let data = line_of_samples(30);
     for text in ["Official", "Random", "TimeBlock", "Voxel", "Sparse"] {
         let arguments = if text == "Sparse" { "train: 10, validation: 0" } else { "validation: 0" };
@@ -117,7 +117,7 @@ fn time_block_starts_at_requested_share() {
 }
 
 #[test]
-fn samples_in_the_gap_serve_nothing() {
+fn samples_in_gap_are_unused() {
     let parts = |gap, start, data: &Dataset| split(&TimeBlock { start, gap, ..TimeBlock::default() }, data);
     let range = |range: std::ops::Range<usize>| range.collect::<Vec<_>>();
     let partition = parts(5, 0.4, &line_of_samples(100)).unwrap();
@@ -135,7 +135,7 @@ fn samples_in_the_gap_serve_nothing() {
 }
 
 #[test]
-fn voxel_reaches_its_share_with_small_cells() {
+fn voxel_split_reaches_share_with_small_cells() {
     let places: Vec<[f64; 3]> = (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(f64::from)).collect();
     let partition = split(&Voxel { size_m: 1.0, test: 0.2, validation: 0.1 }, &samples_at(&places)).unwrap();
     assert_eq!((partition.train.len(), partition.validation.len(), partition.test.len()), (720, 80, 200));

@@ -32,7 +32,7 @@ fn teacher_data_are_complete_and_marked_simulated() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bits_at_any_thread_count() {
+fn teacher_is_bit_identical_at_any_thread_count() {
     let spectra = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let data = pool.install(|| load(&Teacher { seed, ..small() }));
@@ -60,7 +60,7 @@ fn teacher_gaussians_are_within_stated_distance_and_elevation() {
 }
 
 #[test]
-fn signals_vary_smoothly_with_the_transmitter() {
+fn teacher_signals_vary_smoothly_with_transmitter() {
     let teacher = small();
     let means = teacher.cloud().signals;
     for (here, (near, mean)) in
@@ -89,7 +89,7 @@ fn teacher_is_learnable_and_not_trivial() {
 }
 
 #[test]
-fn a_plugin_with_every_field_is_read_and_written() {
+fn teacher_with_every_field_round_trips() {
     let text = "Teacher(gaussians: 3, samples: 7, seed: 5, width: 60, height: 20, tx_box: ((0, 0, 0), (1, 1, 1)), \
                 wavelength_m: (1, 2), receiver: (position: (1, 2, 3), orientation: (0, 0, 0, 1)), \
                 projector: Mercator(), rasterizer: AlphaBlending())";

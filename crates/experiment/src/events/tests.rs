@@ -101,7 +101,7 @@ fn event(data: &[u8]) -> EventNumbers {
 }
 
 #[test]
-fn checksums_are_those_of_rfc_3720() {
+fn checksums_match_rfc_3720() {
     let unmasked = |bytes: &[u8]| u32::from_le_bytes(checksum(bytes)).wrapping_sub(0xa282_ead8).rotate_left(15);
     let rising: Vec<u8> = (0..32).collect();
     let vectors: [(&[u8], u32); 4] =

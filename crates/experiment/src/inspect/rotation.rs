@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn any_rotation_is_found_in_spite_of_wrong_pairs() {
+    fn finds_any_rotation_despite_outliers() {
         let mut random = rng::stream(1, "rotation", 0);
         for k in 0..20 {
             let truth = DQuat::from_axis_angle(direction(&mut random), 0.15 * f64::from(k));
@@ -100,14 +100,14 @@ mod tests {
     }
 
     #[test]
-    fn without_wrong_pairs_the_least_squares_are_exact() {
+    fn least_squares_rotation_is_exact_without_outliers() {
         let truth = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -1.2, 2.5);
         let pairs: Vec<DirectionPair> = [DVec3::X, DVec3::Y].map(|a| (a, truth * a)).into();
         assert!(wahba(&pairs, &[1.0, 1.0]).angle_between(truth) < 1e-7);
     }
 
     #[test]
-    fn the_middle_of_directions_ignores_a_few_far_off() {
+    fn median_direction_ignores_outliers() {
         let mut directions = vec![DVec3::Z; 7];
         directions.extend([DVec3::X; 3]);
         assert!(angle(middle(&directions), DVec3::Z).to_degrees() < 0.5);

@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn the_strongest_direction_is_the_middle_of_its_plateau_also_over_the_seam() {
+    fn peak_direction_is_centre_of_plateau_across_seam() {
         let (width, height) = (36, 9);
         let mut pixels = vec![0u8; 2 * width * height];
         for (row, column) in [(3, 35), (3, 0), (3, 1), (8, 18)] {
@@ -138,14 +138,14 @@ mod tests {
     }
 
     #[test]
-    fn constant_and_equal_spectra_are_named() {
+    fn finds_constant_and_equal_spectra() {
         let ramp = |top: u8| (0..32).map(move |k| if k == 31 { top } else { k });
         let found = facts_of(ramp(255).chain(ramp(200)).chain([9; 32]).chain(ramp(255)).collect());
         assert_eq!(found[3], "1 constant (id 3), 2 equal to another (ids 1, 4)");
     }
 
     #[test]
-    fn the_normalisation_is_named() {
+    fn detects_normalisation_of_spectra() {
         let found = |tops: [u8; 3], low: u8| {
             let spectrum = |t: &u8| (0..32).map(|k| if k == 7 { *t } else { low + k }).collect::<Vec<_>>();
             facts_of(tops.iter().flat_map(spectrum).collect())[2].clone()

@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_followed_to_zero() {
+    fn extrapolates_linear_trend_to_zero_distance() {
         let pairs: Vec<SamplePair> = (1..=30).map(|k| pair(k, k + 40, f64::from(k as u32) * 1e-3)).collect();
         let values: Vec<f64> = pairs.iter().map(|pair| 0.8 - 3.0 * pair.distance).collect();
         let found = at_zero(&pairs, &values, &HIGHER).unwrap();

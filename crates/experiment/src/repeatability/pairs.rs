@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn pairs_are_near_or_far_by_their_ids() {
+    fn pairs_are_near_or_far_by_id_difference() {
         // There and back: ids 0 to 39 go out, 40 to 79 return over the same positions.
         let data = data((0..80).map(|id| (id, f64::from(id.min(79 - id)) * 0.01)));
         let near = find(&data, PairLag::Near);
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_left_out_count_as_time() {
+    fn missing_ids_count_as_elapsed_time() {
         let data = data([(1, 0.0), (2, 0.0), (50, 0.0), (53, 0.0)].into_iter());
         let ends = |lag| find(&data, lag).iter().map(|pair| (pair.earlier, pair.later)).collect::<BTreeSet<_>>();
         assert_eq!(ends(PairLag::Near), BTreeSet::from([(0, 1), (2, 3)]));
@@ -197,7 +197,7 @@ mod tests {
 
     /// The closest pairs equal those of brute force, for more samples than the neighbour lists hold.
     #[test]
-    fn the_closest_pairs_far_apart_in_time_are_found() {
+    fn finds_closest_pairs_far_apart_in_time() {
         let mut random = rng::stream(3, "places", 0);
         let data = data((0..900).map(|id| (id, f64::from(rng::uniform(&mut random) as f32))));
         let mut all: Vec<SamplePair> = Vec::new();
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_of_distances_hold_whole_millimetres() {
+    fn distance_bins_use_whole_millimetres() {
         let data = data([(0, 0.0), (40, 0.002), (80, 0.005), (120, 0.1), (160, 0.1)].into_iter());
         let pairs = find(&data, PairLag::Far);
         let found: Vec<_> = bins(&pairs).into_iter().map(|([low, high], range)| (low, high, range.len())).collect();

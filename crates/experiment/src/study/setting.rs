@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn a_title_names_each_once_and_not_too_many() {
+    fn title_lists_unique_names_and_limits_count() {
         let of = |names: &[&str]| listed(names.iter().map(|n| (*n).to_owned()).collect());
         assert_eq!(of(&["a", "b", "a"]), "a, b");
         assert_eq!(of(&["a", "b", "c", "d", "e"]), "a, b, c, d, e");
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_share_the_start_of_their_names() {
+    fn runs_of_one_variant_share_name_prefix() {
         let of = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
         assert_eq!(of(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
         assert_eq!(of(&["random10-0", "random10-1"]), "random10");
@@ -416,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn families_differ_in_more_than_numbers() {
+    fn family_ignores_numeric_settings() {
         assert_eq!(family("lambda 0.02, cloud"), family("lambda 0.4, cloud"));
         assert_ne!(family("lambda 0.02, cloud"), family("lambda 0.02, random"));
         assert_ne!(family("method Pup3dgs, target 24"), family("method Pup2dgs, target 24"));

@@ -240,7 +240,7 @@ mod tests {
     use super::slug;
 
     #[test]
-    fn labels_become_folders() {
+    fn labels_become_folder_names() {
         let all = ["0.01", "point cloud", "λ = 0.02", "-3 dB", "+3", "a/../b", "λ", "Voxel(0.3 m)"].map(slug);
         assert_eq!(all, ["0.01", "point-cloud", "0.02", "-3-dB", "+3", "a-..-b", "", "Voxel-0.3-m"]);
     }

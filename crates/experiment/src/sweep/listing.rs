@@ -148,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn temporary_files_of_killed_processes_are_removed() {
+    fn removes_temporary_files_of_killed_processes() {
         let sweep = tempfile::tempdir().unwrap();
         let listing = Listing { name: "lambda".into(), runs: vec![] };
         drop(listing.claim(sweep.path()).unwrap());
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_listing_does_not_lead_out_of_its_folder() {
+    fn rejects_listing_with_folder_outside_sweep() {
         let (sweep, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let read = |folder: &str| {
             let run = ListedRun { folder: folder.into(), labels: vec![], seed: 0 };

@@ -144,17 +144,17 @@ fn method_inputs(method: &Nerf2) -> usize {
 }
 
 #[test]
-fn a_spectrum_is_the_released_one() {
+fn spectrum_matches_released_code() {
     reproduce("spectrum", 1, PropagationLaw::Spectrum);
 }
 
 #[test]
-fn a_power_is_the_released_one() {
+fn power_matches_released_code() {
     reproduce("rssi", 1, released_wave());
 }
 
 #[test]
-fn a_channel_is_the_released_one() {
+fn channel_matches_released_code() {
     reproduce("csi", 26, released_wave());
 }
 

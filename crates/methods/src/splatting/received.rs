@@ -149,7 +149,7 @@ mod tests {
     use pwrfgs_core::{AngleAxis, Sampling};
 
     #[test]
-    fn solid_angles_sum_to_the_sphere() {
+    fn solid_angles_sum_to_full_sphere() {
         for side in [1, 6, 10, 30, 60] {
             let axis = |first| AngleAxis { first, step: f64::from(side) };
             let (width, height) = (360 / side as usize, 180 / side as usize + 1);

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn exact_to_the_rounding() {
+    fn cis_is_accurate_to_rounding() {
         for i in -40_000..40_000 {
             let x = f64::from(i) * 1.234_5e-3;
             let (sin, cos) = (x.fract() * std::f64::consts::TAU).sin_cos();

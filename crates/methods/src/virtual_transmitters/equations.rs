@@ -240,7 +240,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn least_squares_are_found() {
+    fn solves_least_squares() {
         let truth = [1.0, -2.0, 0.5];
         let mut normal = NormalEquations::new(3);
         for n in 0..5 {

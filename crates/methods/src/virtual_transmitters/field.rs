@@ -326,7 +326,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn padding_is_silent_and_empty_clouds_are_too() {
+    fn padding_and_empty_clouds_give_zero_field() {
         let links = ChannelInputs {
             positions: &[[1.0, 0.0, 0.0], [0.0, 2.0, 0.5]],
             antennas: &[[0.0; 3]],

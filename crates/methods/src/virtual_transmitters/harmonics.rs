@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_central_differences() {
+    fn harmonic_slopes_match_central_differences() {
         let (u, h) = ([0.3, -0.5, 0.8], 1e-5);
         for k in 0..3 {
             let at = |by: f64| {

@@ -332,7 +332,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_corner_of_two_walls_follows_from_two_images() {
+    fn finds_double_reflection_from_two_images() {
         let (node, wall, floor) = ([1.0, 0.5, 1.5], [-3.0, 0.5, 1.5], [1.0, 0.5, -1.5]);
         let positions = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]];
         let found = images(&[node, wall, floor], &positions, |_| true, 0.05);

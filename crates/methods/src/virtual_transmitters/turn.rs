@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_matrix_gives_its_quaternion_back() {
+    fn rotation_matrix_round_trips_through_quaternion() {
         for q in [IDENTITY, [0.5, 0.5, -0.5, 0.5], [0.1, -0.7, 0.2, 0.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.6, 0.0, -0.8]] {
             let q = unit(q);
             let back = of_matrix(&matrix(q));
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrorings_of_a_plane_array_are_rotations() {
+    fn mirrored_planar_array_equals_rotated_array() {
         // Array in the plane x = 0, as on a wall.
         let antennas: Vec<[f64; 3]> = (0..16).map(|k| [0.0, f64::from(k % 4), f64::from(k / 4) + 0.1]).collect();
         let found = mirrored(&antennas);
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nudge_turns_about_the_axis() {
+    fn small_rotation_turns_about_its_axis() {
         let q = nudged([0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 1e-3]);
         let (a, b) = (turned(&matrix([0.5; 4]), [1.0, 2.0, 3.0]), turned(&matrix(q), [1.0, 2.0, 3.0]));
         assert!((b[0] - (a[0] - 1e-3 * a[1])).abs() < 1e-5 && (b[1] - (a[1] + 1e-3 * a[0])).abs() < 1e-5);

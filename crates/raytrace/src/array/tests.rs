@@ -19,7 +19,7 @@ fn line_of_sight(from: DVec3, to: DVec3) -> PropagationPath {
 }
 
 #[test]
-fn x_runs_fastest_and_the_centre_is_the_mean() {
+fn array_offsets_have_x_fastest_and_zero_mean() {
     let array = Array { rows: 2, columns: 3, spacing_wavelengths: 0.25, ..Array::default() };
     let offsets = array.offsets(4.0);
     assert_eq!(offsets.len(), array.elements());
@@ -60,7 +60,7 @@ fn reports_each_invalid_array() {
 }
 
 #[test]
-fn an_upright_axis_gives_theta_hat() {
+fn vertical_axis_gives_theta_polarisation() {
     for (zenith, azimuth) in [(0.3, 0.1), (1.2, 2.5), (2.9, -1.0), (1e-7, 0.4), (1e-11, 0.4)] {
         let ((st, ct), (sp, cp)) = (f64::sin_cos(zenith), f64::sin_cos(azimuth));
         let direction = DVec3::new(st * cp, st * sp, ct);
@@ -74,7 +74,7 @@ fn an_upright_axis_gives_theta_hat() {
 }
 
 #[test]
-fn on_the_axis_the_field_is_still_a_unit_vector() {
+fn field_on_axis_is_unit_vector() {
     for axis in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::new(1.0, 2.0, -3.0).normalize()] {
         for direction in [axis, -axis] {
             for (element, amplitude) in [(Element::Isotropic, 1.0), (Element::Dipole, 0.0)] {
@@ -87,7 +87,7 @@ fn on_the_axis_the_field_is_still_a_unit_vector() {
 }
 
 #[test]
-fn a_patch_sends_nothing_behind() {
+fn patch_antenna_has_no_backward_radiation() {
     let patch = Element::Patch { exponent: 2.0 };
     let towards = |z: f64| response(&patch, DVec3::Y, DVec3::new((1.0 - z * z).sqrt(), 0.0, z)).0;
     assert_eq!([towards(1.0), towards(0.5), towards(0.0), towards(-0.5)], [1.0, 0.25, 0.0, 0.0]);
@@ -97,7 +97,7 @@ fn a_patch_sends_nothing_behind() {
 }
 
 #[test]
-fn a_spherical_wave_becomes_a_plane_one_far_away() {
+fn spherical_wave_approaches_plane_wave_at_distance() {
     let array = Array::default();
     let center = DVec3::new(1.0, -2.0, 0.5);
     let turn = DMat3::from_euler(glam::EulerRot::ZYX, 0.4, -1.1, 2.0);
@@ -168,7 +168,7 @@ fn reference_path(row: &Row) -> PropagationPath {
 }
 
 #[test]
-fn the_channel_of_the_reference_array_is_that_of_the_reference() {
+fn channel_matches_reference_array() {
     let (Some(array), Some(paths)) = (reference("array_4x4_920MHz_slab.csv"), reference("paths_920MHz_slab.csv"))
     else {
         return;

@@ -50,7 +50,7 @@ fn separate_triangles(mesh: &Mesh) -> String {
 }
 
 #[test]
-fn a_cube_is_closed_in_every_format_and_has_its_volume() {
+fn cube_is_closed_and_has_its_volume_in_every_format() {
     let cube = cube();
     let separate = read_text("separate.obj", separate_triangles(&cube).as_bytes()).unwrap();
     let mut ply = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n\
@@ -77,7 +77,7 @@ fn a_cube_is_closed_in_every_format_and_has_its_volume() {
 }
 
 #[test]
-fn open_and_doubled_surfaces_are_not_closed() {
+fn open_and_duplicate_surfaces_are_not_closed() {
     let mut open = cube();
     open.triangles.truncate(10);
     assert_eq!((open.boundary_edges(), open.crowded_edges(), open.is_closed()), (4, 0, false));
@@ -88,7 +88,7 @@ fn open_and_doubled_surfaces_are_not_closed() {
 }
 
 #[test]
-fn two_bodies_that_share_an_edge_are_closed() {
+fn bodies_with_shared_edge_are_closed() {
     let cube = cube();
     let mut both = cube.clone();
     let beside = cube.transformed(1.0, 0.0, DVec3::new(1.0, 1.0, 0.0));
@@ -107,7 +107,7 @@ fn welding_drops_unused_vertices_and_keeps_faults() {
 }
 
 #[test]
-fn a_mesh_is_scaled_turned_and_shifted_in_that_order() {
+fn mesh_is_scaled_then_rotated_then_shifted() {
     let shift = DVec3::new(10.0, 20.0, 30.0);
     let moved = Mesh { vertices: vec![DVec3::new(1.0, 0.0, 1.0)], triangles: vec![] };
     assert_eq!(moved.clone().transformed(2.0, 90.0, shift).vertices, [DVec3::new(10.0, 22.0, 32.0)]);
@@ -143,7 +143,7 @@ fn reports_invalid_surfaces() {
 }
 
 #[test]
-fn the_room_of_the_reference_paths_is_closed() {
+fn reference_room_is_closed() {
     let Some(folder) = shared("reference/paths/sceneA/mesh") else { return };
     let mut room = Mesh::default();
     for name in ["ceiling", "floor", "wall_xneg", "wall_xpos", "wall_yneg", "wall_ypos"] {
@@ -161,7 +161,7 @@ fn the_room_of_the_reference_paths_is_closed() {
 proptest! {
     /// Every validated mesh is usable.
     #[test]
-    fn a_mesh_that_passes_the_check_has_triangles_with_area(
+    fn valid_mesh_has_triangles_of_positive_area(
         corners in prop::collection::vec(prop::array::uniform3(-2..3i32), 1..8),
         triangles in prop::collection::vec(prop::array::uniform3(0..9u32), 0..5),
     ) {

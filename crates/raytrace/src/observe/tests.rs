@@ -22,12 +22,12 @@ fn draw_into(noise: &Noise, channel: &mut [Complex], sample: u64) {
 }
 
 #[test]
-fn the_default_changes_nothing() {
+fn default_noise_leaves_channel_unchanged() {
     assert_eq!(with(&Noise::default(), 5), channel(16));
 }
 
 #[test]
-fn noise_has_the_stated_power_and_no_preferred_phase() {
+fn noise_has_set_power_and_uniform_phase() {
     for snr in [-10.0, 0.0, 20.0] {
         let noise = Noise { snr_db: Some(snr), ..Noise::default() };
         let clean = channel(16);
@@ -47,7 +47,7 @@ fn noise_has_the_stated_power_and_no_preferred_phase() {
 }
 
 #[test]
-fn phase_errors_belong_to_the_receiver_and_not_to_the_sample() {
+fn phase_errors_depend_on_receiver_not_sample() {
     let noise = Noise { phase_error_deg: 10.0, ..Noise::default() };
     assert_eq!(with(&noise, 0), with(&noise, 1));
     assert_ne!(with(&noise, 0), with(&Noise { seed: 1, ..noise.clone() }, 0));
@@ -61,7 +61,7 @@ fn phase_errors_belong_to_the_receiver_and_not_to_the_sample() {
 }
 
 #[test]
-fn the_same_draw_has_the_same_bits_in_any_order() {
+fn noise_is_bit_identical_in_any_order() {
     let noise = Noise { snr_db: Some(10.0), phase_error_deg: 3.0, seed: 4 };
     let forwards: Vec<_> = (0..8).map(|draw| with(&noise, draw)).collect();
     let backwards: Vec<_> = (0..8).rev().map(|draw| with(&noise, draw)).collect();
@@ -87,7 +87,7 @@ fn reports_settings_out_of_range() {
 }
 
 #[test]
-fn receivers_have_errors_of_their_own_and_subcarriers_share_those_of_phase() {
+fn phase_errors_differ_per_receiver_and_not_per_subcarrier() {
     let noise = Noise { phase_error_deg: 10.0, ..Noise::default() };
     let of = |noise: &Noise, name: &str, subcarriers: usize| {
         let mut found = channel(16);

@@ -77,7 +77,7 @@ fn received(recipe: &SimulationRecipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
 }
 
 #[test]
-fn a_reading_without_noise_depends_on_no_seed() {
+fn observation_without_noise_ignores_seed() {
     let scene = crate::SceneFile::parse(SCENE, Path::new("small.ron")).unwrap();
     let other =
         crate::SceneFile { noise: Checked::new(Noise { seed: 5, ..Noise::default() }).unwrap(), ..scene.clone() };

@@ -44,7 +44,7 @@ fn close(found: f64, expected: f64) {
 }
 
 #[test]
-fn the_published_script_gives_the_same_values_on_its_grid() {
+fn spectrum_matches_published_script_on_its_grid() {
     let degrees = |first: f64| AngleAxis { first, step: 1.0 };
     let beamformer = Beamformer::on_grid(&measured_array(), (360, degrees(0.0)), (90, degrees(1.0)));
     let raw = beamformer.amplitude(&sample_channel());
@@ -69,7 +69,7 @@ fn the_published_script_gives_the_same_values_on_its_grid() {
 }
 
 #[test]
-fn the_grid_of_the_measured_files_has_its_values_too() {
+fn spectrum_matches_reference_on_measured_grid() {
     let beamformer = Beamformer::new(&measured_array(), 360, 90);
     let values = normalised(&beamformer.amplitude(&sample_channel()));
     close(values.iter().sum::<f64>() / 32_400.0, 0.281_255);
@@ -80,7 +80,7 @@ fn the_grid_of_the_measured_files_has_its_values_too() {
 }
 
 #[test]
-fn pixels_are_the_directions_that_the_projector_gives_them() {
+fn pixel_directions_match_projector() {
     for (width, height) in [(360, 90), (90, 24), (7, 5)] {
         let plane = pwrfgs_raster::Mercator::default().plane(width, height);
         let array = Array { spacing_wavelengths: 0.3, ..Array::default() };
@@ -105,7 +105,7 @@ fn peak_error(array: &Array, beamformer: &Beamformer, azimuth: f64, elevation: f
 }
 
 #[test]
-fn a_plane_wave_peaks_within_a_degree_all_over_the_hemisphere() {
+fn plane_wave_peak_is_within_one_degree() {
     let array = measured_array();
     let beamformer = Beamformer::new(&array, 360, 90);
     let random = &mut rng::stream(2, "test hemisphere", 0);
@@ -126,7 +126,7 @@ fn a_plane_wave_peaks_within_a_degree_all_over_the_hemisphere() {
 }
 
 #[test]
-fn half_a_wavelength_confuses_opposite_ends_of_an_axis_and_nothing_else() {
+fn half_wavelength_array_is_ambiguous_on_axes_only() {
     let array = Array::default();
     let beamformer = Beamformer::new(&array, 360, 90);
     let h: Vec<Complex> = array.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.x)).collect();
@@ -140,7 +140,7 @@ fn half_a_wavelength_confuses_opposite_ends_of_an_axis_and_nothing_else() {
 }
 
 #[test]
-fn the_kernel_is_the_definition_for_arrays_of_any_shape() {
+fn beamformer_matches_definition_for_any_array_shape() {
     for (rows, columns) in [(1, 1), (1, 5), (3, 1), (2, 3), (8, 7)] {
         let array = Array { rows, columns, spacing_wavelengths: 0.4, ..Array::default() };
         let random = &mut rng::stream(3, "test channel", rows as u64);
@@ -158,7 +158,7 @@ fn the_kernel_is_the_definition_for_arrays_of_any_shape() {
 }
 
 #[test]
-fn scale_is_kept_apart_from_the_picture_and_phase_is_nothing() {
+fn spectrum_ignores_channel_scale_and_phase() {
     let beamformer = Beamformer::new(&measured_array(), 360, 90);
     let channel = sample_channel();
     for kind in [SpectrumKind::Amplitude, SpectrumKind::Power] {
@@ -177,7 +177,7 @@ fn scale_is_kept_apart_from_the_picture_and_phase_is_nothing() {
 }
 
 #[test]
-fn amplitude_is_stretched_and_power_is_equation_2_over_its_largest() {
+fn amplitude_is_min_max_and_power_is_max_normalised() {
     let beamformer = Beamformer::new(&measured_array(), 360, 90);
     let channel = sample_channel();
     let raw = beamformer.amplitude(&channel);
@@ -212,7 +212,7 @@ fn zero_and_constant_spectra_are_black() {
 }
 
 #[test]
-fn a_receiver_that_is_turned_sees_the_wave_turned_back() {
+fn rotated_receiver_observes_inversely_rotated_wave() {
     let array = Array { wavefront: ArrayWavefront::Plane, ..measured_array() };
     let beamformer = Beamformer::new(&array, 360, 90);
     let turn = DMat3::from_euler(glam::EulerRot::ZYX, 0.4, -1.1, 2.0);

@@ -25,7 +25,7 @@ fn cells(points: &[DVec3], width: f64, height: f64, n: usize) -> Vec<f64> {
 }
 
 #[test]
-fn every_point_lies_on_its_triangle_and_the_count_is_exact() {
+fn points_lie_on_their_triangles_and_count_is_exact() {
     let mut triangles = wall(1.0, 3.0, 2.0).to_vec();
     triangles.push([DVec3::ZERO; 3]);
     triangles.extend(wall(-1.0, 0.01, 0.02));
@@ -48,7 +48,7 @@ fn every_point_lies_on_its_triangle_and_the_count_is_exact() {
 }
 
 #[test]
-fn triangles_have_points_in_proportion_to_their_areas() {
+fn point_count_is_proportional_to_triangle_area() {
     let mut triangles = Vec::new();
     (1..=40).for_each(|i| triangles.extend(wall(i as f64, 1.0, 0.1 * i as f64)));
     let found = on(&triangles, 10_000, 5);
@@ -63,7 +63,7 @@ fn triangles_have_points_in_proportion_to_their_areas() {
 }
 
 #[test]
-fn points_are_more_even_than_independent_ones() {
+fn points_are_more_even_than_independent_points() {
     // Independent points would have a χ² of 255 ± 23 over the 256 cells.
     for seed in 0..20 {
         let found = on(&wall(0.0, 6.0, 3.0), 7600, seed);
@@ -74,7 +74,7 @@ fn points_are_more_even_than_independent_ones() {
 }
 
 #[test]
-fn points_are_neither_clumped_nor_leave_holes() {
+fn points_have_no_clusters_or_holes() {
     let found = on(&wall(0.0, 1.0, 1.0), 4000, 1);
     // Independent points would be 0.5/√density from their nearest neighbours.
     let nearest = |i: usize| {
@@ -90,7 +90,7 @@ fn points_are_neither_clumped_nor_leave_holes() {
 }
 
 #[test]
-fn the_seed_decides() {
+fn surface_points_depend_on_seed() {
     let triangles = wall(0.0, 6.0, 3.0);
     let bytes = |seed| ply(&on(&triangles, 1000, seed), "room");
     assert_eq!(bytes(1), bytes(1));

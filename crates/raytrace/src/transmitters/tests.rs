@@ -63,7 +63,7 @@ fn longer_draw_extends_shorter_draw_of_same_seed() {
 }
 
 #[test]
-fn uniform_positions_fill_the_box_evenly() {
+fn uniform_positions_fill_box_evenly() {
     let positions = draw(&uniform_box(), 8000, 2);
     let mut counts = [0.0; 8];
     for p in &positions {
@@ -76,7 +76,7 @@ fn uniform_positions_fill_the_box_evenly() {
 }
 
 #[test]
-fn a_grid_has_the_centres_of_its_cubes_with_x_fastest() {
+fn grid_has_cube_centres_with_x_fastest() {
     let positions = draw(&grid([0.0, 0.0, 1.0], [3.0, 0.25, 1.0], 0.1), 60, 0);
     assert_eq!(positions[0], DVec3::new(0.05, 0.075, 1.0));
     assert_eq!(positions[1], DVec3::new(0.15, 0.075, 1.0));
@@ -87,7 +87,7 @@ fn a_grid_has_the_centres_of_its_cubes_with_x_fastest() {
 }
 
 #[test]
-fn fewer_samples_are_a_subset_of_the_grid_in_its_order() {
+fn fewer_samples_are_ordered_subset_of_grid() {
     let grid = grid([0.0; 3], [1.0; 3], 0.1);
     let all = draw(&grid, 1000, 0);
     let some = draw(&grid, 100, 0);
@@ -130,7 +130,7 @@ fn reports_box_without_free_space() {
 }
 
 #[test]
-fn a_walk_steps_and_turns_as_the_measured_one() {
+fn walk_steps_and_turns_match_measured_walk() {
     let positions = draw(&walk(), 6123, 0);
     let steps: Vec<DVec3> = positions.windows(2).map(|w| w[1] - w[0]).collect();
     let mut lengths: Vec<f64> = steps.iter().map(|s| s.length()).collect();
@@ -151,7 +151,7 @@ fn a_walk_steps_and_turns_as_the_measured_one() {
 }
 
 #[test]
-fn a_walk_reaches_every_part_of_its_box() {
+fn walk_reaches_every_part_of_box() {
     for (low, high) in [(LOW, HIGH), ([0.0, 0.0, 1.0], [2.0, 1.0, 1.0])] {
         let positions = draw(&Transmitters::Walk { low, high, step_m: 0.02 }, 6000, 4);
         for k in 0..3 {

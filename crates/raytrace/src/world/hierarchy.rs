@@ -231,7 +231,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_crossing_is_missed(
+        fn hierarchy_finds_every_crossing(
             corners in prop::collection::vec([point(), point(), point()], 0..150),
             segments in prop::collection::vec([point(), point()], 30),
         ) {
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_triangle_many_times_makes_no_deep_tree() {
+    fn duplicate_triangles_do_not_deepen_hierarchy() {
         let triangle = Triangle { corner: DVec3::ZERO, sides: [DVec3::X, DVec3::Y], face: 0 };
         let hierarchy = Hierarchy::new(&vec![triangle; 20_000]);
         let from = DVec3::new(0.2, 0.2, 1.0);

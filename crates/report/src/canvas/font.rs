@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn long_names_are_broken_and_cut() {
+    fn breaks_and_truncates_long_names() {
         assert_eq!(cut("lambda 0.02", 500.0), "lambda 0.02");
         let short = cut("an initializer with a very long name", 90.0);
         assert!(short.starts_with("an init") && short.ends_with("..") && text_width(&short) <= 90.0, "{short}");
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_that_the_font_lacks_are_boxes() {
+    fn characters_missing_in_font_are_boxes() {
         assert!(text_width("模") > 0.0);
         assert!(["η", "ρ", "−", "±", "Δ", "λ", "²"].iter().all(|c| glyph(c.chars().next().unwrap()).0.0 != 0));
     }

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn text_becomes_outlines_and_pixels() {
+    fn png_draws_text_as_outlines() {
         let mut canvas = Canvas::new(254.0, 127.0);
         canvas.letters = TextStyle { size: 90.0, colour: BLACK };
         canvas.text([10.0, 100.0], Anchor::Start, "η − <");
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn png_draws_every_shape_in_place() {
+    fn png_draws_every_shape_at_its_position() {
         let mut piece = Canvas::new(10.0, 10.0);
         piece.circle([5.0, 5.0], 5.0, Paint::fill(BLACK));
         let mut canvas = Canvas::new(100.0, 100.0);

@@ -184,7 +184,7 @@ mod tests {
     use super::xml;
 
     #[test]
-    fn nothing_ends_an_attribute_or_begins_a_tag() {
+    fn escapes_xml_special_characters() {
         assert_eq!(
             xml("\"/><a href='x'> & \u{1b}[2J\n\0"),
             "&quot;/&gt;&lt;a href=&#39;x&#39;&gt; &amp; \u{fffd}[2J\n\u{fffd}"

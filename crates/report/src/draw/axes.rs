@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn where_room_is_short_there_are_fewer() {
+    fn short_axis_has_fewer_labels() {
         assert_eq!(labels((1.0, 3.0), true, 6), ["10", "30", "100", "300", "1,000"]);
         assert_eq!(labels((1.0, 3.0), true, 3), ["10", "100", "1,000"]);
         assert_eq!(labels((1.0, 3.0), true, 0), ["10", "100", "1,000"], "the sparsest rather than none");

@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn names_axes_and_ends_are_written() {
+    fn chart_contains_names_axes_and_end_labels() {
         let svg = chart().draw().unwrap().svg("chart", "");
         for text in ["with a mask", "5-NN", "SSIM", ">N<", ">0.6<", ">densify<", "rotate(-90)", "stroke-dasharray"] {
             assert!(svg.contains(text), "`{text}` is not in {svg}");
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn names_at_ends_keep_apart() {
+    fn end_labels_do_not_overlap() {
         let apart = |targets: &[f64], ends| moved_apart(targets, 10.0, ends);
         assert_eq!(apart(&[10.0, 12.0, 13.0, 80.0], (0.0, 100.0)), [10.0, 20.0, 30.0, 80.0]);
         assert_eq!(apart(&[90.0, 95.0, 99.0], (0.0, 100.0)), [80.0, 90.0, 100.0]);
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_as_few_as_fit() {
+    fn legend_uses_fewest_rows_that_fit() {
         let symbol = |meaning: String| Symbol { picture: Canvas::new(24.0, SYMBOL), meaning };
         let legend = Legend::new((0..7).map(|k| symbol(format!("no. {k}"))).collect(), 380.0);
         assert!((2..=3).contains(&legend.rows), "{} rows", legend.rows);
@@ -380,14 +380,14 @@ mod tests {
     }
 
     #[test]
-    fn a_step_function_has_corners_alone() {
+    fn step_function_keeps_corners_only() {
         let points = [(1.0, 5.0), (2.0, 5.0), (3.0, 5.0), (4.0, 2.0), (5.0, 2.0)];
         assert_eq!(decimate_steps(&points), [(1.0, 5.0), (3.0, 5.0), (4.0, 5.0), (4.0, 2.0), (5.0, 2.0)]);
         assert!(decimate_steps(&[]).is_empty());
     }
 
     #[test]
-    fn of_very_many_corners_the_extremes_remain() {
+    fn decimated_steps_keep_extremes() {
         let points: Vec<(f64, f64)> = (0..100_000).map(|k| (f64::from(k), f64::from(k * 7_919 % 1_000))).collect();
         let drawn = decimate_steps(&points);
         assert!((1_000..=CORNERS).contains(&drawn.len()), "{} corners", drawn.len());

@@ -188,7 +188,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn markers_are_about_the_middle_and_of_like_size() {
+    fn markers_are_centred_and_of_similar_size() {
         for marker in Marker::ALL {
             let corners = marker.corners();
             let twice: f64 = corners

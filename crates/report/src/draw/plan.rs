@@ -297,7 +297,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_metre_is_as_long_across_as_upwards() {
+    fn floor_plan_has_equal_scale_on_both_axes() {
         let plan = FloorPlan::new([[0.0, 0.0], [8.0, 4.0]], ["x", "y"], 300.0, 400.0);
         let [o, x, y] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|p| plan.place(p));
         assert!((x[0] - o[0] - (o[1] - y[1])).abs() < 1e-9);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_a_line_and_map_coordinates_are_drawn() {
+    fn draws_empty_and_flat_plans_and_map_coordinates() {
         let far = [[5_399_990.0, 1.0], [5_399_998.0, 1.0], [f64::NAN, f64::INFINITY]];
         for (places, title) in [(vec![], "x [m]"), (vec![[1.0, 2.0]], "x [m]"), (far.to_vec(), "x − 5400000 [m]")] {
             let plan = FloorPlan::new(FloorPlan::corners(places), ["x", "y"], 200.0, 200.0);
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn every_map_is_drawn_whatever_its_values() {
+    fn draws_heatmaps_of_constant_and_non_finite_values() {
         let flat = [3.0; 6];
         let broken = [f32::NAN, f32::INFINITY, -60.0, -61.0, -70.0, f32::NEG_INFINITY];
         let none = [f32::NAN; 6];

@@ -297,14 +297,14 @@ mod tests {
     use pwrfgs_core::Sampling;
 
     #[test]
-    fn the_sky_wraps_at_the_seam() {
+    fn sky_plot_wraps_at_azimuth_zero() {
         let image = Image { width: 4, height: 1, pixels: vec![0.0, 1.0, 0.0, 1.0] };
         assert_eq!(bilinear(&image, true, 3.5, 0.0), 0.5);
         assert_eq!(bilinear(&image, false, 3.5, 0.0), 1.0);
     }
 
     #[test]
-    fn a_plane_without_angles_has_no_sky() {
+    fn plane_without_angles_has_no_sky_plot() {
         let plane = ImagePlane { width: 4, height: 2, wraps: false, angles: None, sampling: Sampling::WHOLE };
         let image = Image::zeros(4, 2);
         assert!(sky(&image, &plane, ColourScale::Power, &[]).is_none());
@@ -315,7 +315,7 @@ mod tests {
     const DEGREE: AngleAxis = AngleAxis { first: 0.0, step: 1.0 };
 
     #[test]
-    fn multiples_of_the_usual_plane() {
+    fn ruler_returns_multiples_within_plane() {
         assert_eq!(Ruler::new(DEGREE, 360, "°").multiples(90.0), [0.0, 90.0, 180.0, 270.0, 360.0]);
         assert_eq!(Ruler::new(DEGREE, 90, "°").multiples(30.0), [0.0, 30.0, 60.0, 90.0]);
         assert!(Ruler::new(DEGREE, 8, "°").multiples(90.0).len() >= 2);

@@ -252,7 +252,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn phases_are_unwrapped_and_nothing_is_cut_at_the_floor() {
+    fn unwraps_phases_and_limits_decibels() {
         let turning: Vec<[f64; 2]> =
             (0..5).map(|k| f64::from(150 * k).to_radians().sin_cos()).map(|(sin, cos)| [cos, sin]).collect();
         let found = unwrapped(&turning, None);
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn one_path_peaks_at_its_delay() {
+    fn delay_profile_of_one_path_peaks_at_its_delay() {
         let delay_s = 100e-9;
         let frequencies: Vec<f64> = (0..16).map(|k| 2.4e9 + 1.25e6 * f64::from(k)).collect();
         let phases: Vec<f64> = frequencies.iter().map(|f| -TAU * f * delay_s).collect();
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn uneven_and_few_subcarriers_have_no_profile() {
+    fn delay_profile_requires_uniform_subcarriers() {
         assert_eq!(spacing(&[1e9, 2e9, 3e9, 4e9]), Some(1e9));
         for none in [&[][..], &[1e9], &[1e9, 2e9, 3e9], &[1e9, 2e9, 3e9, 9e9], &[1e9; 5]] {
             assert_eq!(spacing(none), None, "{none:?}");

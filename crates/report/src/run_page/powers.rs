@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_link_equal_links_and_wild_ones_are_drawn_or_left_out() {
+    fn power_plots_handle_empty_equal_and_extreme_links() {
         assert!(histogram(&[]).is_none() && scatter(&[]).is_none());
         let one = PowerPair { link: 0, measured: -60.0, predicted: -60.0 };
         for errors in [vec![0.0], vec![0.0; 9], vec![-300.0, 0.1, 0.2, 4000.0]] {

@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bound_is_neither_best_nor_second_and_a_single_rival_no_best() {
+    fn oracle_is_unranked_and_single_predictor_is_not_best() {
         let cell = |v: f64| ScoreCell::Samples(Summary { mean: v, median: v, tail10: v });
         let cells = vec![cell(0.7), cell(0.99), cell(0.8)];
         let row = MetricRow { key: "ssim".into(), unit: String::new(), higher_is_better: true, cells };
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_of_a_row_is_marked() {
+    fn marks_best_score_of_row() {
         assert_eq!(marked(2.0, [2.0, 3.0].into_iter(), false).1, "best");
         assert_eq!(marked(2.0, [2.0, 3.0].into_iter(), true).1, "");
         assert_eq!(marked(f64::NAN, [f64::NAN].into_iter(), true).1, "");

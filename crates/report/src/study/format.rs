@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_latex_table_has_rules_groups_and_marks() {
+    fn latex_table_has_rules_groups_and_marks() {
         let column =
             |title: &str, detail: &str| TableColumn { title: title.into(), detail: detail.into(), arrow: "↑" };
         let line = |label: &str, kind, value, mark| {
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_in_a_label_is_html() {
+    fn labels_are_escaped_in_html() {
         let line =
             TableLine { label: "<i>".into(), kind: RowKind::Variant, cells: vec![shown("1", "", RankMark::None)] };
         let text = document(&page(vec![TableColumn::default()], vec![line]), "report.html");

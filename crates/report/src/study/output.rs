@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_of_something_else_is_refused() {
+    fn refuses_folder_that_is_not_a_report() {
         let folder = tempfile::tempdir().unwrap();
         owned(folder.path()).unwrap();
         owned(&folder.path().join("missing")).unwrap();

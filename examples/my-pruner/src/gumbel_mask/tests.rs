@@ -21,7 +21,7 @@ fn gate(mask: &GumbelMask, logits: &[Real], step: u64) -> Vec<Real> {
 }
 
 #[test]
-fn the_gate_is_a_relaxed_coin() {
+fn gate_is_relaxed_bernoulli_sample() {
     let mask = GumbelMask { temperature: 0.7, ..GumbelMask::default() };
     let logits: Vec<Real> = (0..4000).map(|i| if i % 4 == 3 { -0.1 } else { (i % 4) as Real * 0.8 }).collect();
     let found = gate(&mask, &logits, 5);
@@ -53,7 +53,7 @@ fn noise_depends_on_step_and_is_reproduced_on_resume() {
 }
 
 #[test]
-fn the_derivative_has_its_closed_form() {
+fn gate_derivative_has_closed_form() {
     let mask = GumbelMask { temperature: 0.5, ..GumbelMask::default() };
     let logits = [0.0, 0.3, 1.0, 2.0, -0.2, 5.0];
     let traced = TracedCloud::new(&gated(&logits));
@@ -71,7 +71,7 @@ fn the_derivative_has_its_closed_form() {
 }
 
 #[test]
-fn the_penalty_presses_on_every_gate() {
+fn penalty_gradient_reaches_every_gate() {
     let mask = GumbelMask { lambda: 0.03, ..GumbelMask::default() };
     let logits = [3.0, 0.0, -0.5, 1.0];
     let traced = TracedCloud::new(&gated(&logits));
@@ -102,7 +102,7 @@ fn kept_gaussians_equal_drawn_gaussians() {
 }
 
 #[test]
-fn fine_tuning_has_no_gate_and_removes_none() {
+fn fine_tuning_ignores_gates_and_keeps_all() {
     let (mask, cloud) = (GumbelMask::default(), GaussianCloud::zeros(3));
     let (traced, context) = (TracedCloud::new(&cloud), context(9, Phase::Finetune));
     assert!(mask.gate(&traced, &context).is_none() && mask.penalty(&traced, &context).is_none());
@@ -110,7 +110,7 @@ fn fine_tuning_has_no_gate_and_removes_none() {
 }
 
 #[test]
-fn settings_that_cannot_work_are_refused() {
+fn rejects_invalid_mask_settings() {
     assert!(Plugin::<dyn Pruner>::parse("GumbelMask()").is_ok());
     for (field, wrong) in [
         ("lambda", "-0.1"),

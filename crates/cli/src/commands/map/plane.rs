@@ -156,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn planes_and_bounds_are_read_or_refused() {
+    fn parses_planes_and_bounds_and_rejects_invalid_ones() {
         assert_eq!(MapPlane::parse("Z= -1.5").unwrap(), MapPlane { axis: 2, at: -1.5 });
         for wrong in ["", "z", "w=1", "z=", "z=NaN", "z=1e9", "z=1,2"] {
             assert!(MapPlane::parse(wrong).unwrap_err().is_input(), "{wrong}");
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_goes_from_low_to_high() {
+    fn map_grid_runs_from_low_to_high() {
         let plane = MapPlane { axis: 1, at: 9.0 };
         let grid = PlaneGrid::new(plane, PlaneBounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
         assert_eq!((grid.columns, grid.rows), (4, 3));

@@ -16,7 +16,7 @@ fn close(a: f64, b: f64, by: f64) {
 /// `GaussianProcessRegressor(ConstantKernel(1e7) + kernel, alpha=0.05, optimizer=None)`: a constant with a nearly flat
 /// prior is an unknown mean. Its variance excludes the measurement noise, 0.05.
 #[test]
-fn predictions_are_those_of_scikit_learn() {
+fn kriging_predictions_match_scikit_learn() {
     let values = [1.0, 2.0, 4.0, 3.0, 7.0, 5.0];
     let known = [
         (CorrelationKind::Exponential, 3.794_441_619, 0.427_204_996),
@@ -35,7 +35,7 @@ fn predictions_are_those_of_scikit_learn() {
 
 /// With one position the weight is 1 and the variance that of a difference; two at equal distance have weight 1/2 each.
 #[test]
-fn one_and_two_places_have_a_closed_form() {
+fn kriging_of_one_and_two_positions_has_closed_form() {
     let correlation = Correlation { kind: CorrelationKind::Exponential, scales_m: [1.0; 3], noise: 0.25 };
     let one = solve(&correlation, &[[0.0; 3]], [0.7, 0.0, 0.0]);
     assert_eq!(one.weights, [1.0]);
@@ -100,7 +100,7 @@ fn likelihood_recovers_true_parameters() {
 
 /// Density of one sample given its neighbours, written out.
 #[test]
-fn the_likelihood_is_that_of_its_predictions() {
+fn likelihood_equals_density_of_predictions() {
     let truth = Correlation { kind: CorrelationKind::Matern32, scales_m: [0.5; 3], noise: 0.2 };
     let data = drawn(&truth, 12);
     let cases = HeldOutCases::new(&Trend::of(&data, &[]), (0..10).collect(), &[10, 11]);
@@ -121,7 +121,7 @@ fn the_likelihood_is_that_of_its_predictions() {
 }
 
 #[test]
-fn predictions_follow_from_the_numbers_of_the_note() {
+fn predictions_follow_from_parameters_in_note() {
     let truth = Correlation { kind: CorrelationKind::SquaredExponential, scales_m: [0.08, 0.3, 1.2], noise: 0.001 };
     let data = drawn(&truth, 120);
     let all: Vec<usize> = (0..100).collect();
@@ -145,7 +145,7 @@ fn predictions_follow_from_the_numbers_of_the_note() {
 }
 
 #[test]
-fn few_samples_and_equal_ones_are_no_accident() {
+fn kriging_accepts_few_and_equal_samples() {
     let data = line_of_samples(12);
     for count in [1, 2, 3, 12] {
         let all: Vec<usize> = (0..count).collect();

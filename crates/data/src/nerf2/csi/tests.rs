@@ -41,7 +41,7 @@ impl Folder {
 }
 
 #[test]
-fn uplinks_are_features_and_downlinks_observations() {
+fn uplink_is_feature_and_downlink_is_observation() {
     let folder = Folder::new();
     let data = folder.load().unwrap();
     assert_eq!((data.len(), data.width, data.height, data.placed), (6, 2, 2, false));

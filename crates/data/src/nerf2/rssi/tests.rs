@@ -44,7 +44,7 @@ impl Folder {
 }
 
 #[test]
-fn a_good_folder_is_read() {
+fn reads_valid_rssi_folder() {
     let data = Folder::new().try_load().unwrap();
     assert_eq!(data.scene.receivers[1], Receiver::new("b", Pose { position: [4.0, 5.0, 6.5], ..Pose::IDENTITY }));
     let link = |transmitter, receiver| Link { transmitter, receiver };

@@ -20,7 +20,7 @@ fn both(pair: Polarized) -> [Complex; 2] {
 }
 
 #[test]
-fn the_transition_function_has_its_known_values() {
+fn transition_function_matches_known_values() {
     // 40 digits of another program, from √(πx) e^{j(π/4+x)} erfc(e^{jπ/4} √x).
     let expected = [
         (1e-6, 0.001_253_312_885_334_069_6, 0.001_251_315_390_629_011_4),
@@ -52,7 +52,7 @@ fn transition_by_quadrature(x: f64) -> Complex {
 }
 
 #[test]
-fn the_transition_function_is_its_integral_and_its_two_expansions() {
+fn transition_function_matches_integral_and_expansions() {
     let mut worst = 0.0_f64;
     for i in 0..=90 {
         let x = 10f64.powf(f64::from(i) / 10.0 - 6.0);
@@ -125,7 +125,7 @@ fn total(n: f64, phi_in: f64, phi: f64, rise: f64, r0: &Polarized, rn: &Polarize
 }
 
 #[test]
-fn with_the_rays_of_optics_the_field_is_continuous() {
+fn total_field_is_continuous_at_shadow_boundaries() {
     let wall = Polarized { te: Complex::new(-0.6, 0.1), tm: Complex::new(0.4, -0.2) };
     let floor = Polarized { te: Complex::new(-0.9, 0.05), tm: Complex::new(-0.3, 0.1) };
     let small = 1e-7;
@@ -147,7 +147,7 @@ fn with_the_rays_of_optics_the_field_is_continuous() {
 }
 
 #[test]
-fn swapping_both_ends_changes_nothing() {
+fn diffraction_is_reciprocal() {
     let wall = Polarized { te: Complex::new(-0.6, 0.1), tm: Complex::new(0.4, -0.2) };
     for n in [1.1, 1.5, 2.0] {
         for i in 1..40 {
@@ -164,7 +164,7 @@ fn swapping_both_ends_changes_nothing() {
 }
 
 #[test]
-fn a_grazing_wave_counts_once() {
+fn diffraction_is_halved_at_grazing_incidence() {
     for (n, phi) in [(1.5, 2.0), (2.0, 4.0), (1.25, 0.8)] {
         for (at, near) in [(0.0, 1e-6), (n * PI, n * PI - 1e-6)] {
             let grazing = wedge(n, K, (2.0, 3.0), (at, phi), 1.0, &opaque(&METAL, &METAL));
@@ -200,7 +200,7 @@ fn diffraction_is_always_finite() {
 }
 
 #[test]
-fn the_edge_point_makes_the_path_shortest_and_its_angles_equal() {
+fn edge_point_minimises_path_and_equalises_angles() {
     let (a, b) = (DVec3::new(0.3, -1.0, 0.2), DVec3::new(1.0, 2.0, 1.5));
     let (tx, rx) = (DVec3::new(-2.0, 0.4, 1.0), DVec3::new(3.0, 1.0, -0.7));
     let t = edge_point(a, b, tx, rx);
@@ -234,7 +234,7 @@ fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) 
 /// Metal wedge and half-plane at 920 MHz, compared with an independent implementation in float64 and an established ray
 /// tracer in float32.
 #[test]
-fn metal_edges_are_those_of_the_reference() {
+fn metal_edge_diffraction_matches_reference() {
     let Some(file) = shared("reference/paths/diffraction.csv") else { return };
     let wavelength = SPEED_OF_LIGHT / 920e6;
     let mut rows = csv::Reader::from_path(file).unwrap();

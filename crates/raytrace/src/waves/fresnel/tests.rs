@@ -25,7 +25,7 @@ fn same(value: f64) -> Polarized {
 }
 
 #[test]
-fn a_slab_of_vacuum_is_not_there() {
+fn vacuum_slab_transmits_all_and_reflects_none() {
     for cos in COSINES {
         assert!(close(reflection(lossless(1.0), None, cos, WAVELENGTH), same(0.0), 1e-15));
         for depth in THICKNESSES {
@@ -36,7 +36,7 @@ fn a_slab_of_vacuum_is_not_there() {
 }
 
 #[test]
-fn a_lossless_slab_keeps_the_energy_and_a_lossy_one_takes_some() {
+fn lossless_slab_conserves_energy_and_lossy_slab_absorbs() {
     for cos in COSINES {
         for depth in THICKNESSES {
             for permittivity in [0.4, 1.99, 5.24, 80.0] {
@@ -61,7 +61,7 @@ fn a_lossless_slab_keeps_the_energy_and_a_lossy_one_takes_some() {
 }
 
 #[test]
-fn at_the_angle_of_brewster_nothing_of_tm_comes_back() {
+fn tm_reflection_is_zero_at_brewster_angle() {
     for permittivity in [1.99_f64, 5.24] {
         let cos = 1.0 / (1.0 + permittivity).sqrt(); // tan θ = √ε
         let half_space = reflection(lossless(permittivity), None, cos, WAVELENGTH);
@@ -73,7 +73,7 @@ fn at_the_angle_of_brewster_nothing_of_tm_comes_back() {
 }
 
 #[test]
-fn at_normal_incidence_both_polarisations_are_one() {
+fn polarisations_agree_at_normal_incidence() {
     let eta = named("concrete").unwrap().permittivity(2.4e9);
     let n = eta.sqrt();
     let expected = (1.0 - n) / (1.0 + n);
@@ -91,7 +91,7 @@ fn at_normal_incidence_both_polarisations_are_one() {
 /// Airy's sum over the multiple reflections inside a slab, from the coefficients of its two faces, which differ from
 /// those of the closed form: t₁₂t₂₁ in place of 1 - r².
 #[test]
-fn a_slab_is_the_sum_of_the_beams_inside_it() {
+fn slab_equals_sum_of_internal_reflections() {
     let eta = named("concrete").unwrap().permittivity(3.5e9);
     let (cos, depth) = (0.6, 0.02);
     let s = (eta - 1.0 + cos * cos).sqrt();
@@ -122,7 +122,7 @@ fn a_slab_is_the_sum_of_the_beams_inside_it() {
 }
 
 #[test]
-fn a_thick_lossy_slab_is_a_half_space_and_a_thin_one_nothing() {
+fn slab_approaches_half_space_if_thick_and_air_if_thin() {
     let eta = named("concrete").unwrap().permittivity(SPEED_OF_LIGHT / WAVELENGTH);
     for cos in COSINES {
         let half_space = reflection(eta, None, cos, WAVELENGTH);
@@ -143,7 +143,7 @@ fn a_thick_lossy_slab_is_a_half_space_and_a_thin_one_nothing() {
 }
 
 #[test]
-fn grazing_waves_are_turned_round() {
+fn grazing_wave_is_fully_reflected() {
     for name in ["concrete", "wood", "metal"] {
         let eta = named(name).unwrap().permittivity(2.4e9);
         for thickness in [None, Some(0.01)] {
@@ -154,7 +154,7 @@ fn grazing_waves_are_turned_round() {
 }
 
 #[test]
-fn a_perfect_conductor_gives_minus_one_and_one() {
+fn perfect_conductor_reflects_te_inverted_and_tm_unchanged() {
     for hz in [1e6, 920e6, 300e9] {
         let eta = named("perfect_conductor").unwrap().permittivity(hz);
         for cos in [1e-6, 0.3, 1.0] {
@@ -198,7 +198,7 @@ fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Comple
 }
 
 #[test]
-fn single_bounces_are_those_of_the_reference_room() {
+fn single_reflections_match_reference_room() {
     let Some(folder) = shared("reference/paths/sceneA") else { return };
     let (mut worst, mut count) = (0.0_f64, 0);
     for (file, hz, thick) in [

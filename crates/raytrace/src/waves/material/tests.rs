@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn every_name_is_known_once_and_sound() {
+fn material_names_are_unique_and_values_valid() {
     let names = names();
     for (i, name) in names.iter().enumerate() {
         assert!(!names[..i].contains(name), "{name} twice");
@@ -14,7 +14,7 @@ fn every_name_is_known_once_and_sound() {
 }
 
 #[test]
-fn conductivity_and_permittivity_are_those_of_the_reference() {
+fn conductivity_and_permittivity_match_reference() {
     // eta of an independent program at 0.92 and 3.5 GHz.
     let expected = [
         ("concrete", 920e6, 5.24, -0.845_668_956_628_028_4),
@@ -31,13 +31,13 @@ fn conductivity_and_permittivity_are_those_of_the_reference() {
 }
 
 #[test]
-fn permittivity_falls_with_frequency_where_b_is_negative() {
+fn permittivity_falls_with_frequency_if_b_is_negative() {
     let ground = named("wet_ground").unwrap();
     assert!((ground.permittivity(10e9).re - 30.0 * 10f64.powf(-0.4)).abs() < 1e-13);
 }
 
 #[test]
-fn the_table_vouches_for_its_range_only() {
+fn material_is_valid_in_its_frequency_range_only() {
     let concrete = named("concrete").unwrap();
     assert!(!concrete.is_in_valid_range(920e6));
     assert!(concrete.is_in_valid_range(1e9) && concrete.is_in_valid_range(100e9));
@@ -46,7 +46,7 @@ fn the_table_vouches_for_its_range_only() {
 }
 
 #[test]
-fn a_material_by_hand_needs_two_numbers() {
+fn custom_material_requires_a_and_c() {
     let plain: Material = ron::from_str("(a: 2, c: 0.01)").unwrap();
     assert_eq!(plain, Material { a: 2.0, b: 0.0, c: 0.01, d: 0.0, range_ghz: EVERYWHERE });
     assert!(ron::from_str::<Material>("(a: 2, c: 0.01, e: 1)").is_err());
@@ -60,7 +60,7 @@ fn a_material_by_hand_needs_two_numbers() {
 }
 
 #[test]
-fn numbers_that_make_no_material_are_named() {
+fn reports_invalid_material_values() {
     let good = named("wood").unwrap();
     let faulty = [
         ("`a`", Material { a: 0.0, ..good.clone() }),

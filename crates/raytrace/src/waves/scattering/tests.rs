@@ -36,7 +36,7 @@ fn every_lobe_integrates_to_one_at_every_incidence() {
 }
 
 #[test]
-fn at_normal_incidence_the_integral_has_a_closed_form() {
+fn lobe_integral_at_normal_incidence_has_closed_form() {
     // ψ is the angle from the normal: 2π ∫ ((1 + z)/2)^α dz from 0 to 1.
     for exponent in [0, 1, 2, 5, 10, 64, 256] {
         let power = f64::from(exponent) + 1.0;
@@ -47,13 +47,13 @@ fn at_normal_incidence_the_integral_has_a_closed_form() {
 }
 
 #[test]
-fn lambert_is_the_cosine() {
+fn lambertian_lobe_is_cosine() {
     assert_eq!(Lobe::Lambertian.density(0.3, 0.5, -0.2), 0.5 / PI);
     assert_eq!(Lobe::Lambertian.density(1.0, 0.0, 0.0), 0.0);
 }
 
 #[test]
-fn a_directive_lobe_points_where_a_mirror_would() {
+fn directive_lobe_peaks_at_specular_direction() {
     let lobe = Lobe::Directive { exponent: 4 };
     assert!(lobe.density(0.6, 0.6, 1.0) > lobe.density(0.6, 0.9, 0.9));
     assert_eq!(lobe.density(0.6, 0.6, -1.0), 0.0);
@@ -64,7 +64,7 @@ fn a_directive_lobe_points_where_a_mirror_would() {
 
 /// Received power of a patch at all points of a far sphere, each with the aperture λ²/4π: S²|Γ|² of the incident power.
 #[test]
-fn scattered_power_is_its_share_of_what_falls_on_the_patch() {
+fn scattered_power_is_set_share_of_incident_power() {
     let (s, gamma, area, cos, near, far, wavelength) = (0.4, 0.6, 0.01, 0.7_f64, 2.0, 30.0, 0.125);
     let aperture = wavelength * wavelength / (4.0 * PI);
     let fallen = area * cos / (4.0 * PI * near * near);
@@ -79,13 +79,13 @@ fn scattered_power_is_its_share_of_what_falls_on_the_patch() {
 }
 
 #[test]
-fn nothing_comes_off_a_smooth_surface_or_from_behind() {
+fn smooth_surface_and_back_side_do_not_scatter() {
     assert_eq!(amplitude(0.0, 1.0, 0.3, 0.1, 0.5, (1.0, 1.0), 0.1), 0.0);
     assert_eq!(amplitude(0.5, 1.0, 0.3, 0.1, -0.5, (1.0, 1.0), 0.1), 0.0);
 }
 
 #[test]
-fn a_lobe_is_read_and_checked() {
+fn parses_and_validates_lobe() {
     assert_eq!(ron::from_str("Lambertian"), Ok(Lobe::Lambertian));
     assert!(ron::from_str::<Lobe>("Directive(width: 4)").is_err());
     Lobe::Directive { exponent: NARROWEST }.check().unwrap();

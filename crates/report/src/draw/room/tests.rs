@@ -29,7 +29,7 @@ fn circles(panel: &Panel) -> usize {
 }
 
 #[test]
-fn gaussians_outside_the_room_are_counted_and_not_drawn() {
+fn gaussians_outside_frame_are_counted_and_not_drawn() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [3.9, 0.1, 1.9], [9.0, 1.0, 1.0], [1.0, 1.0, -7.0]]);
     let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
@@ -39,7 +39,7 @@ fn gaussians_outside_the_room_are_counted_and_not_drawn() {
 }
 
 #[test]
-fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
+fn frame_includes_near_gaussians_and_excludes_outliers() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [7.9, 1.0, 1.0], [1.0, -3.9, 5.9]]);
     let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
@@ -55,7 +55,7 @@ fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
 }
 
 #[test]
-fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
+fn frame_without_points_excludes_isolated_gaussian() {
     let (data, partition) = room(0);
     let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]).chain([[1e4, 0.0, 0.0]]));
     let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("Final", &cloud, &data);
@@ -63,7 +63,7 @@ fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
 }
 
 #[test]
-fn a_picture_stays_small() {
+fn room_figure_limits_drawn_gaussians_and_file_size() {
     let (data, partition) = room(20_000);
     let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
     let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
@@ -75,7 +75,7 @@ fn a_picture_stays_small() {
 }
 
 #[test]
-fn a_flat_scene_and_no_gaussian_are_drawn() {
+fn draws_flat_scene_and_empty_cloud() {
     let (mut data, partition) = room(1);
     data.scene.bounds = ([1.0; 3], [1.0; 3]);
     let panel = RoomFigure::new(&data, &partition, &[], 10.5).panel("At the start", &snapshot([]), &data);

@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_box_fills_the_picture_and_keeps_lengths() {
+    fn room_view_fills_image_and_keeps_lengths() {
         for (low, high) in [([0.0; 3], [8.0, 6.0, 3.0]), ([-1.0, -1.0, 0.0], [1.0, 1.0, 20.0])] {
             let view = RoomView::new(low, high, 10.0);
             let ends = (0..8).map(|k| view.place([0, 1, 2].map(|a| if k >> a & 1 == 0 { low[a] } else { high[a] })));

@@ -178,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn best_median_and_worst_are_common_to_all() {
+    fn chosen_samples_are_common_to_all_runs() {
         let first: BTreeMap<u32, f64> = [(1, 0.9), (2, 0.5), (3, 0.7), (4, 0.1), (5, 0.6)].into();
         let second: BTreeMap<u32, f64> = [(2, 0.0), (3, 0.0), (4, 0.0), (9, 1.0)].into();
         assert_eq!(chosen(&[first.clone(), second]), [("best", 3), ("median", 2), ("worst", 4)]);

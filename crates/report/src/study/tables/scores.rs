@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn best_and_second_are_marked_among_those_that_compete() {
+    fn marks_best_and_second_of_ranked_rows() {
         use RankMark::{Best, None, Second};
         let column = [("0.80", 0.8), ("0.70", 0.7), ("0.99", 0.99), ("0.75", 0.75), ("", 0.0)];
         let all_but_third = [true, true, false, true, true];
