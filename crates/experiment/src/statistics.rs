@@ -358,10 +358,7 @@ mod tests {
         let s = Summary::of(&[4.0, 1.0, 2.0, 3.0], true);
         assert_eq!((s.mean, s.median), (2.5, 2.5));
         assert!((s.tail10 - 1.3).abs() < 1e-12);
-        assert!(
-            (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).tail10 - 3.7).abs() < 1e-12,
-            "the tail is at the other end"
-        );
+        assert!((Summary::of(&[4.0, 1.0, 2.0, 3.0], false).tail10 - 3.7).abs() < 1e-12, "the tail is at the other end");
         assert!(Summary::of(&[], true).mean.is_nan());
     }
 
