@@ -3,7 +3,7 @@
 //! This module holds the mean, the zero channel, and `ByReceiver`, which fits one predictor per receiver.
 
 #[cfg(test)]
-mod floors;
+mod link_tests;
 mod kriging;
 mod log_distance;
 mod neighbours;

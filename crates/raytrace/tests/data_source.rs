@@ -179,7 +179,7 @@ fn ray_tracing_in_exact_scene_reproduces_data() {
         assert!(exact == data.image(i), "sample {i}");
         assert!(note.unwrap().contains("«RT exact» is the generator"));
         let (wrong, note) = predict("RayTracing(material_error: 0.3, position_error_m: 0.05)", i);
-        assert!(wrong != data.image(i) && note.unwrap().contains("off by 30 % and places by 5 cm"));
+        assert!(wrong != data.image(i) && note.unwrap().contains("off by 30 % and positions by 5 cm"));
     }
     // Another scene is not that of the data; the same one is, wherever it was read from.
     let knows = |data: &Dataset, name: &str| {
