@@ -34,6 +34,26 @@ fn run_folder_predicts_and_evaluates() {
         table.contains("ssim") && table.contains("mean spectrum") && table.contains("report: runs/small"),
         "{table}"
     );
+    let last = table.lines().last().unwrap();
+    let row = |line: &&str| line.starts_with("model minus");
+    let differences: Vec<&str> =
+        table.lines().skip_while(|line| !row(line)).skip(1).take_while(|l| !l.is_empty()).collect();
+    assert!(last.ends_with("; next: `pwrfgs report runs/small`, `pwrfgs view runs/small`"), "{last}");
+    let (verdict, baseline) = ["level with ", "ahead of ", "behind "]
+        .iter()
+        .find_map(|words| Some((*words, last.strip_prefix(words)?.split(": ").next()?)))
+        .unwrap();
+    let numbers = last.split(": ").nth(1).unwrap().split(" (").next().unwrap();
+    let line = differences.iter().find(|line| line.starts_with(baseline)).unwrap();
+    let same = ["level", "better", "worse"].into_iter().zip(["level with ", "ahead of ", "behind "]);
+    assert!(
+        line.contains(numbers) && same.into_iter().any(|(word, of)| of == verdict && line.contains(word)),
+        "{line}"
+    );
+    let page = read(&here.join("runs/small/report.html"));
+    assert!(page.contains(&format!("<b>Model {verdict}{baseline}: {numbers}")), "the page gives the verdict");
+    assert!(page.contains("<code>pwrfgs report RUN</code>") && page.contains("<code>pwrfgs view RUN</code>"));
+    assert!(!page.contains("class=\"lead\"><td>"), "a row of scores has no type of a subtitle");
     assert!(stderr(&output).contains("step 60/60"), "plain lines where there is no terminal: {}", stderr(&output));
 
     let run = here.join("runs/small");

@@ -41,6 +41,11 @@ pub struct PairedRow {
 }
 
 impl Paired {
+    /// Difference from one baseline by one metric.
+    pub fn row(&self, baseline: &str, key: &str) -> Option<&PairedRow> {
+        self.rows.iter().find(|row| row.baseline == baseline && row.metric == key)
+    }
+
     /// Table rows: a header, then one row per baseline with difference and verdict of each metric.
     pub fn lines(&self, oracles: &[String]) -> Vec<Vec<String>> {
         let mut metrics: Vec<(&str, bool)> = Vec::new();
@@ -57,8 +62,7 @@ impl Paired {
         let heads = metrics.iter().flat_map(|(key, higher)| [format!("{key} {}", arrow(*higher)), String::new()]);
         let head = ["model minus".to_owned()].into_iter().chain(heads).collect();
         let line = |baseline: &&str| {
-            let find = |key: &str| self.rows.iter().find(|row| row.baseline == *baseline && row.metric == key);
-            let cells = metrics.iter().flat_map(|(key, _)| match find(key) {
+            let cells = metrics.iter().flat_map(|(key, _)| match self.row(baseline, key) {
                 Some(row) => [row.number(), row.verdict().to_owned()],
                 None => ["n/a".to_owned(), String::new()],
             });

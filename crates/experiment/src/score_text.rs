@@ -22,6 +22,25 @@ impl ScoreTable {
         [vec![format!("{tested} test {}", self.task.counted[1])], own].concat().join("; ")
     }
 
+    /// Comparison of the model with the best ranked baseline by the first metric, from [`Self::paired`]:
+    /// `level with Kriging: +0.0030 [−0.0030, +0.0080] (..)`. `None` without such a baseline.
+    pub fn verdict(&self) -> Option<String> {
+        let headline = self.task.headline;
+        let mean = |name: &str| self.numbers(name, headline.key)?.first().copied().filter(|v| !v.is_nan());
+        let ranked = self.baselines().filter(|name| self.is_ranked(name)).filter_map(|name| Some((name, mean(name)?)));
+        let is_better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
+        let (best, _) = ranked.reduce(|best, other| if is_better(other.1, best.1) { other } else { best })?;
+        let row = self.paired.as_ref()?.row(best, headline.key)?;
+        let relation = match row.verdict() {
+            "better" => "ahead of",
+            "worse" => "behind",
+            "level" => "level with",
+            _ => "no interval for the difference from",
+        };
+        let (number, arrow) = (row.number(), if headline.higher { "↑" } else { "↓" });
+        Some(format!("{relation} {best}: {number} (model minus baseline, mean {} {arrow})", headline.name))
+    }
+
     /// Aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The best
     /// value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
     pub fn to_text(&self) -> String {
@@ -58,5 +77,45 @@ impl ScoreTable {
             self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.oracles), 1) + "\n");
         let text = heading + &aligned(&lines, 2) + "\n" + &differences;
         notes.fold(text, |text, note| text + "note: " + note + "\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::paired::{Paired, PairedRow};
+    use crate::scores::{CEILING, MODEL, MetricRow, ScoreCell, ScoreTable};
+    use crate::statistics::Summary;
+
+    #[test]
+    fn verdict_names_the_best_ranked_baseline() {
+        let verdict = |interval: Option<[f64; 2]>, oracles: &[&str]| {
+            let cell = |mean| ScoreCell::Samples(Summary { mean, median: mean, tail10: mean });
+            let row = |baseline: &str| PairedRow {
+                baseline: baseline.into(),
+                metric: "ssim".into(),
+                higher_is_better: true,
+                mean: 0.003,
+                interval,
+            };
+            let table = ScoreTable {
+                predictors: [MODEL, "3-NN", "Kriging", "RT exact", CEILING].map(str::to_owned).into(),
+                metrics: vec![MetricRow {
+                    key: "ssim".into(),
+                    unit: String::new(),
+                    higher_is_better: true,
+                    cells: [0.8, 0.7, 0.797, 0.99, 1.0].map(cell).into(),
+                }],
+                oracles: oracles.iter().map(|name| (*name).to_owned()).collect(),
+                paired: Some(Paired { edge_m: None, cubes: 9, rows: ["3-NN", "Kriging"].map(row).into() }),
+                ..ScoreTable::default()
+            };
+            table.verdict()
+        };
+        let given = |interval| verdict(interval, &["RT exact"]).unwrap();
+        let end = " (model minus baseline, mean SSIM ↑)";
+        assert_eq!(given(Some([-0.003, 0.008])), format!("level with Kriging: +0.0030 [−0.0030, +0.0080]{end}"));
+        assert_eq!(given(Some([0.001, 0.008])), format!("ahead of Kriging: +0.0030 [+0.0010, +0.0080]{end}"));
+        assert_eq!(given(None), format!("no interval for the difference from Kriging: +0.0030{end}"));
+        assert_eq!(verdict(None, &["3-NN", "Kriging", "RT exact"]), None);
     }
 }

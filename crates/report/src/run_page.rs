@@ -44,6 +44,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
         heading => scores.heading(),
+        verdict => scores.verdict(),
         paired => scores.paired.as_ref().map(|pairs| (pairs.lines(&scores.oracles), pairs.note(scores.task))),
         predictors => scores.predictors.clone(),
         ceiling => CEILING,

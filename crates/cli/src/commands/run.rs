@@ -67,8 +67,19 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
                 verbosity.note(&format!("{}: this run is already finished; nothing to do", out.display()));
             }
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
-            output::result(&(scores.to_text() + &report.unwrap_or_default()))?;
+            let last = last_line(scores.verdict(), &out);
+            output::result(&(scores.to_text() + &report.unwrap_or_default() + &last))?;
             Ok(ExitCode::SUCCESS)
         }
     }
+}
+
+/// Verdict on the model, and the commands that show more of its run.
+fn last_line(verdict: Option<String>, run: &Path) -> String {
+    let commands = [(cfg!(feature = "report"), "report"), (cfg!(feature = "viewer"), "view")];
+    let commands = commands.iter().filter(|(is_built, _)| *is_built);
+    let next: Vec<String> = commands.map(|(_, name)| format!("`pwrfgs {name} {}`", run.display())).collect();
+    let next = (!next.is_empty()).then(|| format!("next: {}", next.join(", ")));
+    let parts: Vec<String> = verdict.into_iter().chain(next).collect();
+    if parts.is_empty() { String::new() } else { parts.join("; ") + "\n" }
 }

@@ -21,9 +21,20 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     let ranks: Vec<Vec<Option<usize>>> = (0..columns.len()).map(|k| scores.ranks(metric, k)).collect();
     // A single number is not marked.
     let rivals = |k: usize| ranks[k].iter().flatten().count() > 1;
+    // The pair of the model and a baseline is level if its paired interval contains 0.
+    let is_level = |baseline: usize| {
+        let row = scores.paired.as_ref().and_then(|pairs| pairs.row(&scores.predictors[baseline], &key));
+        ranks[0][baseline].is_some() && row.is_some_and(|row| row.verdict() == "level")
+    };
+    let is_best = |p: usize| ranks[0].get(p) == Some(&Some(0));
+    let shares_best = |p: usize| match p {
+        0 => (1..metric.cells.len()).any(|baseline| is_best(baseline) && is_level(baseline)),
+        _ => is_best(0) && is_level(p),
+    };
     // Number of a predictor in a column, with `best` or `second`.
     let shown = |p: usize, k: usize| match (metric.cells[p].numbers().get(k), ranks[k][p]) {
         (None, _) => ("n/a".into(), "none"),
+        (Some(value), _) if k == 0 && shares_best(p) => (number(*value), "best"),
         (Some(value), Some(0)) if rivals(k) => (number(*value), "best"),
         (Some(value), Some(1)) => (number(*value), "second"),
         (Some(value), _) => (number(*value), ""),
@@ -106,24 +117,38 @@ fn marked(value: f64, mut all: impl Iterator<Item = f64>, higher: bool) -> (Stri
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pwrfgs_experiment::paired::{Paired, PairedRow};
 
     #[test]
     fn oracle_is_unranked_and_single_predictor_is_not_best() {
         let cell = |v: f64| ScoreCell::Samples(Summary { mean: v, median: v, tail10: v });
         let cells = vec![cell(0.7), cell(0.99), cell(0.8)];
         let row = MetricRow { key: "ssim".into(), unit: String::new(), higher_is_better: true, cells };
-        let marks = |oracles: &[&str]| -> Vec<String> {
+        let marks_of = |oracles: &[&str], rows: &[PairedRow]| -> Vec<String> {
             let predictors = ["model", "RT exact", "1-NN"].map(str::to_owned).into();
+            let paired = Some(Paired { rows: rows.to_vec(), ..Paired::default() });
             let oracles = oracles.iter().map(|name| (*name).to_owned()).collect();
-            let table = ScoreTable { predictors, metrics: vec![row.clone()], oracles, ..ScoreTable::default() };
+            let table = ScoreTable { predictors, metrics: vec![row.clone()], oracles, paired, ..ScoreTable::default() };
             let rows = groups(&table)[0].get_attr("rows").unwrap();
             let mark = |p: usize| {
-                rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(2)).and_then(|c| c.get_item_by_index(1))
+                rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(0)).and_then(|c| c.get_item_by_index(1))
             };
             (0..3).map(|p| mark(p).unwrap().to_string()).collect()
         };
+        let marks = |oracles: &[&str]| marks_of(oracles, &[]);
         assert_eq!(marks(&["RT exact"]), ["second", "", "best"]);
         assert_eq!(marks(&["RT exact", "1-NN"]), ["", "", ""]);
+        let row = |baseline: &str, interval| PairedRow {
+            baseline: baseline.into(),
+            metric: "ssim".into(),
+            higher_is_better: true,
+            mean: -0.1,
+            interval: Some(interval),
+        };
+        let mut pairs = vec![row("RT exact", [-0.3, 0.1]), row("1-NN", [-0.2, 0.1])];
+        assert_eq!(marks_of(&["RT exact"], &pairs), ["best", "", "best"], "level means share the mark");
+        pairs[1].interval = Some([-0.2, -0.1]);
+        assert_eq!(marks_of(&["RT exact"], &pairs), ["second", "", "best"]);
         assert_eq!(marks(&[]), ["", "best", "second"]);
     }
 
