@@ -194,7 +194,7 @@ def draw(
     rasterizer: _Plugin,
     elevation_deg: Sequence[float],
 ) -> Drawing: ...
-def run(pipeline: Pipeline, out: _Path, hear: Callable[[_Event], Any]) -> bool: ...
+def run(pipeline: Pipeline, out: _Path, send_event: Callable[[_Event], Any]) -> bool: ...
 def facts(folder: _Path) -> Tuple[str, Optional[Dict[str, Dict[str, Any]]], Optional[str]]: ...
 def measure(
     metric: Union[_Plugin, Metric],
@@ -218,7 +218,7 @@ def simulate(
     noise_db: Optional[float],
     snr_db: Optional[float],
     paths: bool,
-    hear: Callable[[int, int], Any],
+    send_event: Callable[[int, int], Any],
 ) -> None: ...
 def sweep(
     experiment: _Path, arguments: Sequence[str], out: Optional[_Path], jobs: int

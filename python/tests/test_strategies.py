@@ -127,7 +127,7 @@ def test_a_mask_by_hand_is_the_papers(tmp_path):
         assert a["gaussians"] == b["gaussians"] and np.isclose(a["loss"], b["loss"], rtol=1e-3)
         assert np.isclose(a["penalty"], b["penalty"], rtol=1e-4)
     existence = pwrfgs.Pipeline(SMALL)
-    presence.pruners = [Mask(existence=True)]
+    existence.pruners = [Mask(existence=True)]
     trainer = pwrfgs.Trainer(existence)
     assert all(np.isfinite(trainer.step()["loss"]) for _ in range(5))
 
