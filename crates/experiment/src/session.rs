@@ -43,7 +43,7 @@ pub struct Validation {
 /// Observer of a run; every method does nothing by default.
 pub trait Observer: Send {
     /// Called during work other than training: loading or simulating spectra, scoring a predictor. The first call is
-    /// (0, 0); then `done` of `total` increases.
+    /// (0, 0), and (0, `total`) may follow; then `done` of `total` increases.
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
         let _ = (name, done, total);
     }
@@ -88,11 +88,11 @@ impl Observer for NoopObserver {}
 /// Performs `work` and reports its progress to the observer as the stage `name`.
 pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
     observer.on_stage(name, 0, 0);
-    let state = Mutex::new((observer, 0));
+    let state = Mutex::new((observer, None));
     work(&|done, total| {
         let (observer, most) = &mut *state.lock().unwrap_or_else(PoisonError::into_inner);
-        if done > *most {
-            *most = done;
+        if most.is_none_or(|most| done > most) {
+            *most = Some(done);
             observer.on_stage(name, done, total);
         }
     })
@@ -166,10 +166,13 @@ mod tests {
         }
         let mut ear = RecordingObserver::default();
         let out = staged(&mut ear, "spectra", |progress| {
-            [1, 3, 2, 3, 4].iter().for_each(|done| progress(*done, 4));
+            [0, 1, 3, 2, 0, 3, 4].iter().for_each(|done| progress(*done, 4));
             "done"
         });
         assert_eq!(out, "done");
-        assert_eq!(ear.0, [(0, 0), (1, 4), (3, 4), (4, 4)].map(|(done, total)| ("spectra".to_owned(), done, total)));
+        assert_eq!(
+            ear.0,
+            [(0, 0), (0, 4), (1, 4), (3, 4), (4, 4)].map(|(done, total)| ("spectra".to_owned(), done, total))
+        );
     }
 }

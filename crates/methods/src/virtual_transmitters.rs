@@ -256,10 +256,11 @@ impl Initializer for MatchingPursuit {
         let node = Some(scene.receivers[0].pose.position);
         let order = order_of(&input.method.traits().columns);
         let mut all = VirtualSources::new(order);
+        let total = self.searches * self.most;
+        (input.progress)(0, total);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
             let options = PursuitOptions { node, ..self.options(order, seed) };
-            let total = self.searches * self.most;
             let report_progress =
                 &mut |found_so_far: &SearchProgress| (input.progress)(search * self.most + found_so_far.sources, total);
             let found = pursue(&links, &channel, &options, input.stop, report_progress);
