@@ -18,3 +18,8 @@ class InputError(Error, ValueError):
     path: Optional[str] = None
     line: Optional[int] = None
     column: Optional[int] = None
+
+
+def missing(package: str, extra: str) -> ImportError:
+    """Exception for an optional package that is not installed; ``extra`` of pwrfgs installs it."""
+    return ImportError(f"{package} is missing; install it with: pip install 'pwrfgs[{extra}]'", name=package)

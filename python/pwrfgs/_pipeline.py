@@ -30,7 +30,7 @@ class Pipeline:
 
     ``Pipeline("pipelines/quickstart.ron")`` reads a file, ``Pipeline("Pipeline(name: ..)")`` a text, and
     ``Pipeline(name="first", data=Teacher(), initializer=Random())`` combines values. Fields are attributes, at any depth:
-    ``pipeline.training.steps = 2000``. Each change is validated at once. ``repr`` is RON with every default written out.
+    ``pipeline.training.steps = 2000``. Each change is validated at once. ``str`` is RON with every default written out.
 
     Relative paths start at the folder of the file, or at the current directory.
     """
@@ -121,13 +121,16 @@ class Pipeline:
         return [*super().__dir__(), *self._field_names()]
 
     def __repr__(self) -> str:
+        return f"<Pipeline {self.name}: {self.data._name}, {self.initializer._name}, {self.training.steps} steps>"
+
+    def __str__(self) -> str:
         return self._inner.text()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pipeline) and repr(self) == repr(other)
+        return isinstance(other, Pipeline) and str(self) == str(other)
 
     def __hash__(self) -> int:
-        return hash(repr(self))
+        return hash(str(self))
 
 
 def _read(text: str, folder: str) -> Pipeline:

@@ -6,13 +6,14 @@ import csv
 import html
 import json
 import os
+import sys
 from collections.abc import Mapping as Mappings
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
 from . import _pwrfgs, _strategies
-from ._errors import InputError
+from ._errors import InputError, missing
 from ._pipeline import Pipeline, is_text
 from ._types import Array, Cloud, Stats
 from ._values import KINDS, from_ron, plugin_text, to_ron
@@ -50,8 +51,11 @@ class Run:
         return dict(_pwrfgs.facts(self.folder)[1] or {})
 
     def table(self) -> Any:
-        """Scores as a pandas data frame (rows: predictor; columns: metric and statistic), or a list of dicts without
-        pandas."""
+        """Scores as a pandas data frame (rows: predictor; columns: metric and statistic)."""
+        try:
+            import pandas
+        except ModuleNotFoundError:
+            raise missing("pandas", "frames") from None
         rows: List[Dict[str, Any]] = []
         for predictor, metrics in self.scores.items():
             row: Dict[str, Any] = {"predictor": predictor}
@@ -61,17 +65,19 @@ class Run:
                 else:
                     row[metric] = value
             rows.append(row)
-        try:
-            import pandas
-        except ImportError:
-            return rows
         return pandas.DataFrame(rows).set_index("predictor") if rows else pandas.DataFrame()
 
-    def samples(self) -> List[Dict[str, str]]:
-        """Columns of ``samples.csv``: one row per test sample."""
-        # Names that spreadsheets would compute have one more apostrophe in the file.
-        rows = _rows(self._file("samples.csv"))
-        return [{key: text[1:] if text.startswith("'") else text for key, text in row.items()} for row in rows]
+    def samples(self) -> List[Dict[str, Any]]:
+        """Position and scores of every test sample, one dict each: id, x, y, z in metres, nearest_train_m (distance to the
+        nearest training transmitter in metres), and a score per predictor and metric, such as ``row["model ssim"]``. Data
+        with several receivers also have link and receiver. Unknown values are None."""
+        rows = [row for row in _rows(self._file("samples.csv")) if row.pop("split") == "test"]
+        samples = {row.get("link", row["id"]): {key: _parsed(key, text) for key, text in row.items()} for row in rows}
+        for score in _rows(self._file("scores.csv")):
+            if score["sample"]:
+                name = f"{_unquoted(score['predictor'])} {score['metric']}"
+                samples[score["sample"]][name] = float(score["value"])
+        return list(samples.values())
 
     @property
     def curve(self) -> Dict[str, Array]:
@@ -101,11 +107,18 @@ class Run:
         return self._file("report.html")
 
     def __repr__(self) -> str:
+        if not self.finished:
+            return f"<Run {self.folder}: not finished>"
+        metric, value = next(iter(self.scores["model"].items()))
+        mean = value["mean"] if isinstance(value, dict) else value
+        return f"<Run {self.folder}: {metric} {mean}, {self.facts['gaussians']} Gaussians>"
+
+    def __str__(self) -> str:
         text = _pwrfgs.facts(self.folder)[2]
-        return f"<Run {self.folder}{'' if text else ', not finished'}>" + (f"\n{text}" if text else "")
+        return f"{self!r}\n{text}" if text else repr(self)
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(repr(self))}</pre>"
+        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def _rows(path: str) -> List[Dict[str, str]]:
@@ -114,6 +127,18 @@ def _rows(path: str) -> List[Dict[str, str]]:
             return list(csv.DictReader(file))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error}") from None
+
+
+def _unquoted(text: str) -> str:
+    """Name from a CSV file: a name that spreadsheets would compute has one more apostrophe in the file."""
+    return text[1:] if text.startswith("'") else text
+
+
+def _parsed(key: str, text: str) -> Any:
+    """Value of a column of ``samples.csv``; None if it is empty."""
+    if key == "receiver":
+        return _unquoted(text)
+    return None if not text else int(text) if key in ("id", "link") else float(text)
 
 
 def _columns(path: str) -> Dict[str, Array]:
@@ -130,11 +155,17 @@ def _columns(path: str) -> Dict[str, Array]:
     return {name: column(name) for name in names}
 
 
+def _is_interactive() -> bool:
+    """Whether the error stream is a terminal, or the program a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel") or (sys.stderr is not None and sys.stderr.isatty())
+
+
 class _Progress:
-    """Progress bar in a terminal or a notebook."""
+    """Progress bar in a terminal or a notebook; silent elsewhere."""
 
     def __init__(self, shown: bool) -> None:
-        self.shown = shown
+        self.shown = shown and _is_interactive()
         self.bar: Any = None
         self.name = ""
         self.note = ""
@@ -216,7 +247,7 @@ def run(
     initializer, split
         Custom strategy or plugin that replaces that of the pipeline.
     progress
-        Whether to show a progress bar.
+        Whether to show a progress bar, in a terminal or a notebook.
 
     Ctrl-C stops at the next step and writes a checkpoint. Repeat the call to resume; the result is identical to an
     uninterrupted run.

@@ -22,6 +22,19 @@ def _told(cls: Type[Record]) -> Type[Record]:
     return cls
 
 
+def _brief(cls: Type[Record]) -> Type[Record]:
+    """Set a ``repr`` of one line: shapes in place of numbers."""
+
+    def shown(value: Any) -> str:
+        return repr(list(value.shape if isinstance(value, np.ndarray) else value))
+
+    def short(self: Any) -> str:
+        return f"<{cls.__name__}: {', '.join(f'{name} {shown(value)}' for name, value in zip(self._fields, self))}>"
+
+    setattr(cls, "__repr__", short)
+    return cls
+
+
 @_told
 class Pose(NamedTuple):
     """Position and orientation of a receiver.
@@ -55,6 +68,7 @@ class Receiver:
             raise InputError(f"antennas is {self.antennas}, expected positions [A, 3] in metres")
 
 
+@_brief
 @_told
 class Partition(NamedTuple):
     """Link indices of a split, sorted and disjoint.
@@ -69,6 +83,7 @@ class Partition(NamedTuple):
     test: Array
 
 
+@_brief
 class Gaussians(NamedTuple):
     """Gaussians in space, with the field names of gsplat.
 
@@ -86,6 +101,7 @@ class Gaussians(NamedTuple):
     signals: Array
 
 
+@_brief
 @_told
 class Splats(NamedTuple):
     """Gaussians projected to the image plane.
@@ -156,6 +172,7 @@ class Cloud:
         return self.columns["signals"]
 
 
+@_brief
 @_told
 class Stats(NamedTuple):
     """Statistics of each Gaussian since the last densification, [N] each.
@@ -194,6 +211,7 @@ class StepContext(NamedTuple):
     target: Optional[int]
 
 
+@_brief
 @_told
 class Room(NamedTuple):
     """Input of an initialiser, metres in the world frame.
@@ -208,6 +226,7 @@ class Room(NamedTuple):
     receivers: Array
 
 
+@_brief
 @_told
 class Links(NamedTuple):
     """Links without observations.

@@ -9,6 +9,8 @@ from typing import Any, Optional, Tuple
 
 import numpy as np
 
+from ._errors import missing
+
 # The reports' sequential scale: lightness linear in the value, hue and chroma at 0, 1/4, 1/2, 3/4 and 1 (OKLCh).
 _HUES = ((305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175))
 TRAINING, TEST, RECEIVER = "#c27c00", "#00805c", "#174a99"
@@ -17,14 +19,20 @@ TRAINING, TEST, RECEIVER = "#c27c00", "#00805c", "#174a99"
 def _axes(ax: Any, **options: Any) -> Any:
     if ax is not None:
         return ax
-    import matplotlib.pyplot as plt
+    try:
+        import matplotlib.pyplot as plt
+    except ModuleNotFoundError:
+        raise missing("matplotlib", "plot") from None
 
     return plt.subplots(layout="constrained", **options)[1]
 
 
 def colours() -> Any:
     """Colour map of the reports, from dark violet to yellow."""
-    from matplotlib.colors import ListedColormap
+    try:
+        from matplotlib.colors import ListedColormap
+    except ModuleNotFoundError:
+        raise missing("matplotlib", "plot") from None
 
     t = np.linspace(0.0, 1.0, 256)
     hue = np.deg2rad(np.interp(t, np.linspace(0, 1, 5), [h for h, _ in _HUES]))

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Sequence
 
-import torch
-from torch.autograd.function import once_differentiable
-
 from . import _pwrfgs
-from ._errors import InputError
+from ._errors import InputError, missing
 from ._kernels import rasterize_with_vjp
+
+try:
+    import torch
+    from torch.autograd.function import once_differentiable
+except ModuleNotFoundError:
+    raise missing("torch", "torch") from None
 
 # What the kernels of this build compute in, and narrower numbers, which lose nothing on the way.
 _REAL = (torch.float32, torch.float64)[: _pwrfgs.real_bytes // 4]

@@ -2,16 +2,18 @@
 
 mod inputs;
 
-use crate::arrays::{array, numbers, observations, places};
+use crate::arrays::{array, numbers, observations, places, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Split, recognise, rng,
+    Simulation, Spectra, Split, recognise, rng,
 };
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
+use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -24,23 +26,36 @@ pub(crate) struct Dataset {
     pub(crate) data: Arc<Data>,
     /// Data source as RON; `None` until it is saved.
     source: Mutex<Option<String>>,
+    /// Read-only array of all observations, once it has been requested.
+    all: PyOnceLock<Py<PyAny>>,
 }
 
 /// Converts the observations of links to a NumPy array.
 pub(crate) fn observed<'py>(py: Python<'py>, data: &Data, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
-    let rows = free(py, || Ok(links.iter().flat_map(|&i| data.image(i).pixels).collect()))?;
+    let each = data.width * data.height;
+    room::<Real>(&[links.len(), each])?;
+    let rows = free(py, || {
+        let mut rows = vec![0.0; links.len() * each];
+        let copy = |(row, &i): (&mut [Real], &usize)| row.copy_from_slice(&data.image(i).pixels);
+        rows.par_chunks_exact_mut(each).zip(links).for_each(copy);
+        data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
+    })?;
     observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
 }
 
 impl Dataset {
     pub(crate) fn new(data: Data, source: Option<String>) -> Self {
-        Self { data: Arc::new(data), source: Mutex::new(source) }
+        Self { data: Arc::new(data), source: Mutex::new(source), all: PyOnceLock::new() }
     }
 
-    /// All observations if `is_there`, else `None`.
+    /// All observations as a read-only array if `is_there`, else `None`. The first call converts them.
     fn all_if<'py>(&self, py: Python<'py>, is_there: bool) -> PyResult<Option<Bound<'py, PyAny>>> {
-        let all = || observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>());
-        is_there.then(all).transpose()
+        let convert = || {
+            let all = observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>())?;
+            all.getattr("flags")?.setattr("writeable", false)?;
+            PyResult::Ok(all.unbind())
+        };
+        is_there.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
     }
 }
 
@@ -77,15 +92,15 @@ impl Dataset {
     ///
     /// * `spectra` [M, H, W]: spatial spectra from 0 to 1 (or bytes of 0 to 255) at one receiver; rows are elevations,
     ///   columns azimuths that go once around.
-    /// * `rssi` [M, R]: received powers in dBm; NaN for a missing link. Every row and column needs a power.
+    /// * `rssi` [M, R]: received powers in dBm at R `receivers`; NaN for a missing link. Every row and column needs a
+    ///   power.
     /// * `csi` [M, A, F]: channels at one receiver with A antennas, whose positions are in `Receiver(antennas=..)`, and
-    /// F
-    ///   subcarriers of `frequencies_hz` [F].
+    ///   F subcarriers of `frequencies_hz` [F].
     ///
     /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R,
-    /// 3]; without it, one receiver at the origin. `points` [P, 3] are surface points of the room. `elevation_deg` are
-    /// the elevations of the upper edge of the top row and the lower edge of the bottom row of spectra, (0, 90) by
-    /// default. Set `simulated=True` for data that were not measured.
+    /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. `points` [P, 3] are
+    /// surface points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower
+    /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured.
     #[staticmethod]
     #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
@@ -104,6 +119,7 @@ impl Dataset {
     ) -> PyResult<Self> {
         let txs = places("tx", tx)?;
         let points = points.map_or(Ok(Vec::new()), |points| places("points", points))?;
+        let placed = receivers.is_some();
         let receivers = inputs::receivers_of(py, receivers)?;
         let first = u32::from(spectra.is_some());
         let sample = |(i, tx): (usize, &[f64; 3])| Sample::new(i as u32 + first, *tx);
@@ -114,6 +130,7 @@ impl Dataset {
                 return Err(wrong(py, &format!("{what}; create one data set per receiver")));
             }
             (Some(spectra), None, None) => (alone, Observations::from(inputs::pictures(spectra, txs.len())?)),
+            (None, Some(rssi), None) if !placed => return Err(inputs::receivers_missing(rssi)?),
             (None, Some(rssi), None) => inputs::received_powers(rssi, &txs, receivers.len())?,
             (None, None, Some(csi)) => (alone, inputs::gains(csi, txs.len(), frequencies_hz)?),
             _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
@@ -226,19 +243,20 @@ impl Dataset {
         PyList::new(py, self.data.scene.receivers.iter().map(one).collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// Spatial spectra [L, H, W], float32 from 0 to 1; None for other observations.
+    /// Spatial spectra [L, H, W], float32 from 0 to 1, as a read-only view of one array, which the first access
+    /// creates; None for other observations.
     #[getter]
     fn spectra<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.all_if(py, self.data.observations.spectra().is_some())
     }
 
-    /// Received powers [L], dBm; None for other observations.
+    /// Received powers [L], dBm, as a read-only view; None for other observations.
     #[getter]
     fn rssi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.all_if(py, self.data.observations.powers().is_some())
     }
 
-    /// Channels [L, A, F], complex64; None for other observations.
+    /// Channels [L, A, F], complex64, as a read-only view; None for other observations.
     #[getter]
     fn csi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.all_if(py, self.data.observations.channels().is_some())

@@ -7,6 +7,7 @@ import pytest
 
 import pwrfgs
 
+ONE = [(0.0, 0.0, 2.0)]
 TX = np.random.default_rng(0).uniform(0, 4, size=(30, 3))
 
 
@@ -28,6 +29,17 @@ def test_spectra_come_and_go(tmp_path):
     assert np.array_equal(again.spectra, data.spectra) and np.array_equal(again.tx, data.tx) and again.simulated
     with pytest.raises(pwrfgs.Error):
         data.save(tmp_path / "mine")
+
+
+def test_observations_are_read_only_views_of_one_array():
+    grey = np.zeros((30, 12, 36), np.uint8)
+    grey[:, 3, 5] = np.arange(30)
+    data = pwrfgs.Dataset.from_arrays(TX, grey)
+    assert np.shares_memory(data.spectra, data.spectra) and data.spectra.dtype.itemsize == pwrfgs._pwrfgs.real_bytes
+    with pytest.raises(ValueError, match="read-only"):
+        data.spectra[0] = 1
+    powers = pwrfgs.Dataset.from_arrays(TX, rssi=np.linspace(-60, -50, 30), receivers=[[0, 0, 2]])
+    assert np.shares_memory(powers.rssi, powers.rssi) and powers.spectra is None and not powers.rssi.flags.writeable
 
 
 def test_bytes_stay_bytes():
@@ -62,14 +74,16 @@ def test_powers_and_channels(tmp_path):
         (dict(spectra=np.full((30, 12, 36), np.nan, np.float32)), "is NaN"),
         (dict(spectra=spectra().transpose(0, 2, 1)), "s.transpose(0, 2, 1)"),
         (dict(spectra=np.zeros((30, 18, 36), np.uint8)), "such as elevation_deg=(-90, 90) for a full sphere"),
-        (dict(rssi=np.where(np.arange(30) == 3, np.nan, -60.0)), "rssi[3] is NaN throughout"),
+        (dict(rssi=np.full(30, -60.0)), "rssi has shape [30], but receivers is missing; pass receivers=[..] with 1 position [x, y, z]"),
+        (dict(rssi=np.zeros((30, 3))), "pass receivers=[..] with 3 positions"),
+        (dict(rssi=np.where(np.arange(30) == 3, np.nan, -60.0), receivers=ONE), "rssi[3] is NaN throughout"),
         (dict(rssi=np.tile([-60.0, np.nan], (30, 1)), receivers=[[0, 0, 2], [4, 4, 2]]), "rssi[:, 1] is NaN throughout"),
-        (dict(rssi=np.full(30, -60.0), elevation_deg=(0, 90)), "only valid for spectra"),
-        (dict(rssi=np.full(30, -60.0), frequencies_hz=[1e9]), "only valid for csi"),
-        (dict(rssi=np.full(30, -100.0)), "marks a missing link"),
-        (dict(rssi=np.full(30, 1e6)), "no power in dBm"),
+        (dict(rssi=np.full(30, -60.0), receivers=ONE, elevation_deg=(0, 90)), "only valid for spectra"),
+        (dict(rssi=np.full(30, -60.0), receivers=ONE, frequencies_hz=[1e9]), "only valid for csi"),
+        (dict(rssi=np.full(30, -100.0), receivers=ONE), "marks a missing link"),
+        (dict(rssi=np.full(30, 1e6), receivers=ONE), "no power in dBm"),
         (dict(rssi=np.full(30, -60.0), receivers=[pwrfgs.Receiver('a"b')]), "1 to 100 characters"),
-        (dict(rssi=np.zeros((30, 3))), "rssi has shape [30, 3]"),
+        (dict(rssi=np.zeros((30, 3)), receivers=ONE), "rssi has shape [30, 3], expected [30, 1]"),
         (dict(csi=np.zeros((30, 1, 4), complex)), "needs frequencies_hz"),
         (dict(spectra=spectra(), receivers=[[0, 0]]), "a receiver has shape [2]"),
         (dict(spectra=spectra(), receivers=[pwrfgs.Receiver(orientation=(0, 0, 0, 2.0))]), "has length 2"),
@@ -167,8 +181,8 @@ def test_what_is_accepted_is_read_back_equal(tmp_path):
 
 def test_wrong_units_are_warned_of(tmp_path):
     for data, words in [
-        (dict(rssi=10 ** np.linspace(-9, -4, 30)), "10 \\* log10"),
-        (dict(rssi=np.full(30, 45.0) - 90 * (np.arange(30) < 3)), "the median is 45.0 dBm"),
+        (dict(rssi=10 ** np.linspace(-9, -4, 30), receivers=ONE), "10 \\* log10"),
+        (dict(rssi=np.full(30, 45.0) - 90 * (np.arange(30) < 3), receivers=ONE), "the median is 45.0 dBm"),
         (dict(spectra=np.tile(spectra(1), (30, 1, 1))), "all 30 are equal"),
     ]:
         with pytest.warns(UserWarning, match=words):
@@ -177,7 +191,7 @@ def test_wrong_units_are_warned_of(tmp_path):
     with pytest.warns(UserWarning, match="all 30 are equal"):
         pwrfgs.Dataset.load(tmp_path / "equal")
     with pytest.warns(UserWarning, match="convert them to metres"):
-        pwrfgs.Dataset.from_arrays(100 * TX, rssi=np.linspace(-60, -50, 30))
+        pwrfgs.Dataset.from_arrays(100 * TX, rssi=np.linspace(-60, -50, 30), receivers=ONE)
     with pytest.raises(pwrfgs.InputError, match="no such folder"):
         pwrfgs.Dataset.load(tmp_path / "nowhere")
 

@@ -61,7 +61,7 @@ def test_baselines_against_numpy(dataset):
     with pytest.raises(pwrfgs.InputError, match="no training links"):
         pwrfgs.baselines.mean(dataset, at, [])
     rssi = -40 - 20 * np.log10(np.linalg.norm(dataset.tx, axis=1) + 0.1)
-    powers = pwrfgs.Dataset.from_arrays(dataset.tx, rssi=rssi)
+    powers = pwrfgs.Dataset.from_arrays(dataset.tx, rssi=rssi, receivers=[[0, 0, 0]])
     assert np.abs(pwrfgs.baselines.log_distance(powers, at) - rssi[1:6]).mean() < 2
 
 

@@ -59,7 +59,8 @@ def test_fields_are_attributes(pipeline):
     assert (pipeline.training.steps, pipeline.training.batch, pipeline.seed) == (80, 2, 4)
     assert pipeline.get("pruners.LearnableMask.lambda") == 0.5 and pipeline.pruners[0].epsilon == 0.1
     assert repr(pipeline.training.optimizer.network) == "Constant(0.001)"
-    assert pwrfgs.Pipeline(repr(pipeline)) == pipeline
+    assert pwrfgs.Pipeline(str(pipeline)) == pipeline
+    assert repr(pipeline) == "<Pipeline small: Teacher, Random, 80 steps>"
     other = pipeline.copy()
     other.seed = 9
     assert pipeline.seed == 4 and copy.deepcopy is not None
@@ -81,11 +82,11 @@ def test_mistakes_have_a_place(pipeline, tmp_path):
         pwrfgs.Pipeline(file)
     assert (told.value.line, told.value.column) == (3, 16) and "did you mean `initializer`" in str(told.value)
     assert str(told.value.path).endswith("p.ron")
-    before = repr(pipeline)
+    before = str(pipeline)
     for change in [{"training.stepps": 1}, {"training.steps": "many"}, {"seed": -1}, {"training.batch": 0}]:
         with pytest.raises(pwrfgs.InputError):
             pipeline.set({"training.steps": 7, **change} if "training.steps" not in change else change)
-        assert repr(pipeline) == before
+        assert str(pipeline) == before
     for change, said in [
         ({"training.steps": -5}, "^training.steps = -5: .*; it takes a whole number$"),
         ({"seed": [1]}, r"^seed = \[1\]: .*; it takes a whole number$"),
@@ -115,7 +116,7 @@ def test_mistakes_have_a_place(pipeline, tmp_path):
 def test_every_pipeline_of_the_project_is_read():
     for file in sorted((ROOT / "pipelines").glob("*.ron")):
         read = pwrfgs.Pipeline(file)
-        assert pwrfgs.Pipeline(repr(read)).name == read.name
+        assert pwrfgs.Pipeline(str(read)).name == read.name
 
 
 def test_lists_of_a_pipeline_change_it(pipeline):
@@ -161,5 +162,5 @@ def test_a_saved_pipeline_means_the_same_data(tmp_path):
     assert again.load_data().title == there.load_data().title
     with pytest.raises(pwrfgs.InputError, match="exists"):
         there.save(path)
-    commented = "// mine\n/* (a) */ " + repr(there)
+    commented = "// mine\n/* (a) */ " + str(there)
     assert pwrfgs.Pipeline(commented).name == there.name

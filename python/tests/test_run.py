@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import SMALL, files, interrupted
+from conftest import ROOT, SMALL, files, interrupted
 
 import pwrfgs
 
@@ -22,9 +23,13 @@ def test_a_run_is_that_of_the_command_line(run, cli, tmp_path):
 
 
 def test_names_of_receivers_are_read_as_they_are(tmp_path):
-    (tmp_path / "samples.csv").write_text("link,id,receiver,x\n0,0,'=n(),-1.5\n1,0,''a,2\n")
+    (tmp_path / "samples.csv").write_text("link,id,receiver,x,split\n0,0,'=n(),-1.5,test\n1,0,''a,,test\n2,1,b,1,train\n")
+    (tmp_path / "scores.csv").write_text("predictor,metric,sample,value\nmodel,l1,0,0.5\n'=p,l1,1,0.25\nmodel,gaussians,,3\n")
     rows = pwrfgs.Run.samples(SimpleNamespace(_file=lambda name: str(tmp_path / name)))
-    assert [(row["receiver"], row["x"]) for row in rows] == [("=n()", "-1.5"), ("'a", "2")]
+    assert rows == [
+        {"link": 0, "id": 0, "receiver": "=n()", "x": -1.5, "model l1": 0.5},
+        {"link": 1, "id": 0, "receiver": "'a", "x": None, "=p l1": 0.25},
+    ]
 
 
 def test_what_a_run_holds(run):
@@ -32,14 +37,46 @@ def test_what_a_run_holds(run):
     assert 0 < run.scores["model"]["ssim"]["mean"] <= 1 and set(run.scores) >= {"model", "mean spectrum", "3-NN"}
     assert run.scores["3-NN"]["gaussians"] is None
     assert run.curve["step"].tolist() == list(range(1, 61)) and run.curve["phase"][0] == "densify"
-    assert "ssim" in repr(run) and "<pre>" in run._repr_html_() and "html" in open(run.report).read(200)
-    table = run.table()
-    assert "model" in (table.index if hasattr(table, "index") and not isinstance(table, list) else [r["predictor"] for r in table])
-    assert {row["split"] for row in run.samples()} >= {"train", "test"} and run.validation["step"].tolist() == [20, 40, 60]
+    assert "ssim" in repr(run) and "3-NN" in str(run) and "<pre>" in run._repr_html_() and "html" in open(run.report).read(200)
+    rows = run.samples()
+    assert len(rows) == run.facts["samples"][2] and set(rows[0]) >= {"id", "x", "nearest_train_m", "3-NN ssim"}
+    assert np.isclose(np.mean([row["model ssim"] for row in rows]), run.scores["model"]["ssim"]["mean"])
+    assert run.validation["step"].tolist() == [20, 40, 60]
     again = pwrfgs.run(pwrfgs.Pipeline(SMALL), out=run.folder, progress=False)
     assert again.scores == run.scores
     with pytest.raises(pwrfgs.InputError, match="not a run folder"):
         pwrfgs.Run("/nowhere")
+
+
+def test_scores_as_a_table(run):
+    pytest.importorskip("pandas")
+    assert run.table().loc["model", "ssim_mean"] == run.scores["model"]["ssim"]["mean"]
+
+
+def test_values_have_a_repr_of_one_line(run, model, dataset, pipeline):
+    trainer = pwrfgs.Trainer(pipeline, dataset)
+    parts = dataset.split("random", test=0.2, validation=0.0)
+    assert repr(parts) == "<Partition: train [96], validation [0], test [24]>"
+    gaussians = model.gaussians()
+    splats = pwrfgs.project(*gaussians[:4], pwrfgs.Pose(), 15, 60)
+    for value in (run, model, dataset, pipeline, trainer, trainer.cloud, trainer.stats, parts, gaussians, splats, dataset.receivers):
+        assert "\n" not in repr(value) and len(repr(value)) < 200, repr(value)
+
+
+def test_missing_extras_are_named_with_their_command(run, monkeypatch):
+    settings = (ROOT / "python/pyproject.toml").read_text()
+    for package, extra, use in [
+        ("matplotlib", "plot", lambda: pwrfgs.plot.curve(run)),
+        ("pandas", "frames", run.table),
+        ("torch", "torch", lambda: importlib.import_module("pwrfgs.torch")),
+    ]:
+        for name in (package, "matplotlib.pyplot"):
+            monkeypatch.setitem(sys.modules, name, None)
+        monkeypatch.delitem(sys.modules, "pwrfgs.torch", raising=False)
+        with pytest.raises(ImportError) as told:
+            use()
+        assert str(told.value) == f"{package} is missing; install it with: pip install 'pwrfgs[{extra}]'"
+        assert f"\n{extra} = [" in settings
 
 
 def test_stopped_and_resumed_it_ends_in_the_same_files(run, tmp_path):
@@ -84,7 +121,7 @@ def test_an_exception_in_a_callback_comes_out(tmp_path):
         pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", callback=hear, progress=False)
 
 
-def test_settings_as_on_the_command_line(tmp_path):
+def test_settings_as_on_the_command_line(tmp_path, capfd):
     events = []
     done = pwrfgs.run(
         pwrfgs.Pipeline(SMALL), set={"training.scale": 0.2, "pruners": [pwrfgs.TopK()], "training.target_count": 20, "split": "Random(test: 0.5)"},
@@ -92,6 +129,7 @@ def test_settings_as_on_the_command_line(tmp_path):
     )
     assert done.facts["steps"] == 12 and done.model.n <= 20 and done.facts["samples"][2] == 60
     assert {event["what"] for event in events} >= {"start", "step", "stage", "message"}
+    assert capfd.readouterr().err == ""  # no bar without a terminal
     with pytest.raises(pwrfgs.InputError, match="did you mean"):
         pwrfgs.run(pwrfgs.Pipeline(SMALL), set={"training.stepz": 1}, out=tmp_path / "x", progress=False)
     with pytest.raises(pwrfgs.Error):

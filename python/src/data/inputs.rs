@@ -10,6 +10,14 @@ use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Pose, Real, Re
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 
+/// Exception for received powers without receiver positions.
+pub(super) fn receivers_missing(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
+    let shape: Vec<usize> = rssi.py().import("numpy")?.call_method1("shape", (rssi,))?.extract()?;
+    let count = shape.get(1).copied().unwrap_or(1);
+    let what = format!("rssi has shape {shape:?}, but receivers is missing; pass receivers=[..] with {count} ");
+    Ok(wrong(rssi.py(), &format!("{what}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))
+}
+
 /// Reads the receivers.
 pub(super) fn receivers_of(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
     let Some(value) = value else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
