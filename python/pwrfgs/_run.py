@@ -111,7 +111,7 @@ class Run:
             return f"<Run {self.folder}: not finished>"
         metric, value = next(iter(self.scores["model"].items()))
         mean = value["mean"] if isinstance(value, dict) else value
-        return f"<Run {self.folder}: {metric} {mean}, {self.facts['gaussians']} Gaussians>"
+        return f"<Run {self.folder}: {metric} {mean:.4g}, {self.facts['gaussians']} Gaussians>"
 
     def __str__(self) -> str:
         text = _pwrfgs.facts(self.folder)[2]
