@@ -64,7 +64,12 @@ fn invisible_gaussians_change_neither_image_nor_derivative() {
         let kept = [0, 2, 3, 5, 6, 7, 8, 9];
         assert_eq!(stages.drawable(&more, None), kept);
         let picture = |cloud: &GaussianCloud| {
-            let model = Model { stages: Stages::clone(&stages), cloud: cloud.clone(), weights: weights.to_vec() };
+            let model = Model {
+                stages: Stages::clone(&stages),
+                cloud: cloud.clone(),
+                weights: weights.to_vec(),
+                training: None,
+            };
             model.predict([0.3, 0.2, 0.9])
         };
         assert_eq!(picture(&few), picture(&more), "{deformation}");

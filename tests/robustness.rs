@@ -125,7 +125,12 @@ fn zero_and_one_gaussian_predict_and_differentiate() {
         let weights = stages.layout().init(&mut rng::stream(1, "network", 0));
         for n in [0, 1] {
             let cloud = cloud(n, 1);
-            let model = Model { stages: Stages::clone(&stages), cloud: cloud.clone(), weights: weights.clone() };
+            let model = Model {
+                stages: Stages::clone(&stages),
+                cloud: cloud.clone(),
+                weights: weights.clone(),
+                training: None,
+            };
             let pictures = model.prepare().predict_many(&[[0.1, 0.2, 0.3], [0.5, 0.0, 0.9]].map(Query::from));
             assert!(pictures.iter().all(|p| p.pixels.len() == 90 * 24 && finite(&p.pixels)), "{deformation}");
             assert!(n > 0 || pictures[0].pixels.iter().all(|p| *p == 0.0));

@@ -1,5 +1,6 @@
 //! What each verb does when all is well, and that nothing of the user's is overwritten.
 use crate::common::{SMALL, call, refuse, stderr, stdout, succeed, write};
+use pwrfgs::model::{Model, file};
 use pwrfgs_core::testing::npy;
 use std::path::Path;
 
@@ -112,7 +113,8 @@ fn predicts(here: &Path) {
     succeed(&lonely, &["predict", "m.safetensors", "--tx-csv", "tx.csv", "--out", "many"]);
     succeed(&lonely, &["predict", "m.safetensors", "--tx", "-0.2,0.1,0.9", "--out", "one"]);
     let list = read(&lonely.join("many/predictions.csv"));
-    assert!(list.starts_with("row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds\n1,0.2,0.1,0.9,"), "{list}");
+    let header = "row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds,training_distance_m\n";
+    assert!(list.starts_with(&format!("{header}1,0.2,0.1,0.9,")), "{list}");
     assert_eq!(list.lines().count(), 3);
     let bytes = std::fs::read(lonely.join("many/00002.npy")).unwrap();
     let (shape, values) = npy(&bytes);
@@ -125,11 +127,42 @@ fn predicts(here: &Path) {
     }
     refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["many is not empty"]);
     stacked(&lonely, &values);
+    extrapolates(&lonely);
     // A folder of somebody else's pictures is left alone.
     crate::common::picture(&lonely.join("spectra/00001.png"), 4, 4);
     let theirs = std::fs::read(lonely.join("spectra/00001.png")).unwrap();
     refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "spectra"], 2, &["spectra", "00001.png"]);
     assert_eq!(std::fs::read(lonely.join("spectra/00001.png")).unwrap(), theirs);
+}
+
+/// A position far from the training positions gives a warning with its distance; a model of an earlier version, a note.
+fn extrapolates(here: &Path) {
+    let model = file::read(&here.join("m.safetensors")).unwrap();
+    let training = model.training.clone().unwrap();
+    let near = training.positions()[0];
+    write(&here.join("far.csv"), format!("x,y,z\n{},{},{}\n22,0,1\n23,0,1\n", near[0], near[1], near[2]));
+    let output = succeed(here, &["predict", "m.safetensors", "--tx-csv", "far.csv", "--out", "far"]);
+    let list = read(&here.join("far/predictions.csv"));
+    let distances: Vec<f64> =
+        list.lines().skip(1).map(|row| row.rsplit(',').next().unwrap().parse().unwrap()).collect();
+    let expected = training.positions().iter().map(|p| {
+        let sides = [23.0 - p[0], p[1], 1.0 - p[2]].map(f64::from);
+        sides.iter().map(|side| side * side).sum::<f64>().sqrt()
+    });
+    let expected = expected.fold(f64::INFINITY, f64::min);
+    assert!(distances[0] == 0.0 && (distances[2] - expected).abs() < 1e-3, "{distances:?}, expected {expected}");
+    let words = format!(
+        "warning: 2 of 3 positions are farther than {:.2} m from all training positions (up to {expected:.2} m)",
+        training.limit()
+    );
+    assert_eq!(stderr(&output).matches(&words).count(), 1, "{}", stderr(&output));
+    let output = succeed(here, &["predict", "m.safetensors", "--tx", "0.2,0.1,0.9", "--out", "near"]);
+    assert!(!stderr(&output).contains("training positions"), "{}", stderr(&output));
+
+    file::write(&here.join("old.safetensors"), &Model { training: None, ..model }).unwrap();
+    let output = succeed(here, &["predict", "old.safetensors", "--tx", "22,0,1", "--out", "old"]);
+    assert!(stderr(&output).contains("note: the model has no training positions"), "{}", stderr(&output));
+    assert!(read(&here.join("old/predictions.csv")).ends_with(",\n"));
 }
 
 /// One array in place of many, the same numbers, and no picture.

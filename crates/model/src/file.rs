@@ -1,7 +1,7 @@
 //! Model file; `docs/model-format.md` describes it.
 
 use crate::tensors::Tensors;
-use crate::{Ensemble, Model, Stages};
+use crate::{Ensemble, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
@@ -77,6 +77,8 @@ const VERSION: u32 = 5;
 const NETWORK: &str = "network.";
 /// Prefix of the names of constants that the network derives from a seed.
 const CONSTANTS: &str = "constants.";
+/// Name of the tensor of training positions.
+const TRAINING: &str = "training_positions";
 
 /// Writes `model` to `path` atomically.
 ///
@@ -169,6 +171,10 @@ fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     for (spec, values) in model.stages.layout().constants {
         file.put(format!("{prefix}{CONSTANTS}{}", spec.name), spec.shape, values);
     }
+    if let Some(training) = &model.training {
+        let positions = training.positions();
+        file.put(format!("{prefix}{TRAINING}"), vec![positions.len(), 3], positions.as_flattened().to_vec());
+    }
 }
 
 /// Reads a file with one model.
@@ -242,7 +248,15 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     let cloud = take_columns(file, &format!("{prefix}gaussians."), note.gaussians, &columns)?;
     let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
     check_constants(file, prefix, &stages)?;
-    Ok(Model { stages, cloud, weights })
+    let training = take_training(file, &format!("{prefix}{TRAINING}"))?;
+    Ok(Model { stages, cloud, weights, training })
+}
+
+/// Takes the training positions; `None` in a file of an earlier version.
+fn take_training(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
+    let Some(count) = file.shape(name).map(|shape| shape.first().copied().unwrap_or(0)) else { return Ok(None) };
+    let positions = file.take(name, &[count.max(1), 3])?;
+    Ok(TrainingPositions::of(positions.as_chunks().0.to_vec()))
 }
 
 fn setup(note: &Note) -> MeasurementSetup {

@@ -13,9 +13,11 @@ mod prepared;
 mod snapshot;
 pub mod tensors;
 mod trained;
+mod training_positions;
 
 pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;
 pub use snapshot::Snapshot;
 pub use trained::Trained;
+pub use training_positions::TrainingPositions;

@@ -1,5 +1,6 @@
 //! `Model`: the saved state that predicts. `Stages`: a method and its frame, which map parameters to observations.
 
+use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, AngleAxis, Dataset, Deformation, Error, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method,
@@ -17,6 +18,8 @@ pub struct Model {
     pub cloud: GaussianCloud,
     /// Weights Θ, with the layout of the method.
     pub weights: Vec<Real>,
+    /// Positions of the training set; `None` if unknown.
+    pub training: Option<TrainingPositions>,
 }
 
 impl Model {

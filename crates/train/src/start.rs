@@ -116,6 +116,7 @@ impl<'a> Trainer<'a> {
             weights: Arc::default(),
             done: 0,
             fingerprint: OnceLock::new(),
+            training_positions: OnceLock::new(),
         };
         if blank.is_exact() && blank.context(1).rounds == 0 {
             return Err(Error::Config(

@@ -11,7 +11,7 @@ use crate::plan::TrainingPlan;
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Phase, Real, Result, StepContext, rng,
 };
-use pwrfgs_model::{Model, Stages};
+use pwrfgs_model::{Model, Stages, TrainingPositions};
 use std::sync::{Arc, OnceLock};
 
 /// Results of one training step.
@@ -69,6 +69,8 @@ pub struct Trainer<'a> {
     pub(crate) done: u64,
     /// Fingerprint (see `checkpoint.rs`), computed when the first checkpoint is written or read.
     pub(crate) fingerprint: OnceLock<String>,
+    /// Thinned positions of the training set, computed for the first model; `None` if the data have no positions.
+    pub(crate) training_positions: OnceLock<Option<TrainingPositions>>,
 }
 
 impl Trainer<'_> {
@@ -222,7 +224,18 @@ impl Trainer<'_> {
         edit::drop_state(&mut cloud, &self.stages.method.traits().columns);
         let mut stages = Stages::clone(&self.stages);
         stages.setup.plane = self.plane.clone();
-        Model { stages, cloud, weights: self.weights.to_vec() }
+        let training = self.training_positions.get_or_init(|| self.thinned_positions()).clone();
+        Model { stages, cloud, weights: self.weights.to_vec(), training }
+    }
+
+    fn thinned_positions(&self) -> Option<TrainingPositions> {
+        let Dataset { placed, links, transmitters, scene, .. } = self.data;
+        let mut trained: Vec<usize> = self.batches.train().iter().map(|&i| links[i].transmitter).collect();
+        trained.sort_unstable();
+        trained.dedup();
+        let positions: Vec<[Real; 3]> =
+            trained.into_iter().map(|t| scene.origin.local(transmitters[t].position)).collect();
+        TrainingPositions::thinned(&positions).filter(|_| *placed)
     }
 
     /// Returns the dropout factors on the weights in this step; `None` without dropout.

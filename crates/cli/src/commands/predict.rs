@@ -20,7 +20,7 @@ const CHUNK: usize = 64;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Needs only the model file. Writes all files or none. predictions.csv has a row per position and
-receiver, with the latency in ms and:
+receiver, with the latency in ms, the distance to the nearest training position in metres and:
   spectra   azimuth and elevation of the strongest direction in degrees, and its value
   powers    power in dBm
   channels  mean power of the gains in dB
@@ -28,6 +28,8 @@ Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, .
 complex64 [antennas, subcarriers] in 00001.npy, .. --stacked: spectra.npy or channels.npy.
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
 deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
+A warning counts extrapolations: positions farther from all training positions than 3 times their
+spacing (95th percentile of nearest-neighbour distances).
 
 EXAMPLES
   pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
@@ -67,6 +69,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     };
     let ensemble = read_models(&arguments.models)?;
     check_positions(&ensemble)?;
+    let distances = ensemble.training_distances(&txs);
     let model = ensemble.prepare();
     let task = model.task();
     let listening = chosen(model.receivers(), &arguments.receiver)?;
@@ -83,7 +86,13 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let is_named = !task.has_pixels || model.receivers().len() > 1;
     let row = |k: usize| {
         let (tx, receiver) = (txs[k / listening.len()], listening[k % listening.len()]);
-        PredictionRow { number: k + 1, tx, receiver, name: is_named.then(|| model.receivers()[receiver].name.as_str()) }
+        PredictionRow {
+            number: k + 1,
+            tx,
+            receiver,
+            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
+            training_distance: distances.as_ref().map(|all| all[k / listening.len()]),
+        }
     };
     for first in (0..count).step_by(CHUNK) {
         progress.on_stage("predicting", first, count);
@@ -95,8 +104,26 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     writer.finish()?;
     folder.put("predictions.csv", list.as_bytes())?;
     made.publish()?;
+    if let Some(note) = extrapolation(distances.as_deref(), ensemble.training_limit()) {
+        verbosity.note(&note);
+    }
     verbosity.note(&format!("{} {} in {}", grouped(count as i64), task.plural, arguments.out.display()));
     Ok(())
+}
+
+/// Warning about transmitter positions beyond `limit`, or note that their distances are unknown.
+fn extrapolation(distances: Option<&[f64]>, limit: Option<f64>) -> Option<String> {
+    let (Some(distances), Some(limit)) = (distances, limit) else {
+        return Some("note: the model has no training positions, so extrapolations are not marked".into());
+    };
+    let beyond: Vec<f64> = distances.iter().copied().filter(|metres| *metres > limit).collect();
+    let largest = beyond.iter().copied().reduce(f64::max)?;
+    Some(format!(
+        "warning: {} of {} positions are farther than {limit:.2} m from all training positions (up to {largest:.2} m); \
+         these predictions are extrapolations",
+        grouped(beyond.len() as i64),
+        grouped(distances.len() as i64)
+    ))
 }
 
 /// Predicts one row after another, so that each latency is measured without other load.

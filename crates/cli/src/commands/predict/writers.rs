@@ -25,7 +25,12 @@ pub(super) struct PredictionRow<'a> {
     pub(super) receiver: usize,
     /// Name of the receiver; none for spectra at a single receiver.
     pub(super) name: Option<&'a str>,
+    /// Distance to the nearest training position, metres; none if unknown.
+    pub(super) training_distance: Option<f64>,
 }
+
+/// Name of the last column of `predictions.csv`.
+const DISTANCE: &str = "training_distance_m";
 
 impl PredictionRow<'_> {
     /// First columns of the row.
@@ -33,6 +38,12 @@ impl PredictionRow<'_> {
         let ([x, y, z], number) = (self.tx, self.number);
         self.name
             .map_or_else(|| format!("{number},{x},{y},{z}"), |name| format!("{number},{x},{y},{z},{}", field(name)))
+    }
+
+    /// Last columns of the row.
+    fn end(&self, milliseconds: f64) -> String {
+        let distance = self.training_distance.map_or_else(String::new, |metres| format!("{metres:.3}"));
+        format!("{milliseconds:.3},{distance}\n")
     }
 }
 
@@ -99,7 +110,7 @@ impl<'a> Spectra<'a> {
 impl Writer for Spectra<'_> {
     fn header(&self) -> String {
         let receiver = if self.has_names { "receiver," } else { "" };
-        format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,milliseconds\n")
+        format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,milliseconds,{DISTANCE}\n")
     }
 
     fn take(
@@ -142,7 +153,7 @@ fn line(plane: &ImagePlane, row: &PredictionRow<'_>, image: &Image, milliseconds
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
     let angles = plane.azimuth_elevation_deg(column, line);
     let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
-    format!("{},{angles},{},{milliseconds:.3}\n", row.begin(), image.pixels[strongest])
+    format!("{},{angles},{},{}", row.begin(), image.pixels[strongest], row.end(milliseconds))
 }
 
 /// Writer of received powers.
@@ -153,7 +164,7 @@ struct Powers {
 
 impl Writer for Powers {
     fn header(&self) -> String {
-        format!("row,x,y,z,receiver,dbm,{}ms\n", if self.has_spread { "spread_db," } else { "" })
+        format!("row,x,y,z,receiver,dbm,{}ms,{DISTANCE}\n", if self.has_spread { "spread_db," } else { "" })
     }
 
     fn take(
@@ -165,7 +176,7 @@ impl Writer for Powers {
     ) -> Result<()> {
         for (row, PredictionImage { image, spread, milliseconds }) in rows.iter().zip(drawn) {
             let spread = spread.as_ref().map_or_else(String::new, |spread| format!("{},", spread.pixels[0]));
-            _ = writeln!(list, "{},{},{spread}{milliseconds:.3}", row.begin(), image.pixels[0]);
+            _ = write!(list, "{},{},{spread}{}", row.begin(), image.pixels[0], row.end(*milliseconds));
         }
         Ok(())
     }
@@ -197,7 +208,7 @@ impl Channels {
 
 impl Writer for Channels {
     fn header(&self) -> String {
-        "row,x,y,z,receiver,db,ms\n".into()
+        format!("row,x,y,z,receiver,db,ms,{DISTANCE}\n")
     }
 
     fn take(
@@ -220,7 +231,7 @@ impl Writer for Channels {
                 (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
                 _ => {}
             }
-            _ = writeln!(list, "{},{:.4},{milliseconds:.3}", row.begin(), self.task.level(image));
+            _ = write!(list, "{},{:.4},{}", row.begin(), self.task.level(image), row.end(*milliseconds));
         }
         Ok(())
     }

@@ -1,0 +1,110 @@
+//! `TrainingPositions`: transmitter positions of the training set, thinned, to recognise extrapolations.
+
+use pwrfgs_core::Real;
+use pwrfgs_core::neighbours::{nearest_other_squared, nearest_squared};
+
+/// Maximum number of positions.
+const MOST: usize = 1_024;
+/// Minimum distance between two positions, as a share of the diagonal of their bounding box.
+const CLOSEST: Real = 0.01;
+/// Percentile of the distances between neighbours, and the factor from it to the limit.
+const SPACING: f64 = 0.95;
+const LIMIT: Real = 3.0;
+
+/// Thinned transmitter positions of a training set, one or more, and the distance beyond which a prediction is an
+/// extrapolation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainingPositions {
+    positions: Vec<[Real; 3]>,
+    limit: Real,
+}
+
+impl TrainingPositions {
+    /// Thins `all` positions (metres from the origin of the model); `None` without positions. Each step adds the position
+    /// farthest from those selected. At most 1,024 positions remain, at least 1 % of their diagonal apart.
+    pub fn thinned(all: &[[Real; 3]]) -> Option<Self> {
+        let mut selected = vec![*all.first()?];
+        let mut distances = vec![Real::INFINITY; all.len()];
+        let sides = (0..3).map(|k| {
+            let (low, high) = all.iter().fold((all[0][k], all[0][k]), |(l, h), p| (l.min(p[k]), h.max(p[k])));
+            (high - low).powi(2)
+        });
+        let closest = CLOSEST.powi(2) * sides.sum::<Real>();
+        while selected.len() < MOST {
+            let last = selected[selected.len() - 1];
+            let mut farthest = (0, Real::NEG_INFINITY);
+            for (i, (position, distance)) in all.iter().zip(&mut distances).enumerate() {
+                *distance = distance.min((0..3).map(|k| (position[k] - last[k]).powi(2)).sum());
+                if *distance > farthest.1 {
+                    farthest = (i, *distance);
+                }
+            }
+            if farthest.1 <= closest {
+                break;
+            }
+            selected.push(all[farthest.0]);
+        }
+        Self::of(selected)
+    }
+
+    /// Creates the set from thinned positions; `None` without positions.
+    pub(crate) fn of(positions: Vec<[Real; 3]>) -> Option<Self> {
+        let mut spacings = nearest_other_squared(&positions);
+        spacings.sort_by(Real::total_cmp);
+        let spacing = spacings.get((SPACING * spacings.len().saturating_sub(1) as f64).round() as usize)?.sqrt();
+        // A single position has no neighbour.
+        let limit = if spacing.is_finite() { LIMIT * spacing } else { 0.0 };
+        Some(Self { positions, limit })
+    }
+
+    /// Returns the positions `[K,3]`, metres from the origin of the model.
+    pub fn positions(&self) -> &[[Real; 3]] {
+        &self.positions
+    }
+
+    /// Returns the distance in metres beyond which a prediction is an extrapolation: three times the spacing of the
+    /// positions, which is the 95th percentile of the distances between nearest neighbours. 0 for a single position.
+    pub fn limit(&self) -> Real {
+        self.limit
+    }
+
+    /// Returns the distance of each place (metres from the origin of the model) to the nearest position, metres.
+    pub fn distances(&self, places: &[[Real; 3]]) -> Vec<Real> {
+        nearest_squared(places, &self.positions).into_iter().map(Real::sqrt).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Positions of a square grid of `n` by `n`, one metre apart.
+    fn grid(n: usize) -> Vec<[Real; 3]> {
+        (0..n * n).map(|i| [(i % n) as Real, (i / n) as Real, 1.0]).collect()
+    }
+
+    #[test]
+    fn few_positions_remain_and_repeated_ones_count_once() {
+        let ten = grid(10);
+        let repeated: Vec<_> = ten.iter().flat_map(|p| [*p, [p[0] + 0.01, p[1], p[2]], *p]).collect();
+        let found = TrainingPositions::thinned(&repeated).unwrap();
+        assert_eq!(found.positions().len(), 100);
+        assert!((found.limit() - 3.0).abs() < 0.1, "three spacings of a metre: {}", found.limit());
+        let one = TrainingPositions::thinned(&[[1.0, 2.0, 3.0]; 5]).unwrap();
+        assert_eq!((one.positions(), one.limit()), (&[[1.0, 2.0, 3.0]][..], 0.0));
+        assert_eq!(TrainingPositions::thinned(&[]), None);
+    }
+
+    #[test]
+    fn thinning_leaves_no_hole_and_an_outlier_keeps_the_limit() {
+        let mut all = grid(80);
+        let found = TrainingPositions::thinned(&all).unwrap();
+        assert_eq!(found.positions().len(), MOST);
+        let farthest = found.distances(&all).into_iter().fold(0.0, Real::max);
+        assert!(farthest < found.limit() / 2.0, "{farthest} of {}", found.limit());
+        assert_eq!(found.distances(&[[-22.0, 0.0, 1.0]]), [22.0]);
+        all.push([400.0, 0.0, 1.0]);
+        let limit = TrainingPositions::thinned(&all).unwrap().limit();
+        assert!(limit < 5.0 * found.limit(), "{limit} m with an outlier, {} m without", found.limit());
+    }
+}
