@@ -226,13 +226,15 @@ fn predicts_powers(here: &Path) {
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "all"]);
     let list = read(&here.join("all/predictions.csv"));
     let rows: Vec<&str> = list.lines().collect();
-    assert_eq!((rows[0], rows.len()), ("row,x,y,z,receiver,dbm,ms", 5));
+    assert_eq!((rows[0], rows.len()), ("row,x,y,z,receiver,dbm,ms,training_distance_m", 5));
     assert!(rows[1].starts_with("1,1,2,1,north,-") && rows[4].starts_with("4,3,4,1,south,-"), "{list}");
     assert_eq!(names(&here.join("all")), ["predictions.csv".to_owned()].into());
     succeed(here, &["export", MODEL, "--half", HALF]);
     succeed(here, &["predict", MODEL, HALF, "--tx", "1,2,1", "--receiver", "south", "--out", "two"]);
     let two = read(&here.join("two/predictions.csv"));
-    assert!(two.starts_with("row,x,y,z,receiver,dbm,spread_db,ms\n1,1,2,1,south,-"), "{two}");
+    assert!(two.starts_with("row,x,y,z,receiver,dbm,spread_db,ms,training_distance_m\n1,1,2,1,south,-"), "{two}");
+    let distance = |list: &str| list.lines().nth(1).unwrap().rsplit(',').next().unwrap().to_owned();
+    assert!(distance(&two) == distance(&list) && distance(&two).parse::<f64>().is_ok(), "{two}\n{list}");
     let spread: f64 = two.lines().nth(1).unwrap().split(',').nth(6).unwrap().parse().unwrap();
     assert!((0.0..0.1).contains(&spread), "{two}");
     let out = ["--tx", "1,2,1", "--out", "no"];
@@ -252,6 +254,8 @@ fn maps_powers(here: &Path) {
         "power-south.png",
         "strongest.npy",
         "strongest.png",
+        "training_distance.npy",
+        "training_distance.png",
     ];
     assert_eq!(names(&here.join("map")), maps.map(str::to_owned).into());
     let (shape, north) = npy(&here.join("map/power-north.npy"));
@@ -271,10 +275,20 @@ fn maps_powers(here: &Path) {
             .starts_with("power-north.npy,power-north.png,received power,dBm,north,x,0,5,y,1,3,0.5,z = 1 m,"),
         "{list}"
     );
+    let (shape, distances) = npy(&here.join("map/training_distance.npy"));
+    let predicted: f32 =
+        read(&here.join("all/predictions.csv")).lines().nth(1).unwrap().rsplit(',').next().unwrap().parse().unwrap();
+    assert!(shape == [3, 5] && (distances[12] - predicted).abs() < 1e-3, "{} {predicted}", distances[12]);
+    let [limit, beyond]: [f32; 2] = {
+        let cells: Vec<f32> =
+            list.lines().nth(1).unwrap().rsplit(',').take(2).map(|cell| cell.parse().unwrap()).collect();
+        [cells[1], cells[0]]
+    };
+    assert_eq!(beyond as usize, distances.iter().filter(|metres| **metres > limit).count(), "{list}");
     let message =
         succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
     assert!(stderr(&message).contains("set --bounds to change this"), "{}", stderr(&message));
-    assert_eq!(names(&here.join("side")).len(), 3);
+    assert_eq!(names(&here.join("side")).len(), 5);
     for (arguments, words) in [
         (&["--plane", "w=1"][..], &["--plane w=1", "such as z=1.2"][..]),
         (&["--plane", "z=1", "--step", "0"], &["--step 0"]),

@@ -12,7 +12,8 @@ use plane::{MapPlane, PlaneBounds, PlaneGrid};
 use pwrfgs::data::npy_header;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::{field, grouped};
-use pwrfgs::report::draw::plan::{Heatmap, Palette};
+use pwrfgs::model::Ensemble;
+use pwrfgs::report::draw::plan::{Heatmap, Palette, TrainingMap};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
 use std::collections::BTreeSet;
@@ -22,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
 const HEADER: &str = "array,image,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
-                      step_m,plane,smallest,largest\n";
+                      step_m,plane,smallest,largest,training_limit_m,extrapolated\n";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -34,9 +35,13 @@ QUANTITIES
 FILES
   power.npy  float32 [rows, columns], lowest row first (power-NAME.npy for several receivers)
   power.png  the same array as an image, with receivers as squares
-  map.csv    quantity, receiver and grid of each array
+  training_distance.npy, .png  distance to the nearest training position, metres
+  map.csv    quantity, receiver and grid of each array, and the number of extrapolated positions
+Images show training positions near the plane as circles. They hatch extrapolations: positions
+farther from all training positions than 3 times their spacing (95th percentile of
+nearest-neighbour distances).
 Without --bounds, the map covers the central 90 % of the Gaussians and all receivers, which may
-differ from the room. Far from measured positions, predictions are extrapolations.
+differ from the room.
 
 EXAMPLES
   pwrfgs map runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01
@@ -97,10 +102,15 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     });
     let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let layers = RunProgress::during(verbosity, |progress| {
+    let mut layers = RunProgress::during(verbosity, |progress| {
         layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()))
     });
-    write(folder.path(), &grid, &layers, model.receivers(), &poses, &receivers)?;
+    let training = training(&ensemble, &grid);
+    let training = training.as_ref().map(|(distance, limit, positions)| {
+        layers.push(distance.clone());
+        TrainingMap { distances: &distance.values, limit: *limit, positions: positions.clone() }
+    });
+    write(folder.path(), (&grid, training), &layers, model.receivers(), &poses, &receivers)?;
     folder.publish()?;
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
@@ -127,15 +137,42 @@ fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds) -> String {
     )
 }
 
+/// Array of distances to the nearest training position, their limit, and the training positions within the limit of
+/// the plane; `None` if unknown.
+fn training(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, f64, Vec<[f64; 2]>)> {
+    let places: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.place(k)).collect();
+    let (distances, limit) = (ensemble.training_distances(&places)?, ensemble.training_limit()?);
+    let layer = MapLayer {
+        name: "training_distance",
+        words: "distance to the nearest training position",
+        unit: "m",
+        receiver: None,
+        values: distances.into_iter().map(|metres| metres as f32).collect(),
+        arrows: Vec::new(),
+    };
+    let origin = ensemble.members()[0].stages.origin;
+    let plane = grid.plane;
+    let positions = ensemble.training_positions_from(origin).into_iter().map(|position| origin.world(position));
+    let near = positions.filter(|position| (position[plane.axis] - plane.at).abs() <= limit);
+    Some((layer, limit, near.map(|position| plane.flat(position)).collect()))
+}
+
 /// Writes all files into `folder`; `poses` are those of the receivers in the world frame.
 fn write(
     folder: &Path,
-    grid: &PlaneGrid,
+    (grid, training): (&PlaneGrid, Option<TrainingMap<'_>>),
     layers: &[MapLayer],
     receivers: &[Receiver],
     poses: &[Pose],
     mapped: &[usize],
 ) -> Result<()> {
+    let extrapolated = training.as_ref().map_or_else(
+        || ",".into(),
+        |TrainingMap { distances, limit, .. }| {
+            let beyond = distances.iter().filter(|metres| f64::from(**metres) > *limit).count();
+            format!("{limit:.4},{beyond}")
+        },
+    );
     let mut list = HEADER.to_owned();
     let mut taken = BTreeSet::new();
     for layer in layers {
@@ -147,8 +184,11 @@ fn write(
         };
         put(format!("{name}.npy"), &array(grid, &layer.values))?;
         let shown: Vec<usize> = layer.receiver.map_or_else(|| mapped.to_vec(), |r| vec![r]);
-        put(format!("{name}.png"), &image(grid, layer, receiver, shown.iter().map(|&r| poses[r].position)))?;
-        list += &line(grid, layer, &name, receiver.unwrap_or(""));
+        put(
+            format!("{name}.png"),
+            &image((grid, training.clone()), layer, receiver, shown.iter().map(|&r| poses[r].position)),
+        )?;
+        _ = writeln!(list, "{},{extrapolated}", line(grid, layer, &name, receiver.unwrap_or("")));
     }
     let path = folder.join("map.csv");
     std::fs::write(&path, list).map_err(|e| Error::write(&path, e))
@@ -171,7 +211,7 @@ fn array(grid: &PlaneGrid, values: &[f32]) -> Vec<u8> {
 }
 
 fn image(
-    grid: &PlaneGrid,
+    (grid, training): (&PlaneGrid, Option<TrainingMap<'_>>),
     layer: &MapLayer,
     receiver: Option<&str>,
     places: impl Iterator<Item = [f64; 3]>,
@@ -188,6 +228,7 @@ fn image(
         colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
         receivers: places.map(|place| grid.plane.flat(place)).collect(),
         arrows: &layer.arrows,
+        training,
     };
     heat.draw().png(WIDTH_MM)
 }
@@ -198,7 +239,7 @@ fn line(grid: &PlaneGrid, layer: &MapLayer, name: &str, receiver: &str) -> Strin
     let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
     let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
     let mut line = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
-    _ = writeln!(
+    _ = write!(
         line,
         ",{across},{},{},{up},{},{},{},{},{low},{high}",
         grid.first[0],

@@ -157,6 +157,8 @@ const FOOT: f64 = 44.0;
 const NOTHING: Rgb = [0xe3, 0xe5, 0xe9];
 /// Drawing units between two arrows.
 const ARROWS: f64 = 26.0;
+/// Horizontal distance between two hatch lines.
+const HATCH: f64 = 8.0;
 
 /// Colour map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -190,6 +192,19 @@ pub struct Heatmap<'a> {
     pub receivers: Vec<Point>,
     /// Vector per value, some of which are drawn as arrows; empty for none.
     pub arrows: &'a [[f32; 2]],
+    /// Training positions; `None` if unknown.
+    pub training: Option<TrainingMap<'a>>,
+}
+
+/// Training positions of a map.
+#[derive(Clone, Debug)]
+pub struct TrainingMap<'a> {
+    /// Distance to the nearest training position per value, metres.
+    pub distances: &'a [f32],
+    /// Distance beyond which values are extrapolations, metres.
+    pub limit: f64,
+    /// Training positions near the plane.
+    pub positions: Vec<Point>,
 }
 
 impl Heatmap<'_> {
@@ -204,11 +219,12 @@ impl Heatmap<'_> {
         let [a, b] = [plan.place([corners[0][0], corners[1][1]]), plan.place([corners[1][0], corners[0][1]])];
         let (low, high) = self.range();
         map.pixels(a, [b[0] - a[0], b[1] - a[1]], self.pixels(rows, low, high));
+        self.draw_training(&mut map, &plan);
         self.draw_arrows(&mut map, &plan);
         self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
         plan.axes(&mut map);
         let width = plan.size[0].max(300.0);
-        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + FOOT);
+        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + FOOT + LINE);
         canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
         canvas.put([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
         self.draw_bar(&mut canvas, HEAD + plan.size[1] + 4.0, (low, high));
@@ -241,6 +257,31 @@ impl Heatmap<'_> {
         let upwards = (0..rows).rev().flat_map(|row| &self.values[row * self.columns..][..self.columns]);
         let rgba = upwards.map(|v| self.colour(f64::from(*v), (low, high))).flat_map(|[r, g, b]| [r, g, b, 255]);
         RasterImage { width: self.columns, height: rows, rgba: rgba.collect(), smooth: false }
+    }
+
+    /// Hatches extrapolations and marks training positions.
+    fn draw_training(&self, canvas: &mut Canvas, plan: &FloorPlan) {
+        let Some(TrainingMap { distances, limit, positions }) = &self.training else { return };
+        let (cell, rows) = (self.step * plan.scale, distances.len() / self.columns);
+        let [left, bottom] = plan.place(self.first.map(|v| v - self.step / 2.0));
+        let [width, height] = [self.columns, rows].map(|count| count as f64 * cell);
+        let is_beyond = |[x, y]: Point| {
+            let [column, row] = [x, y].map(|v| (v / cell) as usize);
+            let inside = x >= 0.0 && column < self.columns && row < rows;
+            inside && f64::from(distances[row * self.columns + column]) > *limit
+        };
+        let mut lines = VectorPath::default();
+        for k in 0..((width + height) / HATCH) as usize {
+            let diagonal: Vec<Point> =
+                (0..=height as usize).map(|y| [HATCH * k as f64 - height + y as f64, y as f64]).collect();
+            let parts = diagonal.chunk_by(|a, b| is_beyond(*a) == is_beyond(*b)).filter(|part| is_beyond(part[0]));
+            parts.for_each(|part| lines.add(&[part[0], part[part.len() - 1]].map(|[x, y]| [left + x, bottom - y])));
+        }
+        canvas.path(lines.clone(), Paint::stroke(WHITE.faint(0.7), 2.2));
+        canvas.path(lines, Paint::stroke(INK, 0.7));
+        for place in positions.iter().filter(|place| plan.holds(**place)) {
+            canvas.circle(plan.place(*place), 1.2, Paint::fill(WHITE).outlined(BLACK, 0.5));
+        }
     }
 
     fn draw_arrows(&self, canvas: &mut Canvas, plan: &FloorPlan) {
@@ -289,6 +330,10 @@ impl Heatmap<'_> {
             canvas.text([x, top + 22.0], Anchor::Middle, label(v));
         }
         canvas.text([canvas.width / 2.0, top + 36.0], Anchor::Middle, &self.unit);
+        if let Some(TrainingMap { limit, .. }) = self.training {
+            let note = format!("circles: training positions; hatched: farther than {limit:.2} m from all of them");
+            canvas.text([canvas.width / 2.0, top + 36.0 + LINE], Anchor::Middle, note);
+        }
     }
 }
 
@@ -339,9 +384,21 @@ mod tests {
                     colours,
                     receivers: vec![[0.5, 1.0], [99.0, 0.0]],
                     arrows: &[[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [f32::NAN, 1.0], [0.5, 0.5], [-1.0, 0.0]],
+                    training: None,
                 };
                 let svg = heat.draw().svg("map", "");
                 assert!(svg.contains("dBm") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+                let marked = |limit| {
+                    let (distances, positions) = (&[0.0, 0.5, 1.0, 1.5, 2.0, 2.5][..], vec![[0.5, 1.0], [99.0, 0.0]]);
+                    let training = Some(TrainingMap { distances, limit, positions });
+                    Heatmap { training, ..heat.clone() }.draw().svg("map", "")
+                };
+                let [few, none] = [marked(1.0), marked(9.0)];
+                assert!(
+                    few.contains("farther than 1.00 m")
+                        && few.matches("<circle").count() > svg.matches("<circle").count()
+                );
+                assert!(few.len() > none.len() + 100, "hatch lines");
             }
         }
     }
