@@ -104,6 +104,12 @@ fn viewer_excludes_training_samples_of_baseline() {
             assert_eq!(baseline.contains("\"score\":null"), set != "test", "{set}: {baseline:.400}");
         }
     }
+    let far = |side: usize| served.body(&format!("/{token}/predict?side={side}&tx=22,0,1"), "").replace('\\', "");
+    let training = file::read(&folder.join("run/model.safetensors")).unwrap().training.unwrap();
+    let metres = training.distances(&[[22.0, 0.0, 1.0]])[0];
+    let expected = format!("\"training\":{{\"metres\":{},\"limit\":{}}}", metres as f64, training.limit() as f64);
+    assert!(metres > training.limit() && far(0).contains(&expected), "{expected}: {:.400}", far(0));
+    assert!(!far(1).contains("\"training\""), "a baseline has no model file");
 }
 
 #[test]
@@ -142,10 +148,15 @@ fn page_opens_on_test_sample_and_synchronises_views() {
     // The same stage in reports, which predict in the page or show samples alone.
     let powers = tempfile::tempdir().unwrap();
     hall(powers.path());
-    for run in [run, powers.path().join("run")] {
+    let stage = "document.querySelector('[data-source=file]').stage";
+    for run in [powers.path().join("run"), run] {
         page.go(&format!("file://{}", run.join("report.html").display()));
-        opens_on_a_test_sample("document.querySelector('[data-source=file]').stage");
+        opens_on_a_test_sample(stage);
     }
+    page.eval(&format!("{stage}.moveTo([22, 0, 1])"));
+    page.wait(
+        "document.querySelector('.stage-extrapolation [data-numbers]')?.textContent.startsWith('Extrapolation: ')",
+    );
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -181,6 +192,13 @@ fn viewer_updates_on_drag_and_stops_with_its_window() {
     for (shown, own) in shown.iter().zip(&predicted.pixels) {
         assert_eq!(*shown as f32, *own as f32, "the page shows what the program predicts");
     }
+    let marked = "document.querySelector('.stage-extrapolation') !== null && document.querySelector('[data-numbers]')\
+                  .textContent.startsWith('Extrapolation: ')";
+    assert_eq!(page.eval(marked), json!(false), "near the training positions");
+    page.eval(&format!("{stage}.moveTo([22, 0, 1])"));
+    page.wait(&format!("{marked} && {stage}.sides[0].room.layers.get('transmitter').colours[3] < 255"));
+    page.eval(&format!("{stage}.moveTo({tx:?})"));
+    page.wait(&format!("!({marked}) && !{stage}.busy"));
     // By height, by keys, by sample, and back through the training.
     let [x, y] = grip(&page, stage);
     page.drag([x, y], [x, y - 30.0], 4, true);

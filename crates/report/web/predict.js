@@ -365,6 +365,7 @@ export class Predictor {
     Object.assign(this, { projector, rasterizer, physical: calibration[""] === "Physical", readout: readout[""] });
     Object.assign(this, { pose: note.links.receivers[0].pose, plane: note.plane, means: column("means"), origin: note.origin ?? [0, 0, 0] });
     this.n = this.means.length / 3;
+    this.trainingPositions = file.has("training_positions") ? file.get("training_positions") : null;
     const scales = Float64Array.from(column("log_scales"), Math.exp);
     this.base = { scales, quats: column("quats"), signals: column("signals") };
     this.opacities = Float64Array.from(column("opacity_logits"), (logit) => 1 / (1 + Math.exp(-logit)));
@@ -378,6 +379,15 @@ export class Predictor {
     this.channels = [new Float64Array(size), new Float64Array(size)];
     this.picture = new Float32Array(size);
     this.strengths = new Float32Array(this.n);
+  }
+
+  /** Distance from `tx`, metres in the world frame, to the nearest training position; null if unknown. */
+  trainingDistance(tx) {
+    const all = this.trainingPositions;
+    if (!all) return null;
+    let nearest = Infinity;
+    for (let i = 0; i < all.length; i += 3) nearest = Math.min(nearest, Math.hypot(...tx.map((v, k) => v - this.origin[k] - all[i + k])));
+    return nearest;
   }
 
   /**

@@ -237,9 +237,16 @@ export class Room {
 
   setTransmitter(place) {
     this.transmitter = place;
-    this.markLayer("transmitter", place, 17, "dot");
+    this.markLayer("transmitter", place, 17, "dot", this.extrapolates ? 90 : 255);
     const down = this.bounds ? [place[0], place[1], Math.min(this.bounds[0][2], place[2])] : place;
     this.setLines("stem", { positions: new Float32Array([...place, ...down]), colours: new Uint8Array([...ROOM_TRANSMITTER, 255]), onTop: true });
+  }
+
+  /** Draws the transmitter faintly if its prediction is an extrapolation. */
+  setExtrapolation(extrapolates) {
+    if (extrapolates === Boolean(this.extrapolates)) return;
+    this.extrapolates = extrapolates;
+    if (this.transmitter) this.setTransmitter(this.transmitter);
   }
 
   /** Sets the ring around a measured sample, or removes it. */
@@ -247,8 +254,8 @@ export class Room {
     this.markLayer("selected", place, 20, "ring");
   }
 
-  markLayer(name, place, size, shape) {
-    const colours = new Uint8Array([...ROOM_TRANSMITTER, 255]);
+  markLayer(name, place, size, shape, alpha = 255) {
+    const colours = new Uint8Array([...ROOM_TRANSMITTER, alpha]);
     this.setPoints(name, place && { positions: new Float32Array(place), colours, size, shape, pickable: false, onTop: true });
   }
 

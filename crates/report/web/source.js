@@ -83,6 +83,9 @@ export class FileSource {
     const nearest = link === null ? this.nearest(tx) : { link, metres: 0 };
     const picture = this.predictor ? this.predictor.predict(tx ?? this.position(link)).picture : this.stored("predicted", nearest.link);
     const note = { ms: performance.now() - begun, strongest: this.direction(picture), nearest };
+    const limit = this.known.note.sides[0].training_limit_m;
+    const metres = (tx && this.predictor?.trainingDistance(tx)) ?? null;
+    if (metres !== null && typeof limit === "number") note.training = { metres, limit };
     if (nearest) {
       nearest.score = structuralSimilarity(picture, this.stored("truth", nearest.link), width, height);
       nearest.part = this.known.get("links.part")[nearest.link];

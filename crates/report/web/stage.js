@@ -94,6 +94,9 @@ class StageSide {
     else if (scalar) this.showPowers(found, truth);
     else this.showChannels(found, truth);
     this.numbers.textContent = this.stage.sentence(found, truth);
+    const extrapolates = isExtrapolation(found.note);
+    this.root.classList.toggle("stage-extrapolation", extrapolates);
+    this.room?.setExtrapolation(extrapolates);
   }
 
   showSpectra(found, truth) {
@@ -150,11 +153,13 @@ class StageSide {
     const finite = values.filter(Number.isFinite);
     const [low, high] = [finite.reduce((a, b) => Math.min(a, b), Infinity), finite.reduce((a, b) => Math.max(a, b), -Infinity)];
     const { first, step } = pack.note;
+    const beyond = pack.has("extrapolated") ? pack.get("extrapolated") : null;
     const cells = { positions: new Float32Array(3 * rows * columns), colours: new Uint8Array(4 * rows * columns) };
     for (let k = 0; k < values.length; k++) {
       cells.positions.set([first[0] + step * (k % columns), first[1] + step * Math.floor(k / columns), first[2]], 3 * k);
+      const faint = beyond?.[k] ? 50 : 200;
       const at = Math.round((255 * (values[k] - low)) / (high - low || 1));
-      cells.colours.set(Number.isFinite(values[k]) ? [...this.stage.rgb(at), 200] : [128, 128, 128, 60], 4 * k);
+      cells.colours.set(Number.isFinite(values[k]) ? [...this.stage.rgb(at), faint] : [128, 128, 128, 60], 4 * k);
     }
     this.room.setPoints("map", { ...cells, size: 7, shape: "square", pickable: false });
     this.stage.mapEnds = [low, high];
@@ -171,6 +176,11 @@ class StageSide {
     drawChart(this.figure("loss", "Training loss", null).map, { x: "step", y: "log10 loss", lines: line(1, PREDICTED_LINE) }, ink);
     drawChart(this.figure("count", "Number of Gaussians", null).map, { x: "step", y: "N", lines: line(2, MEASURED_LINE) }, ink);
   }
+}
+
+/** Whether the transmitter is farther from all training positions than their limit. */
+function isExtrapolation({ training }) {
+  return Boolean(training && training.metres > training.limit);
 }
 
 function openRoom(canvas) {
@@ -434,7 +444,7 @@ export class Stage {
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
       const { unit } = this.note;
-      all.push(` · Squares: prediction at ${this.note.receivers[this.receiver].name} for a transmitter at this height,`);
+      all.push(` · Squares: prediction at ${this.note.receivers[this.receiver].name} for a transmitter at this height (faint: extrapolation),`);
       all.push(...mark(this.rgb(0), `${low} ${unit}`), ...mark(this.rgb(255), `${high} ${unit}`));
     }
     all.push(" · Receivers:", ...mark([213, 94, 0], "with boresight"));
@@ -586,6 +596,10 @@ export class Stage {
   sentence({ note, has }, truth) {
     const degrees = (pair) => pair && pair.map((v) => `${Math.round(v)}°`).join(" / ").replace(/-/g, "−");
     const parts = [];
+    if (isExtrapolation(note)) {
+      const { metres, limit } = note.training;
+      parts.push(`Extrapolation: ${metres.toFixed(2)} m from the nearest training position, limit ${limit.toFixed(2)} m`);
+    }
     if (note.nearest) {
       const { score, link, metres, part, learned } = note.nearest;
       const value = Number.isFinite(score) ? chartNumber(Number(score.toFixed(3))) : "n/a";

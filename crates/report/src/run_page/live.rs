@@ -119,6 +119,7 @@ fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
         "gaussians": shows(run.model).then(|| run.model.gaussians()),
         "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
+        "training_limit_m": run.model.training_limit(),
         "moments": [],
     }]);
     tensors

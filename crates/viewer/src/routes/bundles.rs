@@ -173,6 +173,7 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
         _ => return Err(wrong("no position; set tx=x,y,z, or link=k of the data")),
     };
     let found = predictor.predict(query);
+    let ensemble = predictor.ensemble();
     let (width, height) = (found.image.width, found.image.height);
     // The requested sample, even if another sample has the same position.
     let is_asked = |known: &LoadedData, i: usize| {
@@ -185,6 +186,10 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
         _ => None,
     };
     let mut bundle = TensorBundle::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
+    let training = ensemble.and_then(|own| Some((own.training_distances(&[query.tx])?[0], own.training_limit()?)));
+    if let (Some((metres, limit)), true) = (training, by_position) {
+        bundle.note["training"] = json!({ "metres": metres, "limit": limit });
+    }
     if let (Some((i, metres)), Some(known)) = (nearest, known) {
         let set = known.partition.set_of(i);
         // A baseline stores its training samples: its error on them would be zero.
@@ -261,6 +266,12 @@ fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reques
     let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
+    let places: Vec<[f64; 3]> = queries.iter().map(|query| query.tx).collect();
+    let training = predictor.ensemble().and_then(|own| Some((own.training_distances(&places)?, own.training_limit()?)));
+    if let Some((distances, limit)) = training {
+        let beyond = distances.iter().map(|metres| u8::from(*metres > limit));
+        bundle.put_bytes("extrapolated", &[rows, columns], beyond.collect());
+    }
     Ok(bundle)
 }
 
