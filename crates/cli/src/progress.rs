@@ -5,7 +5,7 @@ use crate::output::{self, Verbosity, bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::text::{duration, grouped};
 use pwrfgs::experiment::{Observer, Start, Validation};
-use pwrfgs::train::{Estimate, StepReport};
+use pwrfgs::train::StepReport;
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
@@ -181,15 +181,10 @@ impl Observer for RunProgress {
             None => note(&format!("{on} {steps} steps in {}", start.folder.display())),
             Some(_) => self.print_line(&format!("{on} {steps} steps")),
         }
-        let Estimate { gaussians, step_bytes, step_seconds } = start.estimate;
-        let left = duration(step_seconds * (start.steps - start.done.min(start.steps)) as f64);
-        let (memory, pace) = (memory(step_bytes), pace(step_seconds));
-        self.print_line(&match gaussians {
-            0 => format!("about {pace} and {memory} per step, {left} in total"),
-            n => {
-                let n = grouped(n as i64);
-                format!("N = {n}: about {pace} and {memory} per step, {left} in total at this N")
-            }
+        let memory = memory(start.step_bytes);
+        self.print_line(&match start.gaussians {
+            0 => format!("about {memory} per step"),
+            n => format!("N = {}, about {memory} per step", grouped(n as i64)),
         });
         self.steps = start.steps;
         self.draw_bar(start.steps);

@@ -34,10 +34,21 @@ fn inspects_simulated_office_as_folder_and_as_pipeline() {
     let message = stdout(&succeed(here, &["inspect", "small.ron", "-q", "--set", split]));
     assert!(message.contains("simulated") && message.contains("Random(test: 0.3, validation: 0.1) *"), "{message}");
     let message = stdout(&succeed(here, &["check", "small.ron"]));
-    for words in ["boresight", "normalisation", "test distance", "\npose "] {
+    for words in ["boresight", "normalisation", "test distance", "\npose ", "\nmachine ", "; more if densification"] {
         assert!(message.contains(words), "`{words}` is not in {message}");
     }
+    assert_eq!(timed(&message), ["8", "1"], "{message}");
+    let target = ["--set", "pruners=[RandomReference()]", "--set", "training.target_count=3"];
+    let message = stdout(&succeed(here, &[&["check", "small.ron"][..], &target].concat()));
+    assert_eq!(timed(&message), ["8", "3"], "{message}");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 2, "nothing is written");
+}
+
+/// Numbers of Gaussians in the line `time` of `check`.
+fn timed(message: &str) -> Vec<&str> {
+    let line = message.lines().find(|line| line.starts_with("time ")).unwrap();
+    assert!(line.contains(" of training (") && line.contains(" ms per step with N = "), "{line}");
+    line.split("N = ").skip(1).map(|rest| rest.split([',', ')']).next().unwrap()).collect()
 }
 
 #[test]

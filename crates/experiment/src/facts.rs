@@ -249,6 +249,13 @@ pub(crate) fn free_memory() -> Option<u64> {
     [machine, control_group(), address_space()].into_iter().flatten().min()
 }
 
+/// Load average of the machine over the last minute, and its number of cores; `None` if the system does not report it.
+pub(crate) fn load_average() -> Option<(f64, usize)> {
+    let text = files::read_string("/proc/loadavg").ok()?;
+    let load = text.split_whitespace().next()?.parse().ok()?;
+    Some((load, std::thread::available_parallelism().ok()?.get()))
+}
+
 /// Number after `name` in a file of lines such as `VmHWM:  1234 kB`.
 fn kib(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;

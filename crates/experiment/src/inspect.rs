@@ -9,7 +9,7 @@ pub use pose::{PoseCheck, PoseVerdict};
 
 use crate::ceiling::ceiling;
 use crate::evaluation_set::EvaluationSet;
-use crate::facts::{free_memory, peak_memory};
+use crate::facts::{free_memory, load_average, peak_memory};
 use crate::input::prepared;
 use crate::load::{load, observed};
 use crate::repeatability::in_order;
@@ -25,7 +25,7 @@ use pwrfgs_core::{
     Dataset, Metric, Partition, Plugin, Result, Scope, Split, Unmatched, Values, evenly, registered, rng,
 };
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::{Estimate, Trainer};
+use pwrfgs_train::{TimeEstimate, Trainer};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -57,8 +57,12 @@ pub struct Preview {
     pub weights: usize,
     /// Warnings about settings without effect.
     pub warnings: Vec<String>,
-    /// Cost of a step with the initial Gaussians.
-    pub estimate: Estimate,
+    /// Memory of a step with the initial Gaussians in addition to the loaded data, bytes.
+    pub step_bytes: u64,
+    /// Time of the training.
+    pub time: TimeEstimate,
+    /// Load average of the machine in the minute before, and its number of cores; `None` if unavailable.
+    pub load: Option<(f64, usize)>,
     /// Positions, values and pose of the data.
     pub summary: DataSummary,
     /// Median distance from a test transmitter to the nearest training transmitter, metres.
@@ -69,16 +73,17 @@ pub struct Preview {
     pub free_bytes: Option<u64>,
 }
 
-/// Loads and initialises everything that a run of `pipeline` needs, and performs one step.
+/// Loads and initialises everything that a run of `pipeline` needs, and times a few steps.
 ///
 /// # Errors
 /// All errors of [`crate::run`] before its first step.
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
+    let load_before = load_average();
     let pipeline = prepared(pipeline, base)?;
     let (data, partition) = load(&pipeline, base, observer)?;
     pipeline.check_data(&data)?;
     let mut loaded_bytes = 0;
-    let (trainer, estimate) = fitting(&pipeline, || {
+    let trainer = fitting(&pipeline, || {
         let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
@@ -93,7 +98,9 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         summary: DataSummary::of(&data, SUMMARIZED, observer)?,
         test_distance: test_distance(&data, &partition),
         warnings: trainer.warnings(),
-        estimate,
+        step_bytes: trainer.step_bytes(),
+        time: staged(observer, "timing a few steps", |_| trainer.time())?,
+        load: load_before,
         loaded_bytes,
         free_bytes: free_memory(),
         pipeline,

@@ -14,7 +14,7 @@ use crate::training::{Training, trainer};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::{Estimate, Trainer};
+use pwrfgs_train::Trainer;
 use std::path::Path;
 use std::time::Instant;
 
@@ -107,13 +107,13 @@ fn attempt(
 /// Completes training, unless the model exists (`None` as trainer), and scores the model.
 fn complete<'a>(
     mut training: Training<'a, '_>,
-    trainer: Option<(Trainer<'a>, Estimate)>,
+    trainer: Option<Trainer<'a>>,
     (folder, mut facts): (&RunFolder, Facts),
 ) -> Result<RunOutcome> {
     let Training { pipeline, data, partition, .. } = training;
     let model = match trainer {
         None => file::read(&folder.file(MODEL_FILE))?,
-        Some((mut trainer, estimate)) => match training.train(&mut trainer, estimate, folder, &mut facts)? {
+        Some(mut trainer) => match training.train(&mut trainer, folder, &mut facts)? {
             Some(model) => model,
             None => return Ok(RunOutcome::Interrupted { step: trainer.done() }),
         },

@@ -5,7 +5,7 @@ use crate::record::Record;
 use crate::scores::ScoreTable;
 use pwrfgs_core::{Dataset, Error, Partition, Progress, Result, Task};
 use pwrfgs_model::Ensemble;
-use pwrfgs_train::{Estimate, StepReport};
+use pwrfgs_train::StepReport;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -25,8 +25,10 @@ pub struct Start<'a> {
     pub done: u64,
     /// Total number of steps.
     pub steps: u64,
-    /// Cost of a step with the current Gaussians.
-    pub estimate: Estimate,
+    /// Current number of Gaussians N.
+    pub gaussians: usize,
+    /// Memory of a step in addition to the loaded data, bytes.
+    pub step_bytes: u64,
 }
 
 /// Validation result: one row of `validation.csv`.

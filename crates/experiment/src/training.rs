@@ -16,11 +16,11 @@ use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, Va
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
-use pwrfgs_train::{Estimate, PruneStepState, Trainer, check_available, network_bytes};
+use pwrfgs_train::{PruneStepState, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// Trainer at the start or at the checkpoint of the folder, and the cost of a step.
+/// Trainer at the start or at the checkpoint of the folder.
 ///
 /// # Errors
 /// Invalid settings, a damaged checkpoint, too little memory; [`Error::Stopped`] once the session is stopped.
@@ -29,7 +29,7 @@ pub(crate) fn trainer<'a>(
     (data, partition): (&'a Dataset, &'a Partition),
     held: Option<&RunFolder>,
     session: &mut Session<'_>,
-) -> Result<(Trainer<'a>, Estimate)> {
+) -> Result<Trainer<'a>> {
     // Invalid strategies are reported before an error of the checkpoint.
     check_available(&pipeline.pruners)?;
     let restored = |folder: &RunFolder| {
@@ -50,23 +50,19 @@ pub(crate) fn trainer<'a>(
     })
 }
 
-/// Trainer created by `make`, and the cost of its next step. Checks the memory for the network before it is created,
+/// Trainer created by `make`. Checks the memory for the network before it is created,
 /// then for the step.
 ///
 /// # Errors
 /// Too little memory, or errors of `make`.
-pub(crate) fn fitting<'a>(
-    pipeline: &Pipeline,
-    make: impl FnOnce() -> Result<Trainer<'a>>,
-) -> Result<(Trainer<'a>, Estimate)> {
+pub(crate) fn fitting<'a>(pipeline: &Pipeline, make: impl FnOnce() -> Result<Trainer<'a>>) -> Result<Trainer<'a>> {
     let needed = if pipeline.method.is_some() { 0 } else { network_bytes(&*pipeline.deformation) };
     refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")?;
     let trainer = make()?;
-    let estimate = trainer.estimate()?;
-    let what = format!("a training step with N = {}", estimate.gaussians);
+    let what = format!("a training step with N = {}", trainer.cloud().len());
     let advice = "fewer Gaussians (`max_points` of PointCloud, `count` of the others) or a smaller `training.batch`";
-    refuse_beyond_memory(estimate.step_bytes, &what, advice)?;
-    Ok((trainer, estimate))
+    refuse_beyond_memory(trainer.step_bytes(), &what, advice)?;
+    Ok(trainer)
 }
 
 fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {
@@ -95,7 +91,6 @@ impl Training<'_, '_> {
     pub(crate) fn train(
         &mut self,
         trainer: &mut Trainer<'_>,
-        estimate: Estimate,
         folder: &RunFolder,
         facts: &mut Facts,
     ) -> Result<Option<Model>> {
@@ -110,7 +105,8 @@ impl Training<'_, '_> {
             samples: facts.samples,
             done: trainer.done(),
             steps,
-            estimate,
+            gaussians: trainer.cloud().len(),
+            step_bytes: trainer.step_bytes(),
         });
         let origin = self.data.scene.origin;
         let write = |name, step, cloud: &GaussianCloud, gaussian_ids: &[u32], gates| {

@@ -1,22 +1,21 @@
-//! `Estimate`: memory and time of a training, before its first step.
+//! Memory of a training step, and [`TimeEstimate`]: the time of a training before its first step.
 
-use crate::batches::Batches;
-use crate::graph::loss_and_gradients;
-use crate::settings::Rays;
+use crate::settings::{Densify, Rays, Training};
 use crate::trainer::Trainer;
-use pwrfgs_core::{Deformation, GaussianCloud, Real, Result};
-use std::sync::Arc;
-use std::time::Instant;
+use pwrfgs_core::plugin::Checked;
+use pwrfgs_core::{Deformation, Error, Real, Result};
+use std::time::{Duration, Instant};
 
-/// Estimated memory and time of the remaining training; densification and pruning change both.
+/// Estimated time of all training steps, from timed steps with two numbers of Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// Current number of Gaussians N.
-    pub gaussians: usize,
-    /// Memory of a step in addition to the loaded data, bytes, accurate to about a third.
-    pub step_bytes: u64,
-    /// Time per step with that N, seconds.
-    pub step_seconds: f64,
+pub struct TimeEstimate {
+    /// Number of Gaussians N and median time per step in seconds: at the start, and with the target of pruning. Without
+    /// a target, the second N is a tenth of the first.
+    pub timed: [(usize, f64); 2],
+    /// Shortest and longest expected time of all steps, seconds. Without a target, the longest is without pruning.
+    pub seconds: [f64; 2],
+    /// Upper over lower quartile of the times of equal steps: about 1 on an idle machine.
+    pub spread: f64,
 }
 
 /// Numbers stored per network weight: the weight, two moments, and its derivative in each of sixteen accumulators.
@@ -28,8 +27,11 @@ const PER_TERM: usize = 75;
 /// Numbers stored per pixel and transmitter: spectra, signals, SSIM buffers and derivatives.
 const PER_PIXEL: usize = 20;
 
-/// Number of Gaussians times transmitters in a trial step.
-const TRIAL: usize = 4_000;
+/// Share of the Gaussians that pruning keeps at least, if it has no target.
+const KEPT: f64 = 0.1;
+/// Number of timed steps with one N, if they take less than `PATIENCE`.
+const TIMED: usize = 40;
+const PATIENCE: Duration = Duration::from_millis(1_500);
 
 /// Returns the bytes that the network of `deformation` needs in training; it does not create the network.
 pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
@@ -37,20 +39,16 @@ pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
 
+/// Time of a training in which step times fall evenly from `first` to `last` seconds while it prunes. `phases` are the
+/// last steps of densification, pruning and training.
+fn weighted([before, until, steps]: [u64; 3], first: f64, last: f64) -> f64 {
+    before as f64 * first + (until - before) as f64 * (first + last) / 2.0 + (steps - until) as f64 * last
+}
+
 impl Trainer<'_> {
-    /// Estimates the cost of the next step. It runs a step on a subset of the Gaussians, and on half of this subset,
-    /// without changing the training.
-    ///
-    /// # Errors
-    /// Values that are not finite.
-    pub fn estimate(&self) -> Result<Estimate> {
+    /// Returns the memory of the next step in addition to the loaded data, bytes, accurate to about a third.
+    pub fn step_bytes(&self) -> u64 {
         let (n, batch) = (self.cloud.len(), self.plan.training.batch);
-        // For many Gaussians it uses an eighth of them; a smaller subset would amplify small, noisy times a
-        // hundredfold.
-        let most = (TRIAL / batch).max(n / 8).clamp(16, n.max(16)).min(n);
-        let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
-        let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
-        let step_seconds = whole + each * (n - most) as f64;
         let setup = &self.stages.setup;
         let of_each = self.data.len().div_ceil(self.data.transmitters.len().max(1));
         let (links, chosen) = match self.plan.training.rays {
@@ -61,29 +59,75 @@ impl Trainer<'_> {
         let cost = self.stages.method.cost(setup, links, chosen);
         let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
         let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
-        let step_bytes = (numbers * size_of::<Real>()) as u64 + weights + cost.bytes;
-        Ok(Estimate { gaussians: n, step_bytes, step_seconds })
+        (numbers * size_of::<Real>()) as u64 + weights + cost.bytes
     }
 
-    /// Returns the time of the next step with `n` evenly selected Gaussians, seconds; the shorter of two runs.
-    fn trial(&self, n: usize) -> Result<f64> {
-        let rows: Vec<usize> = (0..n).map(|i| i * self.cloud.len() / n.max(1)).collect();
-        let cloud: GaussianCloud = self.cloud.select(&rows);
-        let step = self.done + 1;
-        let context = self.context(step);
-        let batch = Batches::new(self.data, self.batches().train().to_vec()).of_step(
-            step,
-            &self.plan,
-            self.data,
-            &self.stages,
-        )?;
-        let mut shortest = f64::INFINITY;
-        for _ in 0..2 {
-            let start = Instant::now();
-            let (stages, weights) = (&self.stages, Arc::clone(&self.weights));
-            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &*self.objective, &[], &context))?;
-            shortest = shortest.min(start.elapsed().as_secs_f64());
+    /// Estimates the time of the training: it times steps with the current N and with the N at the end of pruning, and
+    /// weights them by the schedule. Densification and the statistics of prune steps are not included.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn time(mut self) -> Result<TimeEstimate> {
+        let t = Training::clone(&self.plan.training);
+        let (n, target) = (self.cloud.len(), self.goal.map(|goal| goal.target));
+        let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
+        let is_pruned = n > 1 && until > before && !self.plan.pruners.is_empty();
+        let last = match target {
+            _ if !is_pruned => n,
+            Some(target) => target.min(n),
+            None => (n as f64 * KEPT).ceil() as usize,
+        };
+        // No timed step changes N.
+        let endless = Training {
+            densify_until: u64::MAX,
+            prune_until: u64::MAX,
+            densify: Densify { every: 0, ..t.densify.clone() },
+            ..t.clone()
+        };
+        self.plan.training = Checked::new(endless).map_err(Error::Config)?;
+        let start = self.quartiles()?;
+        let end = if last < n {
+            let kept: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
+            self.keep(&kept)?;
+            self.quartiles()?
+        } else {
+            start
+        };
+        let total = |first, last| weighted([before, until, t.steps], first, last);
+        let longest = if target.is_some() { end[2] } else { start[2] };
+        Ok(TimeEstimate {
+            timed: [(n, start[1]), (last, end[1])],
+            seconds: [total(start[0], end[0]), total(start[2], longest)],
+            spread: (start[2] / start[0]).max(end[2] / end[0]),
+        })
+    }
+
+    /// Quartiles of the times of a few steps, seconds. The first step allocates memory and is not timed, unless it takes
+    /// long.
+    fn quartiles(&mut self) -> Result<[f64; 3]> {
+        let begun = Instant::now();
+        let mut seconds = Vec::new();
+        while seconds.len() <= TIMED && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
+            let step = Instant::now();
+            self.step()?;
+            seconds.push(step.elapsed().as_secs_f64());
+            if begun.elapsed() > 4 * PATIENCE {
+                break;
+            }
         }
-        Ok(shortest)
+        let timed = if seconds.len() > 1 { &mut seconds[1..] } else { &mut seconds[..] };
+        timed.sort_by(f64::total_cmp);
+        Ok([1, 2, 3].map(|quarter| timed[(timed.len() - 1) * quarter / 4]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::weighted;
+
+    #[test]
+    fn schedule_weights_step_times() {
+        assert_eq!(weighted([20, 60, 100], 2.0, 1.0), 20.0 * 2.0 + 40.0 * 1.5 + 40.0 * 1.0);
+        assert_eq!(weighted([0, 0, 100], 2.0, 2.0), 200.0);
     }
 }

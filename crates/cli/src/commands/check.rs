@@ -10,17 +10,17 @@ use pwrfgs::experiment::inspect::{inspect as summary, length};
 use pwrfgs::experiment::text::{aligned, duration, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, data_warnings, preview, read_pipeline, staged};
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::train::Rays;
+use pwrfgs::train::{Rays, TimeEstimate};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Loads the data, makes the split and the initial Gaussians and tries one step; writes no files.
+Loads the data, makes the split and the initial Gaussians and times a few steps; writes no files.
 Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
-Describes the data briefly; `pwrfgs inspect` gives the details. Memory and time hold for the initial
-Gaussians: densification increases them, pruning decreases them.
+Describes the data briefly; `pwrfgs inspect` gives the details. The time is that of training, with
+the initial Gaussians and after pruning. Densification increases memory and time.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
@@ -32,6 +32,11 @@ pub(crate) struct Check {
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
 }
+
+/// Load average per core above which the machine is busy.
+const IDLE: f64 = 0.25;
+/// Upper over lower quartile of the times of equal steps above which the machine is busy.
+const STEADY: f64 = 1.25;
 
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
     let (file, _) = named(&arguments.pipeline)?;
@@ -56,7 +61,6 @@ fn text(p: &Preview) -> String {
         phase(t.prune_until, t.steps, "finetune"),
     ];
     let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} available", memory(free)));
-    let seconds = p.estimate.step_seconds;
     let mut rows = vec![
         ("data", format!("{}: {}", p.title, p.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
@@ -64,7 +68,7 @@ fn text(p: &Preview) -> String {
         ("point cloud", if p.points > 0 { format!("{} points", n(p.points)) } else { "none".into() }),
         (
             "Gaussians",
-            match p.estimate.gaussians {
+            match p.time.timed[0].0 {
                 0 => "none".into(),
                 count => format!("{} initially", n(count)),
             },
@@ -80,12 +84,36 @@ fn text(p: &Preview) -> String {
             },
         ),
         ("phases", names(phases.into_iter().flatten().collect())),
-        ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.estimate.step_bytes))),
-        ("time", format!("{} per step, about {} in total", pace(seconds), duration(seconds * t.steps as f64))),
+        ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.step_bytes))),
+        ("time", time(&p.time, t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps))),
+        ("machine", machine(p)),
     ];
     let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
+}
+
+/// Range of the training time, and the timed steps.
+fn time(time: &TimeEstimate, grows: bool) -> String {
+    let [shortest, longest] = time.seconds.map(duration);
+    let range = if shortest == longest { shortest } else { format!("{shortest} to {longest}") };
+    let ([(first, start), (last, end)], n) = (time.timed, |count: usize| grouped(count as i64));
+    let mut steps = pace(start) + " per step";
+    if last != first {
+        steps += &format!(" with N = {}, {} with N = {}", n(first), pace(end), n(last));
+    }
+    format!("{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
+}
+
+/// Load of the machine, and whether it makes the time too long.
+fn machine(p: &Preview) -> String {
+    let is_loaded = p.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
+    let load = p
+        .load
+        .map(|(load, cores)| format!("load average {load:.1} on {cores} core{}", if cores == 1 { "" } else { "s" }));
+    let varies = (p.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", p.time.spread));
+    let state = if is_loaded || varies.is_some() { "busy, an idle machine is faster" } else { "idle" };
+    [Some(state.to_owned()), load, varies].into_iter().flatten().collect::<Vec<_>>().join("; ")
 }
 
 #[derive(Debug, Args)]

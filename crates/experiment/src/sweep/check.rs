@@ -11,11 +11,6 @@ use crate::training::fitting;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::Trainer;
 use std::path::Path;
-use std::time::{Duration, Instant};
-
-/// Largest number of timed steps.
-const STEPS: u64 = 20;
-const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Validates the plan against its folder, and unfinished runs of `runs` (indices in the plan) against their data and
 /// initialiser. The observer gets warnings once per combination. Returns the unfinished runs.
@@ -40,8 +35,8 @@ pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> R
     Ok(open)
 }
 
-/// Estimated seconds of each of `runs` on this thread pool, from its first steps: pruning makes later steps faster,
-/// densification slower. Finished runs take none; if another seed has finished, its time is used.
+/// Estimated seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]); densification makes
+/// later steps slower. Finished runs take none; if another seed has finished, its time is used.
 ///
 /// # Errors
 /// Same as [`check`].
@@ -60,7 +55,8 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
     let open = check(plan, runs, observer)?;
     let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
     let tried = representatives(plan, &unknown);
-    let measured = try_each(plan, &tried, observer, |_, trainer| seconds_per_step(trainer))?;
+    let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
+    let measured = try_each(plan, &tried, observer, |_, trainer| Ok(middle(trainer.time()?.seconds)))?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
@@ -70,7 +66,7 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
             RunStage::Waiting | RunStage::Failed(_) => 1.0,
         };
         let same = tried.iter().position(|&t| plan.runs[t].combination == *combination);
-        let whole = known(*combination).or_else(|| Some(measured[same?] * steps)).unwrap_or(f64::NAN);
+        let whole = known(*combination).or_else(|| Some(measured[same?])).unwrap_or(f64::NAN);
         if left == 0.0 { 0.0 } else { left * whole }
     };
     Ok(runs.iter().map(seconds).collect())
@@ -89,7 +85,7 @@ fn try_each<R>(
     plan: &SweepPlan,
     runs: &[usize],
     observer: &mut dyn Observer,
-    then: impl Fn(usize, &mut Trainer<'_>) -> Result<R>,
+    then: impl Fn(usize, Trainer<'_>) -> Result<R>,
 ) -> Result<Vec<R>> {
     let mut all = Vec::new();
     let mut loaded: Option<(String, Dataset, Partition)> = None;
@@ -107,22 +103,9 @@ fn try_each<R>(
             let mut scored = std::iter::once(pipeline).chain(&plan.joined);
             scored.try_for_each(|own| own.check_data(data)).map_err(named)?;
             let sketch = || Trainer::sketch(&pipeline.plan()?, data, partition);
-            let (mut trainer, _) = fitting(pipeline, sketch).map_err(named)?;
-            all.push(then(run, &mut trainer).map_err(named)?);
+            let trainer = fitting(pipeline, sketch).map_err(named)?;
+            all.push(then(run, trainer).map_err(named)?);
         }
     }
     Ok(all)
-}
-
-/// Median seconds of a few steps.
-fn seconds_per_step(trainer: &mut Trainer<'_>) -> Result<f64> {
-    let begun = Instant::now();
-    let mut seconds = Vec::new();
-    while !trainer.finished() && (seconds.len() < STEPS as usize) && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
-        let step = Instant::now();
-        trainer.step()?;
-        seconds.push(step.elapsed().as_secs_f64());
-    }
-    seconds.sort_by(f64::total_cmp);
-    Ok(seconds[seconds.len() / 2])
 }

@@ -131,8 +131,8 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
     let all = seconds.iter().sum::<f64>() / jobs as f64;
     _ = writeln!(
         text,
-        "about {} in total on this machine with --jobs {jobs}, estimated from the first steps of each combination; pruning \
-         shortens later steps, densification lengthens them",
+        "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
+         pruning; densification lengthens later steps",
         duration(all)
     );
     text
