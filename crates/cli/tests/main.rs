@@ -16,6 +16,7 @@ mod import;
 mod inspect;
 mod kinds;
 mod links;
+mod lobes;
 mod maps;
 mod model_format;
 mod my_pruner;

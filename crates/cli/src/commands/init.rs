@@ -64,6 +64,16 @@ const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_i
                        base-station.yml (channels); see docs/data.md";
 const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
 
+/// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the centre
+/// of a Gaussian together, so what it learns of a lobe in one direction holds for others.
+const MOVING_LOBES: [&str; 4] = [
+    "deformation=Mlp(depth: 4, width: 96, position_frequencies: 2, tx_frequencies: 2, tx_hidden: 64, tx_features: 32, \
+     skip: None, outputs: Signals)",
+    "training.steps=2000",
+    "training.optimizer.network.first=0.004",
+    "training.optimizer.network_decay=0.1",
+];
+
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
     let exists = || Error::input(&out, "file exists and is not overwritten; set another file with --out");
@@ -81,6 +91,11 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
+}
+
+/// Setting with these baselines and k-nearest neighbours, whose k follows from the validation set.
+fn baselines(first: &str, last: &str) -> String {
+    format!("baselines=[{first}, NearestNeighbours(k: Auto){last}]")
 }
 
 /// Suggests a pipeline for the data.
@@ -104,10 +119,7 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
         _ if survey.data.task().has_pixels => {
             let stride = survey.stride();
             set.push(format!("training.stride={stride}"));
-            set.push(format!("training.batch={}", survey.batch(32)));
-            set.push(
-                "baselines=[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()]".into(),
-            );
+            set.push(baselines("MeanSpectrum(), NearestNeighbours(k: 1)", ", Kriging()"));
             if stride == 1 {
                 set.push("projector=Mercator()".into());
             }
@@ -118,7 +130,14 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
                 }
                 None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
             }
-            if survey.nearest < CLOSE_M { FINE_SPECTRA } else { COARSE_SPECTRA }
+            if survey.nearest < CLOSE_M {
+                set.push(format!("training.batch={}", survey.batch(32)));
+                FINE_SPECTRA
+            } else {
+                set.extend(MOVING_LOBES.map(str::to_owned));
+                set.push(format!("training.batch={}", survey.batch(16)));
+                COARSE_SPECTRA
+            }
         }
         _ if survey.data.task().is_scalar => {
             // Wavelengths from the size of the site to 2 m, or to an eighth of a small site.
@@ -126,15 +145,18 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
             set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
             set.push(format!("deformation.tx_encoding.shortest_m={:?}", (longest / 8.0).min(2.0)));
             set.push(format!("training.batch={}", survey.batch(128)));
+            set.push(baselines("MeanSpectrum()", ", Kriging()"));
             POWERS
         }
         Some(width) => {
             set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
             set.push(format!("training.batch={}", survey.batch(128)));
+            set.push(baselines("Zero()", ", Ridge()")); // Kriging needs positions
             UPLINKS
         }
         None => {
             set.push(format!("training.batch={}", survey.batch(256)));
+            set.push(baselines("Zero(), NearestNeighbours(k: 1)", ", Kriging()"));
             CHANNELS
         }
     };

@@ -1,0 +1,86 @@
+//! `pwrfgs init` on spectra whose lobes move, appear or cross with the transmitter: its pipeline is ahead
+//! of neighbours.
+use crate::common::{stdout, succeed, write};
+use pwrfgs::data::npy_header;
+use pwrfgs_core::Number;
+use std::path::Path;
+
+const WIDTH: usize = 72;
+const HEIGHT: usize = 18;
+const COUNT: usize = 150;
+/// Width of a lobe, radians.
+const SIGMA: f64 = 0.31;
+
+/// Direction and height of a lobe.
+type Lobe = ([f64; 3], f64);
+
+fn at(azimuth: f64, elevation: f64) -> [f64; 3] {
+    let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
+    [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()]
+}
+
+fn towards([x, y, z]: [f64; 3]) -> [f64; 3] {
+    let norm = (x * x + y * y + z * z).sqrt();
+    [x / norm, y / norm, z / norm]
+}
+
+/// The line of sight, and its reflection at a wall.
+fn moving([x, y, z]: [f64; 3]) -> Vec<Lobe> {
+    vec![(towards([x, y, z]), 1.0), (towards([-4.0 - x, y, z]), 0.6)]
+}
+
+/// The line of sight, and two fixed lobes that are bright in one half of the room.
+fn appearing([x, y, z]: [f64; 3]) -> Vec<Lobe> {
+    let switch = |along: f64| 1.0 / (1.0 + (-3.0 * along).exp());
+    vec![(towards([x, y, z]), 0.7), (at(40.0, 30.0), switch(x)), (at(160.0, 50.0), 0.8 * switch(y))]
+}
+
+/// Two lobes that pass each other.
+fn crossing([x, y, _]: [f64; 3]) -> Vec<Lobe> {
+    vec![(at(180.0 + 60.0 * x, 30.0 + 10.0 * y), 1.0), (at(180.0 - 60.0 * x, 30.0 - 10.0 * y), 0.8)]
+}
+
+/// Writes a folder of spectra, with transmitters spread over 4 x 3 m above the receiver.
+fn folder(place: &Path, lobes: fn([f64; 3]) -> Vec<Lobe>) {
+    let spread = |i: usize, step: f64, from: f64, to: f64| from + (to - from) * (i as f64 * step).fract();
+    let transmitters: Vec<[f64; 3]> = (1..=COUNT)
+        .map(|i| [spread(i, 0.8192, -2.0, 2.0), spread(i, 0.6710, -1.5, 1.5), spread(i, 0.5497, 0.8, 1.6)])
+        .collect();
+    let pixel = |lobes: &[Lobe], at: [f64; 3]| {
+        let lobe = |(centre, height): &Lobe| {
+            let cosine: f64 = centre.iter().zip(at).map(|(a, b)| a * b).sum();
+            height * ((cosine - 1.0) / (SIGMA * SIGMA)).exp()
+        };
+        (200.0 * lobes.iter().map(lobe).sum::<f64>()).min(255.0) as u8
+    };
+    let spectrum = |p: &[f64; 3]| {
+        let lobes = lobes(*p);
+        (0..HEIGHT * WIDTH).map(move |i| pixel(&lobes, at(5.0 * (i % WIDTH) as f64, 5.0 * (i / WIDTH) as f64)))
+    };
+    let pixels: Vec<u8> = transmitters.iter().flat_map(spectrum).collect();
+    let positions: Vec<u8> = transmitters.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    write(&place.join("spectra.npy"), [npy_header(Number::U8, &[COUNT, HEIGHT, WIDTH]), pixels].concat());
+    write(&place.join("tx.npy"), [npy_header(Number::F64, &[COUNT, 3]), positions].concat());
+    write(&place.join("gateway_info.yml"), "gateway1:\n  position: [0, 0, 0]\n  orientation: [0, 0, 0, 1]\n");
+}
+
+#[test]
+fn pipeline_of_init_is_ahead_of_neighbours_on_moving_lobes() {
+    let here = tempfile::tempdir().unwrap();
+    let here = here.path();
+    // Shorter than the pipeline of `init`, for a quick test.
+    let short = ["--scale", "0.3", "--set", "training.batch=8", "--set", "initializer.count=60"];
+    let sets: [(&str, fn([f64; 3]) -> Vec<Lobe>); 3] =
+        [("moving", moving), ("appearing", appearing), ("crossing", crossing)];
+    for (name, lobes) in sets {
+        folder(&here.join(name), lobes);
+        succeed(here, &["init", name]);
+        let text = std::fs::read_to_string(here.join(format!("{name}.ron"))).unwrap();
+        assert!(text.contains("k: Auto") && text.contains("Kriging("), "{text}");
+        let table = stdout(&succeed(here, &[&["run", &format!("{name}.ron")][..], &short].concat()));
+        let row = table.lines().find(|line| line.starts_with("ssim ")).unwrap();
+        let scores: Vec<f64> = row.split_whitespace().filter_map(|cell| cell.trim_matches('*').parse().ok()).collect();
+        let [model, _, one, several, _] = scores[..] else { panic!("{row}") };
+        assert!(model > one.max(several) + 0.01, "{name}: {row}");
+    }
+}
