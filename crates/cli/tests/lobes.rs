@@ -13,6 +13,8 @@ const SIGMA: f64 = 0.31;
 
 /// Direction and height of a lobe.
 type Lobe = ([f64; 3], f64);
+/// Lobes of a transmitter position.
+type Lobes = fn([f64; 3]) -> Vec<Lobe>;
 
 fn at(azimuth: f64, elevation: f64) -> [f64; 3] {
     let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
@@ -41,7 +43,7 @@ fn crossing([x, y, _]: [f64; 3]) -> Vec<Lobe> {
 }
 
 /// Writes a folder of spectra, with transmitters spread over 4 x 3 m above the receiver.
-fn folder(place: &Path, lobes: fn([f64; 3]) -> Vec<Lobe>) {
+fn folder(place: &Path, lobes: Lobes) {
     let spread = |i: usize, step: f64, from: f64, to: f64| from + (to - from) * (i as f64 * step).fract();
     let transmitters: Vec<[f64; 3]> = (1..=COUNT)
         .map(|i| [spread(i, 0.8192, -2.0, 2.0), spread(i, 0.6710, -1.5, 1.5), spread(i, 0.5497, 0.8, 1.6)])
@@ -70,8 +72,7 @@ fn pipeline_of_init_is_ahead_of_neighbours_on_moving_lobes() {
     let here = here.path();
     // Shorter than the pipeline of `init`, for a quick test.
     let short = ["--scale", "0.3", "--set", "training.batch=8", "--set", "initializer.count=60"];
-    let sets: [(&str, fn([f64; 3]) -> Vec<Lobe>); 3] =
-        [("moving", moving), ("appearing", appearing), ("crossing", crossing)];
+    let sets: [(&str, Lobes); 3] = [("moving", moving), ("appearing", appearing), ("crossing", crossing)];
     for (name, lobes) in sets {
         folder(&here.join(name), lobes);
         succeed(here, &["init", name]);

@@ -98,10 +98,11 @@ fn time(time: &TimeEstimate, grows: bool) -> String {
     let [shortest, longest] = time.seconds.map(duration);
     let range = if shortest == longest { shortest } else { format!("{shortest} to {longest}") };
     let ([(first, start), (last, end)], n) = (time.timed, |count: usize| grouped(count as i64));
-    let mut steps = pace(start) + " per step";
-    if last != first {
-        steps += &format!(" with N = {}, {} with N = {}", n(first), pace(end), n(last));
-    }
+    let steps = if last == first {
+        format!("{} per step", pace(start))
+    } else {
+        format!("{} per step with N = {}, {} with N = {}", pace(start), n(first), pace(end), n(last))
+    };
     format!("{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
 }
 
