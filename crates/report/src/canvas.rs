@@ -317,6 +317,53 @@ fn is_place(at: &Point) -> bool {
     at.iter().all(|v| v.is_finite())
 }
 
+/// Texts that leave their canvas, in every drawing that a test writes.
+#[cfg(test)]
+pub(crate) mod outside {
+    use super::font::outlines;
+    use super::{Canvas, Point, Shape, Step};
+    use std::cell::{Cell, RefCell};
+
+    thread_local! {
+        static FOUND: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+        static WRITTEN: Cell<usize> = const { Cell::new(0) };
+    }
+
+    /// Number of drawings of this thread since the last call, and their texts that leave the canvas.
+    pub(crate) fn take() -> (usize, Vec<String>) {
+        (WRITTEN.take(), FOUND.take())
+    }
+
+    /// Records the texts of a drawing that leave it.
+    pub(super) fn record(canvas: &Canvas) {
+        WRITTEN.set(WRITTEN.get() + 1);
+        let mut texts = Vec::new();
+        collect(&canvas.shapes, [0.0; 2], 1.0, &mut texts);
+        let size = [canvas.width, canvas.height];
+        // Text may touch the border.
+        let is_inside = |p: &Point| (0..2).all(|k| (-0.05..=size[k] + 0.05).contains(&p[k]));
+        texts.retain(|(_, points)| !points.iter().all(is_inside));
+        FOUND.with_borrow_mut(|found| found.extend(texts.into_iter().map(|(words, _)| format!("{words} in {size:?}"))));
+    }
+
+    fn collect(shapes: &[Shape], at: Point, scale: f64, texts: &mut Vec<(String, Vec<Point>)>) {
+        let place = |p: Point| [at[0] + scale * p[0], at[1] + scale * p[1]];
+        for shape in shapes {
+            match shape {
+                Shape::Group(to, by, shapes) => collect(shapes, place(*to), scale * by, texts),
+                Shape::Text(text) => {
+                    let end = |step: &Step| match *step {
+                        Step::Move(p) | Step::Line(p) | Step::Quad(_, p) => Some(place(p)),
+                        Step::Close => None,
+                    };
+                    texts.push((text.words.clone(), outlines(text).0.iter().filter_map(end).collect()));
+                }
+                _ => {}
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

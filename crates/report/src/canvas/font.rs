@@ -77,16 +77,22 @@ impl OutlineBuilder for Pen {
     }
 }
 
-/// Breaks `text` after commas into lines no wider than `width`; longer parts are cut.
+/// Breaks `text` after commas into lines no wider than `width`, longer parts at spaces; longer words are cut.
 pub fn wrapped(text: &str, width: f64) -> Vec<String> {
+    let lines = broken(text, ", ", width);
+    lines.iter().flat_map(|line| broken(line, " ", width)).map(|line| cut(&line, width)).collect()
+}
+
+/// Breaks `text` after `mark` into lines no wider than `width` if possible.
+fn broken(text: &str, mark: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
-    for part in text.split_inclusive(", ") {
+    for part in text.split_inclusive(mark) {
         match lines.last_mut() {
             Some(line) if text_width((line.clone() + part).trim_end()) <= width => line.push_str(part),
             _ => lines.push(part.to_owned()),
         }
     }
-    lines.iter().map(|line| cut(line.trim_end(), width)).collect()
+    lines.iter().map(|line| line.trim_end().to_owned()).collect()
 }
 
 /// Longest start of `text` that fits, with two dots if cut.
@@ -113,6 +119,7 @@ mod tests {
         assert!(short.starts_with("an init") && short.ends_with("..") && text_width(&short) <= 90.0, "{short}");
         assert_eq!(cut("anything", 1.0), "..");
         assert_eq!(wrapped("init cloud, lambda 0.02", 110.0), ["init cloud,", "lambda 0.02"]);
+        assert_eq!(wrapped("pruner LightGaussian 120", 120.0), ["pruner", "LightGaussian 120"]);
         assert_eq!(wrapped("init cloud, lambda 0.02", 500.0), ["init cloud, lambda 0.02"]);
     }
 

@@ -21,6 +21,8 @@ impl Canvas {
     }
 
     fn written(&self, attributes: &str, outlined: bool) -> String {
+        #[cfg(test)]
+        super::outside::record(self);
         let (width, height) = (Short(self.width), Short(self.height));
         let out = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" stroke-linejoin=\"round\" \

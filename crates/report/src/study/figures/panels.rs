@@ -1,7 +1,7 @@
 //! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
 use super::{COLUMN, Figure, PAGE};
-use crate::canvas::{Anchor, Canvas, LINE, TEXT, wrapped};
+use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrapped};
 use crate::draw::charts::Legend;
 use crate::draw::room::{Panel, RoomFigure};
 use crate::draw::spectra::{ColourScale, draw_azimuth, draw_elevation, names, pixels};
@@ -166,9 +166,10 @@ fn draw_spectra(variants: &[StudyVariant], rows: &[ComparisonRow], plane: &Image
     canvas.text([x(0) + width / 2.0, top - 8.0], Anchor::Middle, across);
     let upright_at = [left - 34.0, f64::midpoint(head, top - 2.0 * LINE - 10.0)];
     canvas.upright(upright_at, up);
-    let bar = (canvas.width - BAR) / 2.0;
+    let words = "spectrum, normalised";
+    let bar = (canvas.width - BAR + text_width(words) + 8.0) / 2.0;
     ColourScale::Power.draw(&mut canvas, [bar, top + 4.0], BAR);
-    canvas.text([bar - 8.0, top + 12.0], Anchor::End, "spectrum, normalised");
+    canvas.text([bar - 8.0, top + 12.0], Anchor::End, words);
     canvas.height = top + 30.0;
     canvas
 }
