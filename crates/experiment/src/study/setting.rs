@@ -287,7 +287,20 @@ pub struct VariantFamily<'a> {
     pub places: Vec<Option<(Spread, usize)>>,
 }
 
-impl VariantFamily<'_> {
+impl<'a> VariantFamily<'a> {
+    /// Strategies of a setting, in the order of the plan, without places.
+    pub fn all(setting: &'a Setting) -> Vec<Self> {
+        let mut families: Vec<Self> = Vec::new();
+        for variant in &setting.variants {
+            let name = family(&variant.label);
+            match families.iter_mut().find(|way| way.name == name) {
+                Some(way) => way.variants.push(variant),
+                None => families.push(Self { name, variants: vec![variant], places: Vec::new() }),
+            }
+        }
+        families
+    }
+
     /// Mean rank over the numbers that it reaches; infinite without any.
     pub fn mean_rank(&self) -> f64 {
         let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
@@ -311,14 +324,7 @@ impl<'a> ParetoComparison<'a> {
     /// Creates the race of a setting; `None` if there are too few strategies.
     pub fn of(setting: &'a Setting) -> Option<Self> {
         let headline = setting.headline();
-        let mut families: Vec<VariantFamily<'a>> = Vec::new();
-        for variant in &setting.variants {
-            let name = family(&variant.label);
-            match families.iter_mut().find(|way| way.name == name) {
-                Some(way) => way.variants.push(variant),
-                None => families.push(VariantFamily { name, variants: vec![variant], places: Vec::new() }),
-            }
-        }
+        let mut families = VariantFamily::all(setting);
         let mut numbers: Vec<usize> = setting.variants.iter().filter_map(count).collect();
         numbers.sort_unstable();
         numbers.dedup();

@@ -22,7 +22,7 @@ impl ChartStyle {
     /// Chart for a page on a screen, which scales it.
     pub(crate) const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
     /// Chart for a print column.
-    pub(crate) const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
+    pub(crate) const COLUMN: Self = Self { size: [380.0, 262.0], margins: [60.0, 10.0, 20.0, 38.0] };
 }
 
 impl Default for ChartStyle {

@@ -42,12 +42,15 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
         lines.push(line);
     }
     lines.extend(baselines(setting, data, &metrics)?);
+    let words = context! { part => fewer.then_some(SAMPLES) };
+    Ok(Figure::chart("eta-snr", setting, words, chart(lines)))
+}
+
+fn chart(lines: Vec<ChartLine>) -> Chart {
     let x =
         ChartAxis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
-    let chart =
-        Chart { x, y: ChartAxis { name: "rate ratio η".into(), ..ChartAxis::default() }, lines, ..Chart::default() };
-    let words = context! { part => fewer.then_some(SAMPLES) };
-    Ok(Figure::chart("eta-snr", setting, words, chart))
+    let y = ChartAxis { name: "rate loss 1 − η".into(), log: true, ends: None };
+    Chart { x, y, lines, ..Chart::default() }
 }
 
 /// Baselines, fitted to training and validation sets, on the test set of the first run.
@@ -69,9 +72,10 @@ fn snrs() -> impl Iterator<Item = f64> {
     (0..=STEPS).map(|k| LOW_DB + (HIGH_DB - LOW_DB) * k as f64 / STEPS as f64)
 }
 
-/// Mean over samples of each measurement, at its signal-to-noise ratio.
+/// Mean loss 1 − η over samples of each measurement, at its signal-to-noise ratio. Good values of η are all near 1, so
+/// the axis of the loss is logarithmic.
 fn curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
-    snrs().zip(measured.iter().map(|m| m.values.mean())).collect()
+    snrs().zip(measured.iter().map(|m| 1.0 - m.values.mean())).collect()
 }
 
 /// Mean of curves over the same points.
@@ -79,4 +83,33 @@ fn mean_of(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
     let height = |k: usize| curves.iter().map(|c| c[k].1).sum::<f64>() / curves.len() as f64;
     let first = curves.first().map_or(&[][..], Vec::as_slice);
     first.iter().enumerate().map(|(k, place)| (place.0, height(k))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::marks::Stroke;
+    use pwrfgs_core::{Goal, Values};
+
+    #[test]
+    fn ratios_near_one_are_told_apart() {
+        let line = |ratio: f64| {
+            let at = |_| Measurement {
+                key: String::new(),
+                unit: String::new(),
+                goal: Goal::Higher,
+                values: Values::PerSample(vec![ratio]),
+            };
+            curve(&snrs().map(at).collect::<Vec<_>>())
+        };
+        let [poor, good, best] = [0.9, 0.999, 0.9999].map(|ratio| line(ratio)[0].1.log10());
+        assert!(
+            (poor - good - 2.0).abs() < 1e-6 && (good - best - 1.0).abs() < 1e-6,
+            "decades: {poor}, {good}, {best}"
+        );
+        let lines = [0.9, 0.999, 1.0]
+            .map(|ratio| ChartLine::new(line(ratio), Style::line(crate::canvas::INK, 1.0, Stroke::FULL)));
+        let svg = chart(lines.into()).draw().unwrap().svg("chart", "");
+        assert!(svg.contains(">0.01<") && svg.contains("rate loss 1 − η"), "{svg}");
+    }
 }

@@ -43,7 +43,10 @@ pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
     figure(
         setting,
         &Score {
-            key: "eta_0db", name: "eta-n".into(), axis: "rate ratio η at 0 dB".into(), published: &PUBLISHED_ETA
+            key: "eta_0db",
+            name: "eta-n".into(),
+            axis: "rate loss 1 − η at 0 dB".into(),
+            published: &PUBLISHED_ETA,
         },
     )
 }
@@ -52,68 +55,40 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if ParetoComparison::of(setting).is_some() {
         return None; // too many variants for marks with names: the figures of methods have one line per method
     }
-    let points: Vec<ChartLine> =
-        setting.variants.iter().enumerate().filter_map(|(k, v)| point(v, k, score.key)).collect();
-    if points.is_empty() {
+    let mut lines = strategies(setting, score.key);
+    if lines.is_empty() {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();
-    let mut lines = points;
     lines.extend(published.then(|| reference(score)));
-    lines.extend(threads(setting, score.key));
     lines.extend(baselines(setting, score.key));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
-    let chart =
-        Chart { x, y: ChartAxis { name: score.axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
+    let y = ChartAxis { name: score.axis.clone(), log: is_rate_ratio(score.key), ends: None };
+    let chart = Chart { x, y, lines, ..Chart::default() };
     Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// N and score over the seeds of a variant; `None` without the score or without Gaussians.
-fn spreads(variant: &StudyVariant, key: &str) -> Option<(Spread, Spread)> {
-    let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.scores.value(MODEL, key)?)));
-    let (n, score): (Vec<f64>, Vec<f64>) = scored.unzip();
-    let n = Spread::of(&n)?;
-    // Methods without Gaussians have no place on the axis.
-    if n.mean > 0.0 { Some((n, Spread::of(&score)?)) } else { None }
+/// One curve per strategy over N, in the colour of its first variant in the other figures.
+pub(super) fn strategies(setting: &Setting, key: &str) -> Vec<ChartLine> {
+    let first = |way: &VariantFamily<'_>| setting.variants.iter().position(|v| v.label == way.variants[0].label);
+    let line = |way: &VariantFamily<'_>| way_line(way, first(way)?, &PRICES[0], key, true);
+    VariantFamily::all(setting).iter().filter_map(line).collect()
 }
 
-/// Mark of one variant with its bars.
-fn point(variant: &StudyVariant, k: usize, key: &str) -> Option<ChartLine> {
-    let (n, score) = spreads(variant, key)?;
-    let at = (n.mean, score.mean);
-    let mut line = ChartLine::new(Vec::new(), Style::variant(k)).named(&variant.label);
-    line.marks = vec![at];
-    if let (Some(dn), Some(ds)) = (n.deviation, score.deviation) {
-        // Fewer than one Gaussian have no place on a logarithmic axis.
-        line.bars = vec![[((at.0 - dn).max(1.0), at.1), (at.0 + dn, at.1)], [(at.0, at.1 - ds), (at.0, at.1 + ds)]];
-        line.bars.retain(|[a, b]| a != b);
-    }
-    Some(line)
+/// Whether a metric is a rate ratio η, drawn as the loss 1 − η on a logarithmic axis: good values of η are all near 1.
+fn is_rate_ratio(key: &str) -> bool {
+    key.starts_with("eta_")
 }
 
-/// Lines through the variants of a family, in the order of the plan.
-fn threads(setting: &Setting, key: &str) -> Vec<ChartLine> {
-    let mut families: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
-    for variant in &setting.variants {
-        let Some((n, score)) = spreads(variant, key) else { continue };
-        let (family, at) = (without_digits(&variant.label), (n.mean, score.mean));
-        match families.iter_mut().find(|f| f.0 == family) {
-            Some((_, points)) => points.push(at),
-            None => families.push((family, vec![at])),
-        }
-    }
-    families.into_iter().map(|(_, points)| ChartLine::new(points, Style::thread())).collect()
-}
-
-/// Label without its numbers, also within words.
-fn without_digits(label: &str) -> String {
-    label.chars().filter(|c| !(c.is_ascii_digit() || ".-+".contains(*c))).collect()
+/// Height of a score on its axis.
+fn height(key: &str, score: f64) -> f64 {
+    if is_rate_ratio(key) { 1.0 - score } else { score }
 }
 
 /// Horizontal lines over the whole width, with names at the right.
 pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
-        Some(ChartLine::level(setting.baseline(name, key)?, Style::baseline(k)).named_at_end(name))
+        Some(ChartLine::level(height(key, setting.baseline(name, key)?), Style::baseline(k)).named_at_end(name))
     };
     setting.baselines().into_iter().enumerate().filter_map(line).collect()
 }
@@ -128,7 +103,7 @@ fn is_s23(setting: &Setting) -> bool {
 /// Published values.
 fn reference(score: &Score) -> ChartLine {
     let mut line = ChartLine::new(Vec::new(), Style::published()).named("published, s23");
-    line.marks = score.published.to_vec();
+    line.marks = score.published.iter().map(|(n, own)| (*n, height(score.key, *own))).collect();
     line
 }
 
@@ -171,7 +146,7 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     let mut lines: Vec<ChartLine> = Vec::new();
     let (mut shown, mut others) = (Vec::new(), Vec::new());
     for (k, way) in pareto.families.iter().enumerate() {
-        if let Some(line) = way_line(way, k, cost, headline.key, k < SHOWN || k == last) {
+        if let Some(line) = way_line(way, k.min(SHOWN), cost, headline.key, k < SHOWN || k == last) {
             if k < SHOWN || k == last { shown.push(line) } else { others.push(line) }
         }
     }
@@ -199,21 +174,28 @@ fn worst_baseline(setting: &Setting) -> Option<f64> {
 fn way_line(way: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown: bool) -> Option<ChartLine> {
     let place = |variant: &&StudyVariant| {
         let (paid, score) = (variant.spread(cost.of)?, variant.score(key)?);
-        (paid.mean > 0.0).then_some((paid.mean, score))
+        (paid.mean > 0.0).then_some((paid, score))
     };
-    let mut places: Vec<_> = way.variants.iter().filter_map(place).collect();
-    places.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let points: Vec<(f64, f64)> = places.iter().map(|(paid, score)| (*paid, score.mean)).collect();
+    let mut places: Vec<(Spread, Spread)> = way.variants.iter().filter_map(place).collect();
+    places.sort_by(|a, b| a.0.mean.total_cmp(&b.0.mean));
+    let points: Vec<(f64, f64)> = places.iter().map(|(paid, score)| (paid.mean, height(key, score.mean))).collect();
     if points.is_empty() {
         return None;
     }
     if !shown {
         return Some(ChartLine::new(points, Style::thread()));
     }
-    let mut line = ChartLine::new(points.clone(), Style::variant(k.min(SHOWN))).named(&way.name);
+    let name = if let [variant] = way.variants[..] { &variant.label } else { &way.name };
+    let mut line = ChartLine::new(points.clone(), Style::variant(k)).named(name);
     line.marks = points;
-    let bar =
-        |(paid, score): &(f64, Spread)| score.deviation.map(|d| [(*paid, score.mean - d), (*paid, score.mean + d)]);
-    line.bars = places.iter().filter_map(bar).filter(|[a, b]| a != b).collect();
+    let bars = |(paid, score): &(Spread, Spread)| {
+        let (x, y) = (paid.mean, height(key, score.mean));
+        // Values near or below zero have no place on a logarithmic axis.
+        let least = if is_rate_ratio(key) { 0.1 * y } else { f64::NEG_INFINITY };
+        let across = paid.deviation.map(|d| [((x - d).max(0.1 * x), y), (x + d, y)]);
+        let upright = score.deviation.map(|d| [(x, (y - d).max(least)), (x, y + d)]);
+        across.into_iter().chain(upright).collect::<Vec<_>>()
+    };
+    line.bars = places.iter().flat_map(bars).filter(|[a, b]| a != b).collect();
     Some(line)
 }
