@@ -4,6 +4,7 @@ mod channels;
 mod curves;
 mod examples;
 mod live;
+mod maps;
 mod powers;
 mod tables;
 
@@ -54,6 +55,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         figures => curves::all(run),
         room => if draws_splats { Some(room(run)?) } else { None },
         powers => data.task().is_scalar.then(|| powers::section(run, &chosen)),
+        error_maps => maps::of_spectra(run),
         receivers => tables::receivers(run),
         channels => data.task().is_complex.then(|| channels::section(run, &chosen)),
         examples,

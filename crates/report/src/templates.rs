@@ -10,10 +10,11 @@ use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::text::{duration, grouped};
 use std::sync::LazyLock;
 
-const TEMPLATES: [(&str, &str); 12] = [
+const TEMPLATES: [(&str, &str); 13] = [
     ("style.css", include_str!("templates/style.css")),
     ("head.html", include_str!("templates/head.html")),
     ("run.html", include_str!("templates/run.html")),
+    ("maps.html", include_str!("templates/maps.html")),
     ("powers.html", include_str!("templates/powers.html")),
     ("channels.html", include_str!("templates/channels.html")),
     ("receivers.html", include_str!("templates/receivers.html")),

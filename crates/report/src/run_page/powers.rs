@@ -1,13 +1,12 @@
-//! Received powers on the page: distribution and map of errors, and best and worst links.
+//! Received powers on the page: distribution of errors, and best and worst links.
 
 use super::examples::Example;
-use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, Paint};
+use super::maps::{LinkError, maps};
+use crate::canvas::{BLACK, Colour};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
-use crate::draw::plan::{FloorPlan, draw_receiver};
-use crate::draw::spectra::ColourScale;
 use minijinja::{Value, context};
-use pwrfgs_core::{colour::diverging, evenly};
+use pwrfgs_core::evenly;
 use pwrfgs_experiment::{LoadedRun, statistics::quantile};
 
 /// Maximum number of dots of the scatter plot.
@@ -41,13 +40,14 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let mut errors: Vec<f64> = pairs.iter().map(PowerPair::error).collect();
     errors.sort_by(f64::total_cmp);
     let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&pairs)].into_iter().flatten().collect();
+    let by_link = pairs.iter().map(|own| LinkError { link: own.link, error: own.error() }).collect();
     context! {
         figures,
         median => signed(quantile(&errors, 0.5)),
         mean => signed(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
         dots => pairs.len().min(DOTS),
         links => pairs.len(),
-        maps => maps(run, &pairs),
+        maps => maps(run, by_link),
         examples => examples(run, chosen),
     }
 }
@@ -122,98 +122,6 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
         }
     };
     chosen.iter().map(row).collect()
-}
-
-/// Maximum number of maps, and of transmitters per map.
-const MAPS: usize = 24;
-const SHOWN: usize = 500;
-/// Maximum number of surface points in the background.
-const POINTS: usize = 800;
-/// Width of the drawing of a map, and its maximum height without axes.
-const WIDTH: f64 = 290.0;
-const MOST_HEIGHT: f64 = 250.0;
-
-/// Maps of the shown receivers; none without positions.
-fn maps(run: &LoadedRun<'_>, pairs: &[PowerPair]) -> Option<Value> {
-    let data = run.data;
-    if !data.placed || pairs.is_empty() {
-        return None;
-    }
-    let receivers = &data.scene.receivers;
-    let mut of_each: Vec<Vec<PowerPair>> = vec![Vec::new(); receivers.len()];
-    pairs.iter().for_each(|own| of_each[data.links[own.link].receiver].push(*own));
-    let with_links: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
-    let mut sizes: Vec<f64> = pairs.iter().map(|own| own.error().abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    // A few large errors would make all others white.
-    let limit = quantile(&sizes, 0.95).ceil().max(1.0);
-    let map = |&r: &usize| {
-        let name = receivers[r].name.clone();
-        let svg = map_of(run, r, &of_each[r], limit).svg("map", &format!("errors at {name}"));
-        context! { name, svg, links => of_each[r].len() }
-    };
-    let scale = ColourScale::Error(limit);
-    Some(context! {
-        maps => with_links.iter().take(MAPS).map(map).collect::<Vec<_>>(),
-        unshown => with_links.len().saturating_sub(MAPS),
-        most => SHOWN,
-        cut => of_each.iter().any(|own| own.len() > SHOWN),
-        legend => legend(limit).svg("legend", "legend of the marks"),
-        bar => scale.bar().svg("bar", "colour scale of the error, dB"),
-    })
-}
-
-/// Map of one receiver, in the frame of all transmitters that it received.
-fn map_of(run: &LoadedRun<'_>, receiver: usize, pairs: &[PowerPair], limit: f64) -> Canvas {
-    let data = run.data;
-    let flat = |[x, y, _]: [f64; 3]| [x, y];
-    let own = data.scene.origin.world_pose(data.scene.receivers[receiver].pose).position;
-    let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.tx));
-    let plan = FloorPlan::new(FloorPlan::corners(links().chain([flat(own)])), ["x", "y"], WIDTH, MOST_HEIGHT);
-    let mut canvas = plan.canvas();
-    let points = evenly(&data.scene.points, POINTS);
-    plan.points(&mut canvas, points.into_iter().map(|p| flat(data.scene.origin.world(p))));
-    let mut shown = evenly(pairs, SHOWN);
-    shown.sort_by(|a, b| a.error().abs().total_cmp(&b.error().abs())); // the worst on top
-    for own in &shown {
-        draw_error(&mut canvas, plan.place(flat(data.sample(own.link).tx)), own.error() / limit);
-    }
-    plan.receiver(&mut canvas, flat(own));
-    plan.axes(&mut canvas);
-    FloorPlan::widened(&canvas, WIDTH)
-}
-
-/// Triangle that points up for too high and down for too low predictions, larger for larger errors, so that the sign
-/// needs no colour. `error` is relative to the end of the scale.
-fn draw_error(canvas: &mut Canvas, [x, y]: [f64; 2], error: f64) {
-    let size = 2.0 + 3.4 * error.abs().min(1.0).sqrt();
-    let up = if error < 0.0 { -1.0 } else { 1.0 };
-    let [r, g, b] = diverging(error.clamp(-1.0, 1.0));
-    let fill = Colour { rgb: [r, g, b], opacity: 1.0 };
-    let corners = [[x, y - up * size], [x + 0.9 * size, y + 0.65 * up * size], [x - 0.9 * size, y + 0.65 * up * size]];
-    canvas.polygon(&corners, Paint::fill(fill).outlined(INK.faint(0.7), 0.5));
-}
-
-/// Legend of the marks.
-fn legend(limit: f64) -> Canvas {
-    let mut canvas = Canvas::new(560.0, 18.0);
-    let mut x = 8.0;
-    let half = limit / 2.0;
-    for (error, words) in [
-        (-1.0, format!("{limit} dB too low")),
-        (-0.5, format!("{half} dB")),
-        (0.02, "0 dB".to_owned()),
-        (0.5, format!("{half} dB")),
-        (1.0, format!("{limit} dB or more too high")),
-    ] {
-        draw_error(&mut canvas, [x, 9.0], error);
-        canvas.text([x + 9.0, 13.0], Anchor::Start, &words);
-        x += 24.0 + crate::canvas::text_width(&words);
-    }
-    draw_receiver(&mut canvas, [x + 2.0, 9.0]);
-    canvas.text([x + 13.0, 13.0], Anchor::Start, "receiver");
-    canvas.width = x + 80.0;
-    canvas
 }
 
 #[cfg(test)]

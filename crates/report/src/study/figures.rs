@@ -8,6 +8,8 @@ mod gaussians;
 mod latency;
 mod panels;
 mod rate;
+#[cfg(test)]
+mod tests;
 mod tradeoff;
 
 use crate::canvas::Canvas;

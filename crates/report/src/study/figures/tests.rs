@@ -1,0 +1,63 @@
+use super::tradeoff::strategies;
+use super::{Figure, all};
+use crate::canvas::outside;
+use crate::page;
+use pwrfgs_experiment::{NoopObserver, PageBuilder, RunOutcome, Session, Study, read_pipeline, run};
+use std::path::{Path, PathBuf};
+
+const PIPELINE: &str = "Pipeline(
+    name: \"small\",
+    data: Teacher(gaussians: 4, samples: 24, width: 24, height: 8),
+    split: Official(validation: 0.2),
+    initializer: Grid(count: 8),
+    deformation: Mlp(depth: 2, width: 8, skip: None),
+    baselines: [MeanSpectrum(), NearestNeighbours(k: 1)],
+    pruners: [],
+    training: (
+        steps: 6, batch: 2, densify_until: 2, prune_until: 4, prune_every: 1, validate_every: 2, checkpoint_every: 6,
+        densify: (every: 5, from: 1),
+    ),
+)";
+
+/// Trains a run with some initial Gaussians; the run `Grid 8` has a page.
+fn trained(folder: &Path, name: &str, count: usize) -> PathBuf {
+    let (file, out) = (folder.join("p.ron"), folder.join(name));
+    std::fs::write(&file, PIPELINE).unwrap();
+    let set = [format!("initializer=Grid(count: {count})")];
+    let mut observer = NoopObserver;
+    let mut session = Session { page: (count == 8).then_some(page as PageBuilder), ..Session::new(&mut observer) };
+    let pipeline = read_pipeline(&file, &set).unwrap();
+    let outcome = run(&pipeline, Path::new(""), &out, &mut session).unwrap();
+    assert!(matches!(outcome, RunOutcome::Finished { .. }));
+    out
+}
+
+#[test]
+fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
+    let folder = tempfile::tempdir().unwrap();
+    let names =
+        ["Grid 8", "Grid 12", "a strategy with a long name 8", "a strategy with a long name 12", "mask", "none"];
+    let counts = [8, 12, 9, 13, 6, 5];
+    let runs: Vec<PathBuf> = names.iter().zip(counts).map(|(name, n)| trained(folder.path(), name, n)).collect();
+    let html = std::fs::read_to_string(runs[0].join("report.html")).unwrap();
+    assert!(html.contains("Error by position") && html.contains(">1 − SSIM = 0<"), "maps of the errors of spectra");
+    let (pages, texts) = outside::take();
+    assert!(pages > 6 && texts.is_empty(), "{pages} drawings on the pages of runs: {texts:#?}");
+    for (count, curves) in [(1, 1), (2, 1), (6, 4)] {
+        let mut study = Study::read(&runs[..count]).unwrap();
+        for (variant, name) in study.settings[0].variants.iter_mut().zip(names) {
+            variant.label = name.into();
+        }
+        assert_eq!(study.settings[0].variants.len(), count);
+        let lines = strategies(&study.settings[0], "ssim");
+        let points = lines.iter().map(|line| line.points.len()).sum::<usize>();
+        assert_eq!((lines.len(), points), (curves, count), "one curve per strategy");
+        let drawn = all(&study.settings[0], &|_, _| {});
+        assert_eq!(drawn.left_out, None);
+        let (written, texts) = outside::take();
+        assert!(written == drawn.figures.len() && texts.is_empty(), "{count} variants: {texts:#?}");
+        for stem in ["gaussians", "ssim-n", "eta-n", "latency", "distance", "room", "spectra", "eta-snr"] {
+            assert!(drawn.figures.iter().any(|Figure { name, .. }| name == stem), "{stem} of {count} variants");
+        }
+    }
+}
