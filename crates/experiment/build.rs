@@ -13,10 +13,13 @@ fn git(arguments: &[&str]) -> Option<String> {
 fn of_checkout() -> Option<String> {
     let root: PathBuf = std::env::current_dir().ok()?.ancestors().nth(2)?.canonicalize().ok()?;
     let is_own = Path::new(&git(&["rev-parse", "--show-toplevel"])?).canonicalize().ok()? == root;
-    // Git appends to this log at each commit, checkout and pull.
-    let log = git(&["rev-parse", "--path-format=absolute", "--git-path", "logs/HEAD"])?;
-    if is_own && Path::new(&log).exists() {
-        println!("cargo::rerun-if-changed={log}");
+    // A commit, checkout or pull changes one of these.
+    let branch = git(&["rev-parse", "--symbolic-full-name", "HEAD"]).unwrap_or_default();
+    for name in ["HEAD", "logs/HEAD", "packed-refs", &branch] {
+        let path = git(&["rev-parse", "--path-format=absolute", "--git-path", name])?;
+        if is_own && Path::new(&path).is_file() {
+            println!("cargo::rerun-if-changed={path}");
+        }
     }
     git(&["rev-parse", "HEAD"]).filter(|_| is_own)
 }

@@ -15,7 +15,10 @@ fn names_its_commit(here: &Path, facts: &serde_json::Value) {
         output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8(o.stdout).unwrap().trim().to_owned())
     };
     let version = stdout(&succeed(here, &["--version"]));
-    match git(&["rev-parse", "HEAD"]) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap();
+    let is_own =
+        git(&["rev-parse", "--show-toplevel"]).is_some_and(|top| Path::new(&top).canonicalize().unwrap() == root);
+    match git(&["rev-parse", "HEAD"]).filter(|_| is_own) {
         Some(commit) => {
             assert_eq!(facts["commit"], commit);
             assert_eq!(version, format!("pwrfgs {} ({commit:.10})\n", env!("CARGO_PKG_VERSION")));

@@ -2,9 +2,9 @@
 //!
 //! This module holds the mean, the zero channel, and `ByReceiver`, which fits one predictor per receiver.
 
+mod kriging;
 #[cfg(test)]
 mod link_tests;
-mod kriging;
 mod log_distance;
 mod neighbours;
 mod ridge;
