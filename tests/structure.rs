@@ -28,10 +28,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// Code lines of a file, of a crate, and of all Rust files. A change that needs more states the new total and the reason in its
 /// commit; 50,000 is the bound for all planned features.
 const OF_FILE: usize = 300;
-const OF_CRATE: usize = 5_000;
-const IN_TOTAL: usize = 45_500;
+const OF_CRATE: usize = 5_250;
+const IN_TOTAL: usize = 46_500;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 360;
+const FILES: usize = 365;
 const SMALL: usize = 35;
 /// A Rust file that is no test.
 pub(crate) struct Source {
@@ -114,7 +114,8 @@ fn read(package: &str, folder: &Path, module: &[String], found: &mut Vec<Source>
             code: without_tests(&text),
         });
     }
-    for path in entries.iter().filter(|path| path.is_dir() && path.join("mod.rs").is_file()) {
+    let is_alone = |path: &Path| path.is_dir() && !path.with_extension("rs").is_file();
+    for path in entries.iter().filter(|path| is_alone(path)) {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         read(package, path, &[module, &[name]].concat(), found);
     }
