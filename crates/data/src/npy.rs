@@ -46,7 +46,9 @@ pub(crate) fn positions(header: &Header, path: &Path, file: &mut dyn Read, left:
         return refuse(format!("has shape {}; {what}", header.shape_text()));
     };
     if header.bytes(number) != Some(left) || left > MAX_BYTES {
-        return refuse(format!("{count} positions do not fit its length; it is cut short or damaged: copy it again"));
+        return refuse(format!(
+            "{count} positions do not fit its length; the file is truncated or damaged: copy it again"
+        ));
     }
     let mut bytes = vec![0; left as usize];
     file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
@@ -117,7 +119,7 @@ fn complex(header: &Header, path: &Path, file: &mut dyn Read, left: u64, words: 
     }
     let of_one = if double { 16_u64 } else { 8 };
     if header.shape.iter().try_fold(of_one, |all, n| all.checked_mul(*n as u64)) != Some(left) {
-        let what = "do not fit its length; it is cut short or damaged: copy it again";
+        let what = "do not fit its length; the file is truncated or damaged: copy it again";
         return Err(refuse(format!("numbers of shape {} {what}", header.shape_text())));
     }
     if left > MAX_BYTES {

@@ -109,7 +109,10 @@ fn reports_invalid_input() {
     let cases = [
         (pictures(&[4, 6], 24), "DIR/s/spectra.npy: has shape [4, 6]; spectra are [M, H, W]"),
         (pictures(&[3, 2, 3], 18), "DIR/s/spectra.npy: holds 3 spectra, but tx.npy 4 transmitters"),
-        (pictures(&[4, 2, 3], 23), "DIR/s/spectra.npy: 4 spectra of 3 x 2 pixels do not fit its 151 bytes; it is cut"),
+        (
+            pictures(&[4, 2, 3], 23),
+            "DIR/s/spectra.npy: 4 spectra of 3 x 2 pixels do not fit its 151 bytes; the file is truncated",
+        ),
         (pictures(&[4, 2, 3], 25), "do not fit its 153 bytes"),
         (pictures(&[1 << 40, 1 << 40, 1 << 40], 24), "do not fit its 152 bytes"),
         (value(f32::NAN), "DIR/s/spectra.npy: spectra[1, 1, 1] is NaN; spectra are linear, from 0 to 1"),

@@ -69,7 +69,9 @@ fn each(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut 
         return refuse(what + advice);
     }
     if header.bytes(number).and_then(|n| n.checked_add(header.offset)) != Some(bytes) || h * w == 0 {
-        return refuse(format!(", which does not fit its {bytes} bytes; it is cut short or damaged: copy it again"));
+        return refuse(format!(
+            ", which does not fit its {bytes} bytes; the file is truncated or damaged: copy it again"
+        ));
     }
     sink.begin(path, shape, number)?;
     let mut one = vec![0; h * w * number.bytes()];

@@ -216,7 +216,7 @@ fn rejects_ambiguous_import_with_advice() {
     );
     shaped(&[3, 2, 3], 18, "so 3 spectra, and there are 4 transmitters");
     shaped(&[4, 6], 24, "has shape [4, 6]; spectra are [M, H, W]");
-    shaped(&[4, 2, 3], 20, "which does not fit its 148 bytes; it is cut short");
+    shaped(&[4, 2, 3], 20, "which does not fit its 148 bytes; the file is truncated");
     shaped(&[4, 1 << 40, 1 << 40], 24, "does not fit its 152 bytes");
     folder.write("s.npy", &array(Number::U8, &[4, 2, 3], vec![0; 24]));
     case(folder.work("s.npy"), "every value is 0");
