@@ -23,7 +23,7 @@ use std::process::ExitCode;
     about = "Predict spatial spectra, received powers or channels with pruned 3D Gaussians (P-WRFGS)",
     after_help = "\
 EXAMPLES
-  pwrfgs run pipelines/quickstart.ron                   # 1 to 2 minutes, no download
+  pwrfgs run pipelines/quickstart.ron                   # about a minute, no download
   pwrfgs run pipelines/quickstart.ron --scale 0.25 --set seed=1 --out runs/short
   pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
   pwrfgs plugins                                        # names that a pipeline can use

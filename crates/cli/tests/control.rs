@@ -83,6 +83,8 @@ fn init_writes_runnable_pipeline_and_never_overwrites() {
     refuse(here, &["init", "my \"data\""], 2, &["my--data-.ron", "not overwritten", "--out"]);
     assert_eq!(std::fs::read_to_string(here.join("my--data-.ron")).unwrap(), text);
     refuse(here, &["init", "nowhere"], 2, &["nowhere: no such folder"]);
+    write(&here.join("rssi.npy"), "");
+    refuse(here, &["init", "rssi.npy"], 2, &["rssi.npy: is a file; give a folder", "docs/data.md"]);
     std::fs::create_dir(here.join("empty")).unwrap();
     refuse(here, &["init", "empty"], 2, &["empty: no known layout", "spectra.npy", "gateway_rssi.csv", "docs/data.md"]);
     assert!(!here.join("nowhere.ron").exists());

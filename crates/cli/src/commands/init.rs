@@ -214,7 +214,11 @@ struct DataSurvey {
 impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
     fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        let unknown = if folder.is_dir() { UNKNOWN } else { "no such folder" };
+        let unknown = match folder.metadata() {
+            Ok(entry) if entry.is_dir() => UNKNOWN,
+            Ok(_) => "is a file; give a folder in a layout of docs/data.md",
+            Err(_) => "no such folder",
+        };
         let source = recognise(folder).ok_or_else(|| Error::input(folder, unknown))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
