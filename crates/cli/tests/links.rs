@@ -287,7 +287,8 @@ fn maps_powers(here: &Path) {
     assert_eq!(beyond as usize, distances.iter().filter(|metres| **metres > limit).count(), "{list}");
     let message =
         succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
-    assert!(stderr(&message).contains("set --bounds to change this"), "{}", stderr(&message));
+    let words = "(all training positions and receivers); set --bounds to change this";
+    assert!(stderr(&message).contains(words), "{}", stderr(&message));
     assert_eq!(names(&here.join("side")).len(), 5);
     for (arguments, words) in [
         (&["--plane", "w=1"][..], &["--plane w=1", "such as z=1.2"][..]),

@@ -15,7 +15,7 @@ use pwrfgs::experiment::text::{field, grouped};
 use pwrfgs::model::Ensemble;
 use pwrfgs::report::draw::plan::{Heatmap, Palette, TrainingMap};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
+use pwrfgs_core::{Error, Number, Pose, Real, Receiver, Result};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -40,8 +40,7 @@ FILES
 Images show training positions near the plane as circles. They hatch extrapolations: positions
 farther from all training positions than 3 times their spacing (95th percentile of
 nearest-neighbour distances).
-Without --bounds, the map covers the central 90 % of the Gaussians and all receivers, which may
-differ from the room.
+Without --bounds, the map covers all training positions and receivers.
 
 EXAMPLES
   pwrfgs map runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01
@@ -87,19 +86,16 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let receivers = chosen(model.receivers(), &arguments.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    if bounds.is_none() && ensemble.gaussians() == 0 {
-        let what = "--bounds: required for a model without Gaussians";
-        return Err(Error::Config(what.into()));
-    }
-    let bounds = bounds.unwrap_or_else(|| {
-        let means =
-            ensemble.members().iter().flat_map(|own| own.cloud.means.iter().map(|mean| own.stages.origin.world(*mean)));
-        let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
-        let bounds =
-            PlaneBounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
-        verbosity.note(&message(plane, bounds));
-        bounds
-    });
+    let bounds = match bounds {
+        Some(bounds) => bounds,
+        None => {
+            let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
+            let (bounds, source) = default_bounds(&ensemble, plane, listening)?;
+            let bounds = bounds.outwards(arguments.step);
+            verbosity.note(&message(plane, bounds, source));
+            bounds
+        }
+    };
     let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
     let folder = NewFolder::begin(&arguments.out)?;
     let mut layers = RunProgress::during(verbosity, |progress| {
@@ -125,11 +121,36 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
+/// Bounds around all training positions and `receivers` (metres in the plane), and their description. A model of an earlier
+/// version has no training positions: the central 90 % of its Gaussians take their place.
+///
+/// # Errors
+/// The model has neither training positions nor Gaussians.
+fn default_bounds(
+    ensemble: &Ensemble,
+    plane: MapPlane,
+    receivers: Vec<[f64; 2]>,
+) -> Result<(PlaneBounds, &'static str)> {
+    let origin = ensemble.members()[0].stages.origin;
+    let flat = |local: [Real; 3]| plane.flat(origin.world(local));
+    let training = ensemble.training_positions_from(origin);
+    if !training.is_empty() {
+        let all: Vec<[f64; 2]> = training.into_iter().map(flat).chain(receivers).collect();
+        return Ok((PlaneBounds::around(Vec::new(), &all), "all training positions and receivers"));
+    }
+    let means: Vec<[f64; 2]> = ensemble.means_from(origin).into_iter().map(flat).collect();
+    if means.is_empty() {
+        let what = "--bounds: required for a model without training positions and Gaussians";
+        return Err(Error::Config(what.into()));
+    }
+    Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and all receivers"))
+}
+
 /// Describes the default bounds.
-fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds) -> String {
+fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
     let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
-        "{a} from {} to {} m, {b} from {} to {} m (central 90 % of the Gaussians, and all receivers); set --bounds to change this",
+        "{a} from {} to {} m, {b} from {} to {} m ({source}); set --bounds to change this",
         short(across[0]),
         short(across[1]),
         short(up[0]),
