@@ -65,7 +65,7 @@ fn links(criterion: &mut Criterion) {
         };
         let stages = Stages::new(splatting, setup);
         let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));
-        let model = Model { stages, cloud: seeded_cloud(500), weights, training: None };
+        let model = Model { stages, cloud: seeded_cloud(500), weights, training_positions: None };
         let (ready, queries) = (model.prepare(), (0..21).map(|r| Query::at(TX, r)).collect::<Vec<_>>());
         group.bench_function(BenchmarkId::new("a position, 21 receivers, sky of degrees", sky_deg), |b| {
             b.iter(|| ready.predict_many(&queries));

@@ -68,7 +68,7 @@ fn invisible_gaussians_change_neither_image_nor_derivative() {
                 stages: Stages::clone(&stages),
                 cloud: cloud.clone(),
                 weights: weights.to_vec(),
-                training: None,
+                training_positions: None,
             };
             model.predict([0.3, 0.2, 0.9])
         };

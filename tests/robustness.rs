@@ -129,7 +129,7 @@ fn zero_and_one_gaussian_predict_and_differentiate() {
                 stages: Stages::clone(&stages),
                 cloud: cloud.clone(),
                 weights: weights.clone(),
-                training: None,
+                training_positions: None,
             };
             let pictures = model.prepare().predict_many(&[[0.1, 0.2, 0.3], [0.5, 0.0, 0.9]].map(Query::from));
             assert!(pictures.iter().all(|p| p.pixels.len() == 90 * 24 && finite(&p.pixels)), "{deformation}");

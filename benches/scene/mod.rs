@@ -63,7 +63,7 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
         readout: pwrfgs::methods::Readout::Magnitude,
     };
     let stages = Stages::new(splatting, MeasurementSetup::spectra(Origin::ZERO, RECEIVER, plane));
-    Model { stages, cloud, weights, training: None }
+    Model { stages, cloud, weights, training_positions: None }
 }
 
 /// A model of `cloud` with the untrained network of WRF-GS.

@@ -1,4 +1,4 @@
-//! Stores the commit of the checkout, or of the packaged crate, in the program.
+//! Stores the commit of the checkout, or of the packaged crate, in the program. Uncommitted changes do not show in it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

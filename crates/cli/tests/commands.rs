@@ -141,7 +141,7 @@ fn predicts(here: &Path) {
 /// A position far from the training positions gives a warning with its distance; a model of an earlier version, a note.
 fn extrapolates(here: &Path) {
     let model = file::read(&here.join("m.safetensors")).unwrap();
-    let training = model.training.clone().unwrap();
+    let training = model.training_positions.clone().unwrap();
     let near = training.positions()[0];
     write(&here.join("far.csv"), format!("x,y,z\n{},{},{}\n22,0,1\n23,0,1\n", near[0], near[1], near[2]));
     let output = succeed(here, &["predict", "m.safetensors", "--tx-csv", "far.csv", "--out", "far"]);
@@ -155,14 +155,14 @@ fn extrapolates(here: &Path) {
     let expected = expected.fold(f64::INFINITY, f64::min);
     assert!(distances[0] == 0.0 && (distances[2] - expected).abs() < 1e-3, "{distances:?}, expected {expected}");
     let words = format!(
-        "warning: 2 of 3 positions are farther than {:.2} m from all training positions (up to {expected:.2} m)",
+        "warning: 2 of 3 predictions are extrapolations: farther than {:.2} m from all training positions (up to {expected:.2} m)",
         training.limit()
     );
     assert_eq!(stderr(&output).matches(&words).count(), 1, "{}", stderr(&output));
     let output = succeed(here, &["predict", "m.safetensors", "--tx", "0.2,0.1,0.9", "--out", "near"]);
     assert!(!stderr(&output).contains("training positions"), "{}", stderr(&output));
 
-    file::write(&here.join("old.safetensors"), &Model { training: None, ..model }).unwrap();
+    file::write(&here.join("old.safetensors"), &Model { training_positions: None, ..model }).unwrap();
     let output = succeed(here, &["predict", "old.safetensors", "--tx", "22,0,1", "--out", "old"]);
     assert!(stderr(&output).contains("note: the model has no training positions"), "{}", stderr(&output));
     assert!(read(&here.join("old/predictions.csv")).ends_with(",\n"));

@@ -106,7 +106,7 @@ fn model(
     };
     let stages = Stages::new(splatting, setup);
     let weights: Vec<Real> = stages.layout().init(&mut rng::stream(1, "weights", 0));
-    Model { stages, cloud: cloud(), weights, training: None }
+    Model { stages, cloud: cloud(), weights, training_positions: None }
 }
 
 /// Wide Gaussians that are equally far from the receiver but for the rounding of their means.
@@ -138,7 +138,7 @@ fn virtual_transmitters(order: usize) -> Model {
     cloud.complete(&method.traits().columns).unwrap();
     let mut random = rng::stream(6, "harmonics", 0);
     cloud.extra.iter_mut().for_each(|column| column.values.fill_with(|| rng::normal(&mut random)));
-    Model { stages: Stages { method, setup }, cloud, weights: Vec::new(), training: None }
+    Model { stages: Stages { method, setup }, cloud, weights: Vec::new(), training_positions: None }
 }
 
 /// Predictions of a model file in the folder `out`.

@@ -105,7 +105,7 @@ fn viewer_excludes_training_samples_of_baseline() {
         }
     }
     let far = |side: usize| served.body(&format!("/{token}/predict?side={side}&tx=22,0,1"), "").replace('\\', "");
-    let training = file::read(&folder.join("run/model.safetensors")).unwrap().training.unwrap();
+    let training = file::read(&folder.join("run/model.safetensors")).unwrap().training_positions.unwrap();
     let metres = training.distances(&[[22.0, 0.0, 1.0]])[0];
     let expected = format!("\"training\":{{\"metres\":{},\"limit\":{}}}", metres as f64, training.limit() as f64);
     assert!(metres > training.limit() && far(0).contains(&expected), "{expected}: {:.400}", far(0));

@@ -253,7 +253,10 @@ pub(crate) fn free_memory() -> Option<u64> {
 pub(crate) fn load_average() -> Option<(f64, usize)> {
     let text = files::read_string("/proc/loadavg").ok()?;
     let load = text.split_whitespace().next()?.parse().ok()?;
-    Some((load, std::thread::available_parallelism().ok()?.get()))
+    // The load is that of all cores, also of those that this process may not use.
+    let info = files::read_string("/proc/cpuinfo").ok()?;
+    let cores = info.lines().filter(|line| line.starts_with("processor")).count();
+    (cores > 0).then_some((load, cores))
 }
 
 /// Number after `name` in a file of lines such as `VmHWM:  1234 kB`.

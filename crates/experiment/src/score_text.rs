@@ -26,16 +26,17 @@ impl ScoreTable {
     /// `level with Kriging: +0.0030 [−0.0030, +0.0080] (..)`. `None` without such a baseline.
     pub fn verdict(&self) -> Option<String> {
         let headline = self.task.headline;
-        let mean = |name: &str| self.numbers(name, headline.key)?.first().copied().filter(|v| !v.is_nan());
-        let ranked = self.baselines().filter(|name| self.is_ranked(name)).filter_map(|name| Some((name, mean(name)?)));
-        let is_better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
-        let (best, _) = ranked.reduce(|best, other| if is_better(other.1, best.1) { other } else { best })?;
+        let metric = self.metrics.iter().find(|metric| metric.key == headline.key)?;
+        let ranks = self.ranks(metric, 0);
+        let rank = |name: &str| ranks[self.predictors.iter().position(|known| known == name)?];
+        let ranked = self.baselines().filter_map(|name| Some((rank(name)?, name)));
+        let (_, best) = ranked.min_by_key(|(rank, _)| *rank)?;
         let row = self.paired.as_ref()?.row(best, headline.key)?;
         let relation = match row.verdict() {
             "better" => "ahead of",
             "worse" => "behind",
             "level" => "level with",
-            _ => "no interval for the difference from",
+            _ => "not compared by an interval with",
         };
         let (number, arrow) = (row.number(), if headline.higher { "↑" } else { "↓" });
         Some(format!("{relation} {best}: {number} (model minus baseline, mean {} {arrow})", headline.name))
@@ -115,7 +116,7 @@ mod tests {
         let end = " (model minus baseline, mean SSIM ↑)";
         assert_eq!(given(Some([-0.003, 0.008])), format!("level with Kriging: +0.0030 [−0.0030, +0.0080]{end}"));
         assert_eq!(given(Some([0.001, 0.008])), format!("ahead of Kriging: +0.0030 [+0.0010, +0.0080]{end}"));
-        assert_eq!(given(None), format!("no interval for the difference from Kriging: +0.0030{end}"));
+        assert_eq!(given(None), format!("not compared by an interval with Kriging: +0.0030{end}"));
         assert_eq!(verdict(None, &["3-NN", "Kriging", "RT exact"]), None);
     }
 }

@@ -221,7 +221,7 @@ impl ScoreTable {
     }
 
     /// Whether a predictor is ranked: not oracle baselines and the ceiling.
-    pub(crate) fn is_ranked(&self, name: &str) -> bool {
+    fn is_ranked(&self, name: &str) -> bool {
         name != CEILING && !self.oracles.iter().any(|oracle| oracle == name)
     }
 }

@@ -1,6 +1,6 @@
 //! `Ensemble`: several models of one scene that predict together.
 
-use crate::{Model, Prepared};
+use crate::{Model, Prepared, TrainingDistances};
 use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
@@ -110,35 +110,30 @@ impl Ensemble {
         self.members.iter().flat_map(|model| model.means_from(origin)).collect()
     }
 
-    /// Returns the distance of each transmitter position (metres, world frame) to the nearest training position, metres:
-    /// the largest over the members. `None` if a member has no training positions.
-    pub fn training_distances(&self, txs: &[[f64; 3]]) -> Option<Vec<f64>> {
-        let mut largest = vec![0.0_f64; txs.len()];
-        for Model { stages, training, .. } in &self.members {
+    /// Returns how far the transmitter positions `txs` `[K,3]` (metres, world frame) are from the training positions. `None`
+    /// if a member has no training positions.
+    pub fn training_distances(&self, txs: &[[f64; 3]]) -> Option<TrainingDistances> {
+        let mut metres = vec![0.0_f64; txs.len()];
+        for Model { stages, training_positions, .. } in &self.members {
             let local: Vec<[Real; 3]> = txs.iter().map(|tx| stages.origin.local(*tx)).collect();
-            let own = training.as_ref()?.distances(&local);
-            largest.iter_mut().zip(own).for_each(|(largest, own)| *largest = largest.max(own as f64));
+            let own = training_positions.as_ref()?.distances(&local);
+            metres.iter_mut().zip(own).for_each(|(largest, own)| *largest = largest.max(own as f64));
         }
-        Some(largest)
+        Some(TrainingDistances { metres, limit: self.training_limit()? })
     }
 
     /// Returns the training distance in metres beyond which a prediction is an extrapolation: the smallest limit of the
     /// members ([`TrainingPositions::limit`](crate::TrainingPositions::limit)). `None` if a member has no training positions.
     pub fn training_limit(&self) -> Option<f64> {
-        let limits = self.members.iter().map(|model| model.training.as_ref().map(|own| own.limit() as f64));
+        let limits = self.members.iter().map(|model| Some(model.training_positions.as_ref()?.limit() as f64));
         limits.reduce(|a, b| Some(a?.min(b?)))?
     }
 
-    /// Returns the thinned training positions of all members `[K,3]`, metres from `origin`; empty if unknown.
-    pub fn training_positions_from(&self, origin: Origin) -> Vec<[Real; 3]> {
-        let of = |model: &Model| {
-            let (own, training) = (model.stages.origin, model.training.clone());
-            let positions = training.map_or(Vec::new(), |training| training.positions().to_vec());
-            positions
-                .into_iter()
-                .map(|p| if own == origin { p } else { origin.local(own.world(p)) })
-                .collect::<Vec<_>>()
-        };
+    /// Returns the thinned training positions of all members `[K,3]`, metres, world frame; empty if unknown.
+    pub fn training_positions(&self) -> Vec<[f64; 3]> {
+        let positions =
+            |model: &Model| model.training_positions.as_ref().map_or(Vec::new(), |own| own.positions().to_vec());
+        let of = |model| positions(model).into_iter().map(|position| model.stages.origin.world(position));
         self.members.iter().flat_map(of).collect()
     }
 

@@ -171,7 +171,7 @@ fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     for (spec, values) in model.stages.layout().constants {
         file.put(format!("{prefix}{CONSTANTS}{}", spec.name), spec.shape, values);
     }
-    if let Some(training) = &model.training {
+    if let Some(training) = &model.training_positions {
         let positions = training.positions();
         file.put(format!("{prefix}{TRAINING}"), vec![positions.len(), 3], positions.as_flattened().to_vec());
     }
@@ -248,8 +248,8 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     let cloud = take_columns(file, &format!("{prefix}gaussians."), note.gaussians, &columns)?;
     let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
     check_constants(file, prefix, &stages)?;
-    let training = take_training(file, &format!("{prefix}{TRAINING}"))?;
-    Ok(Model { stages, cloud, weights, training })
+    let training_positions = take_training(file, &format!("{prefix}{TRAINING}"))?;
+    Ok(Model { stages, cloud, weights, training_positions })
 }
 
 /// Takes the training positions; `None` in a file of an earlier version.

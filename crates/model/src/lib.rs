@@ -20,4 +20,4 @@ pub use model::{Model, Stages};
 pub use prepared::Prepared;
 pub use snapshot::Snapshot;
 pub use trained::Trained;
-pub use training_positions::TrainingPositions;
+pub use training_positions::{TrainingDistances, TrainingPositions};

@@ -18,8 +18,8 @@ pub struct Model {
     pub cloud: GaussianCloud,
     /// Weights Θ, with the layout of the method.
     pub weights: Vec<Real>,
-    /// Positions of the training set; `None` if unknown.
-    pub training: Option<TrainingPositions>,
+    /// Thinned transmitter positions `[K,3]` of the training set, metres from the origin; `None` if unknown.
+    pub training_positions: Option<TrainingPositions>,
 }
 
 impl Model {

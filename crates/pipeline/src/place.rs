@@ -67,6 +67,7 @@ impl<'a> SettingPlace<'a> {
         let depth = |path: &String| path.matches('.').count();
         let least = deeper.iter().map(depth).min();
         deeper.retain(|path| Some(depth(path)) == least);
+        deeper.truncate(3);
         let hint = match &deeper[..] {
             [] => did_you_mean(step, names()),
             _ => format!("; did you mean `{}`?", deeper.join("` or `")),

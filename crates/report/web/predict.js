@@ -385,9 +385,10 @@ export class Predictor {
   trainingDistance(tx) {
     const all = this.trainingPositions;
     if (!all) return null;
-    let nearest = Infinity;
-    for (let i = 0; i < all.length; i += 3) nearest = Math.min(nearest, Math.hypot(...tx.map((v, k) => v - this.origin[k] - all[i + k])));
-    return nearest;
+    const [x, y, z] = tx.map((v, k) => v - this.origin[k]);
+    let squared = Infinity;
+    for (let i = 0; i < all.length; i += 3) squared = Math.min(squared, (x - all[i]) ** 2 + (y - all[i + 1]) ** 2 + (z - all[i + 2]) ** 2);
+    return Math.sqrt(squared);
   }
 
   /**

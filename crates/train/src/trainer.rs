@@ -224,18 +224,21 @@ impl Trainer<'_> {
         edit::drop_state(&mut cloud, &self.stages.method.traits().columns);
         let mut stages = Stages::clone(&self.stages);
         stages.setup.plane = self.plane.clone();
-        let training = self.training_positions.get_or_init(|| self.thinned_positions()).clone();
-        Model { stages, cloud, weights: self.weights.to_vec(), training }
+        let training_positions = self.training_positions.get_or_init(|| self.thinned_positions()).clone();
+        Model { stages, cloud, weights: self.weights.to_vec(), training_positions }
     }
 
     fn thinned_positions(&self) -> Option<TrainingPositions> {
         let Dataset { placed, links, transmitters, scene, .. } = self.data;
+        if !placed {
+            return None;
+        }
         let mut trained: Vec<usize> = self.batches.train().iter().map(|&i| links[i].transmitter).collect();
         trained.sort_unstable();
         trained.dedup();
         let positions: Vec<[Real; 3]> =
             trained.into_iter().map(|t| scene.origin.local(transmitters[t].position)).collect();
-        TrainingPositions::thinned(&positions).filter(|_| *placed)
+        TrainingPositions::thinned(&positions)
     }
 
     /// Returns the dropout factors on the weights in this step; `None` without dropout.

@@ -113,7 +113,11 @@ fn machine(p: &Preview) -> String {
         .load
         .map(|(load, cores)| format!("load average {load:.1} on {cores} core{}", if cores == 1 { "" } else { "s" }));
     let varies = (p.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", p.time.spread));
-    let state = if is_loaded || varies.is_some() { "busy, an idle machine is faster" } else { "idle" };
+    let state = match p.load {
+        _ if is_loaded || varies.is_some() => "busy, an idle machine is faster",
+        Some(_) => "idle",
+        None => "load unknown",
+    };
     [Some(state.to_owned()), load, varies].into_iter().flatten().collect::<Vec<_>>().join("; ")
 }
 

@@ -15,7 +15,7 @@ use pwrfgs::experiment::text::{field, grouped};
 use pwrfgs::model::Ensemble;
 use pwrfgs::report::draw::plan::{Heatmap, Palette, TrainingMap};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Number, Pose, Real, Receiver, Result};
+use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -86,27 +86,25 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let receivers = chosen(model.receivers(), &arguments.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    let bounds = match bounds {
-        Some(bounds) => bounds,
-        None => {
-            let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
-            let (bounds, source) = default_bounds(&ensemble, plane, listening)?;
-            let bounds = bounds.outwards(arguments.step);
-            verbosity.note(&message(plane, bounds, source));
-            bounds
-        }
+    let bounds = if let Some(bounds) = bounds {
+        bounds
+    } else {
+        let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
+        let (bounds, source) = default_bounds(&ensemble, plane, listening)?;
+        let bounds = bounds.outwards(arguments.step);
+        verbosity.note(&message(plane, bounds, source));
+        bounds
     };
     let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
     let folder = NewFolder::begin(&arguments.out)?;
     let mut layers = RunProgress::during(verbosity, |progress| {
         layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()))
     });
-    let training = training(&ensemble, &grid);
-    let training = training.as_ref().map(|(distance, limit, positions)| {
-        layers.push(distance.clone());
-        TrainingMap { distances: &distance.values, limit: *limit, positions: positions.clone() }
+    let training = training(&ensemble, &grid).map(|(layer, training)| {
+        layers.push(layer);
+        training
     });
-    write(folder.path(), (&grid, training), &layers, model.receivers(), &poses, &receivers)?;
+    write(folder.path(), (&grid, training.as_ref()), &layers, model.receivers(), &poses, &receivers)?;
     folder.publish()?;
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
@@ -131,14 +129,14 @@ fn default_bounds(
     plane: MapPlane,
     receivers: Vec<[f64; 2]>,
 ) -> Result<(PlaneBounds, &'static str)> {
-    let origin = ensemble.members()[0].stages.origin;
-    let flat = |local: [Real; 3]| plane.flat(origin.world(local));
-    let training = ensemble.training_positions_from(origin);
+    let training = ensemble.training_positions();
     if !training.is_empty() {
-        let all: Vec<[f64; 2]> = training.into_iter().map(flat).chain(receivers).collect();
+        let all: Vec<[f64; 2]> = training.into_iter().map(|position| plane.flat(position)).chain(receivers).collect();
         return Ok((PlaneBounds::around(Vec::new(), &all), "all training positions and receivers"));
     }
-    let means: Vec<[f64; 2]> = ensemble.means_from(origin).into_iter().map(flat).collect();
+    let origin = ensemble.members()[0].stages.origin;
+    let means = ensemble.means_from(origin).into_iter().map(|mean| plane.flat(origin.world(mean)));
+    let means: Vec<[f64; 2]> = means.collect();
     if means.is_empty() {
         let what = "--bounds: required for a model without training positions and Gaussians";
         return Err(Error::Config(what.into()));
@@ -158,40 +156,40 @@ fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str
     )
 }
 
-/// Array of distances to the nearest training position, their limit, and the training positions within the limit of
-/// the plane; `None` if unknown.
-fn training(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, f64, Vec<[f64; 2]>)> {
+/// Array of distances to the nearest training position; extrapolations, and the training positions within the limit of the
+/// plane. `None` if unknown.
+fn training(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
     let places: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.place(k)).collect();
-    let (distances, limit) = (ensemble.training_distances(&places)?, ensemble.training_limit()?);
+    let distances = ensemble.training_distances(&places)?;
+    let (is_beyond, limit) = ((0..places.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);
     let layer = MapLayer {
         name: "training_distance",
         words: "distance to the nearest training position",
         unit: "m",
         receiver: None,
-        values: distances.into_iter().map(|metres| metres as f32).collect(),
+        values: distances.metres.into_iter().map(|metres| metres as f32).collect(),
         arrows: Vec::new(),
     };
-    let origin = ensemble.members()[0].stages.origin;
     let plane = grid.plane;
-    let positions = ensemble.training_positions_from(origin).into_iter().map(|position| origin.world(position));
-    let near = positions.filter(|position| (position[plane.axis] - plane.at).abs() <= limit);
-    Some((layer, limit, near.map(|position| plane.flat(position)).collect()))
+    let near = |position: &[f64; 3]| (position[plane.axis] - plane.at).abs() <= limit;
+    let positions =
+        ensemble.training_positions().into_iter().filter(near).map(|position| plane.flat(position)).collect();
+    Some((layer, TrainingMap { is_beyond, limit, positions }))
 }
 
 /// Writes all files into `folder`; `poses` are those of the receivers in the world frame.
 fn write(
     folder: &Path,
-    (grid, training): (&PlaneGrid, Option<TrainingMap<'_>>),
+    (grid, training): (&PlaneGrid, Option<&TrainingMap>),
     layers: &[MapLayer],
     receivers: &[Receiver],
     poses: &[Pose],
     mapped: &[usize],
 ) -> Result<()> {
-    let extrapolated = training.as_ref().map_or_else(
+    let extrapolated = training.map_or_else(
         || ",".into(),
-        |TrainingMap { distances, limit, .. }| {
-            let beyond = distances.iter().filter(|metres| f64::from(**metres) > *limit).count();
-            format!("{limit:.4},{beyond}")
+        |TrainingMap { is_beyond, limit, .. }| {
+            format!("{limit:.4},{}", is_beyond.iter().filter(|is_beyond| **is_beyond).count())
         },
     );
     let mut list = HEADER.to_owned();
@@ -207,7 +205,7 @@ fn write(
         let shown: Vec<usize> = layer.receiver.map_or_else(|| mapped.to_vec(), |r| vec![r]);
         put(
             format!("{name}.png"),
-            &image((grid, training.clone()), layer, receiver, shown.iter().map(|&r| poses[r].position)),
+            &image((grid, training), layer, receiver, shown.iter().map(|&r| poses[r].position)),
         )?;
         _ = writeln!(list, "{},{extrapolated}", line(grid, layer, &name, receiver.unwrap_or("")));
     }
@@ -232,7 +230,7 @@ fn array(grid: &PlaneGrid, values: &[f32]) -> Vec<u8> {
 }
 
 fn image(
-    (grid, training): (&PlaneGrid, Option<TrainingMap<'_>>),
+    (grid, training): (&PlaneGrid, Option<&TrainingMap>),
     layer: &MapLayer,
     receiver: Option<&str>,
     places: impl Iterator<Item = [f64; 3]>,

@@ -8,7 +8,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::model::Prepared;
+use pwrfgs::model::{Prepared, TrainingDistances};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Query, Result, Task};
 use std::path::PathBuf;
@@ -91,7 +91,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
             tx,
             receiver,
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
-            training_distance: distances.as_ref().map(|all| all[k / listening.len()]),
+            training_distance: distances.as_ref().map(|all| all.metres[k / listening.len()]),
         }
     };
     for first in (0..count).step_by(CHUNK) {
@@ -104,25 +104,27 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     writer.finish()?;
     folder.put("predictions.csv", list.as_bytes())?;
     made.publish()?;
-    if let Some(note) = extrapolation(distances.as_deref(), ensemble.training_limit()) {
+    if let Some(note) = extrapolation(distances.as_ref()) {
         verbosity.note(&note);
     }
-    verbosity.note(&format!("{} {} in {}", grouped(count as i64), task.plural, arguments.out.display()));
+    let kind = if count == 1 { task.singular } else { task.plural };
+    verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())
 }
 
-/// Warning about transmitter positions beyond `limit`, or note that their distances are unknown.
-fn extrapolation(distances: Option<&[f64]>, limit: Option<f64>) -> Option<String> {
-    let (Some(distances), Some(limit)) = (distances, limit) else {
+/// Warning about extrapolations, or note that the distances to training positions are unknown.
+fn extrapolation(distances: Option<&TrainingDistances>) -> Option<String> {
+    let Some(distances) = distances else {
         return Some("note: the model has no training positions, so extrapolations are not marked".into());
     };
-    let beyond: Vec<f64> = distances.iter().copied().filter(|metres| *metres > limit).collect();
+    let TrainingDistances { metres, limit } = distances;
+    let beyond: Vec<f64> = (0..metres.len()).filter(|&k| distances.is_beyond(k)).map(|k| metres[k]).collect();
     let largest = beyond.iter().copied().reduce(f64::max)?;
     Some(format!(
-        "warning: {} of {} positions are farther than {limit:.2} m from all training positions (up to {largest:.2} m); \
-         these predictions are extrapolations",
+        "warning: {} of {} predictions are extrapolations: farther than {limit:.2} m from all training positions (up to \
+         {largest:.2} m)",
         grouped(beyond.len() as i64),
-        grouped(distances.len() as i64)
+        grouped(metres.len() as i64)
     ))
 }
 

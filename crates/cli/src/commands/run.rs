@@ -76,7 +76,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
 
 /// Verdict on the model, and the commands that show more of its run.
 fn last_line(verdict: Option<String>, run: &Path) -> String {
-    let commands = [(cfg!(feature = "report"), "report"), (cfg!(feature = "viewer"), "view")];
+    let commands = [(pwrfgs::PAGE.is_some(), "report"), (cfg!(feature = "viewer"), "view")];
     let commands = commands.iter().filter(|(is_built, _)| *is_built);
     let next: Vec<String> = commands.map(|(_, name)| format!("`pwrfgs {name} {}`", run.display())).collect();
     let next = (!next.is_empty()).then(|| format!("next: {}", next.join(", ")));

@@ -2,7 +2,9 @@
 //! map with colour bar, axes and receivers.
 
 use super::axes::{few_ticks, label, linear_ticks};
-use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, VectorPath, WHITE};
+use crate::canvas::{
+    Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, TEXT, VectorPath, WHITE, wrapped,
+};
 use pwrfgs_core::colour::{Rgb, cyclic, sequential};
 
 /// Minimum ratio of the shorter to the longer side of a frame, so that a corridor stays visible.
@@ -153,6 +155,8 @@ const MOST_HEIGHT: f64 = 420.0;
 /// Heights for the title above and the colour bar below the map.
 const HEAD: f64 = 22.0;
 const FOOT: f64 = 44.0;
+/// Size of the letters below the map.
+const SMALL: f64 = 10.0;
 /// Colour of values that are not finite.
 const NOTHING: Rgb = [0xe3, 0xe5, 0xe9];
 /// Drawing units between two arrows.
@@ -193,14 +197,14 @@ pub struct Heatmap<'a> {
     /// Vector per value, some of which are drawn as arrows; empty for none.
     pub arrows: &'a [[f32; 2]],
     /// Training positions; `None` if unknown.
-    pub training: Option<TrainingMap<'a>>,
+    pub training: Option<&'a TrainingMap>,
 }
 
 /// Training positions of a map.
 #[derive(Clone, Debug)]
-pub struct TrainingMap<'a> {
-    /// Distance to the nearest training position per value, metres.
-    pub distances: &'a [f32],
+pub struct TrainingMap {
+    /// Whether each value is an extrapolation.
+    pub is_beyond: Vec<bool>,
     /// Distance beyond which values are extrapolations, metres.
     pub limit: f64,
     /// Training positions near the plane.
@@ -224,11 +228,24 @@ impl Heatmap<'_> {
         self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
         plan.axes(&mut map);
         let width = plan.size[0].max(300.0);
-        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + FOOT + LINE);
+        let note = self.training_note(width);
+        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + FOOT + LINE * note.len() as f64);
         canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
         canvas.put([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
         self.draw_bar(&mut canvas, HEAD + plan.size[1] + 4.0, (low, high));
+        canvas.letters.size = SMALL;
+        for (k, line) in note.iter().enumerate() {
+            let y = HEAD + plan.size[1] + 40.0 + LINE * (k + 1) as f64;
+            canvas.text([width / 2.0, y], Anchor::Middle, line);
+        }
         canvas
+    }
+
+    /// Lines that explain circles and hatching, at most `width` wide.
+    fn training_note(&self, width: f64) -> Vec<String> {
+        let Some(TrainingMap { limit, .. }) = self.training else { return Vec::new() };
+        let note = format!("circles: training positions; hatched: farther than {limit:.2} m from all of them");
+        wrapped(&note, width * TEXT / SMALL)
     }
 
     /// Range of the colours.
@@ -261,14 +278,13 @@ impl Heatmap<'_> {
 
     /// Hatches extrapolations and marks training positions.
     fn draw_training(&self, canvas: &mut Canvas, plan: &FloorPlan) {
-        let Some(TrainingMap { distances, limit, positions }) = &self.training else { return };
-        let (cell, rows) = (self.step * plan.scale, distances.len() / self.columns);
+        let Some(TrainingMap { is_beyond: beyond, positions, .. }) = self.training else { return };
+        let (cell, rows) = (self.step * plan.scale, beyond.len() / self.columns.max(1));
         let [left, bottom] = plan.place(self.first.map(|v| v - self.step / 2.0));
         let [width, height] = [self.columns, rows].map(|count| count as f64 * cell);
         let is_beyond = |[x, y]: Point| {
             let [column, row] = [x, y].map(|v| (v / cell) as usize);
-            let inside = x >= 0.0 && column < self.columns && row < rows;
-            inside && f64::from(distances[row * self.columns + column]) > *limit
+            x >= 0.0 && column < self.columns && row < rows && beyond[row * self.columns + column]
         };
         let mut lines = VectorPath::default();
         for k in 0..((width + height) / HATCH) as usize {
@@ -323,23 +339,20 @@ impl Heatmap<'_> {
             Palette::Sequential => linear_ticks(low, high),
         };
         let stride = numbers.len().div_ceil(7).max(1);
-        canvas.letters.size = 10.0;
+        canvas.letters.size = SMALL;
         for v in numbers.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride) {
             let x = left + width * (v - low) / (high - low);
             canvas.line(&[[x, top + 9.0], [x, top + 12.0]], Paint::stroke(INK, 0.8));
             canvas.text([x, top + 22.0], Anchor::Middle, label(v));
         }
         canvas.text([canvas.width / 2.0, top + 36.0], Anchor::Middle, &self.unit);
-        if let Some(TrainingMap { limit, .. }) = self.training {
-            let note = format!("circles: training positions; hatched: farther than {limit:.2} m from all of them");
-            canvas.text([canvas.width / 2.0, top + 36.0 + LINE], Anchor::Middle, note);
-        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::canvas::outside;
 
     #[test]
     fn floor_plan_has_equal_scale_on_both_axes() {
@@ -389,13 +402,16 @@ mod tests {
                 let svg = heat.draw().svg("map", "");
                 assert!(svg.contains("dBm") && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
                 let marked = |limit| {
-                    let (distances, positions) = (&[0.0, 0.5, 1.0, 1.5, 2.0, 2.5][..], vec![[0.5, 1.0], [99.0, 0.0]]);
-                    let training = Some(TrainingMap { distances, limit, positions });
-                    Heatmap { training, ..heat.clone() }.draw().svg("map", "")
+                    let is_beyond = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5].map(|metres| metres > limit).to_vec();
+                    let training = TrainingMap { is_beyond, limit, positions: vec![[0.5, 1.0], [99.0, 0.0]] };
+                    let svg = Heatmap { training: Some(&training), ..heat.clone() }.draw().svg("map", "");
+                    assert_eq!(outside::take().1, Vec::<String>::new(), "text leaves a narrow map");
+                    svg
                 };
                 let [few, none] = [marked(1.0), marked(9.0)];
                 assert!(
-                    few.contains("farther than 1.00 m")
+                    few.contains("farther than")
+                        && few.contains("1.00 m")
                         && few.matches("<circle").count() > svg.matches("<circle").count()
                 );
                 assert!(few.len() > none.len() + 100, "hatch lines");

@@ -186,9 +186,8 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
         _ => None,
     };
     let mut bundle = TensorBundle::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
-    let training = ensemble.and_then(|own| Some((own.training_distances(&[query.tx])?[0], own.training_limit()?)));
-    if let (Some((metres, limit)), true) = (training, by_position) {
-        bundle.note["training"] = json!({ "metres": metres, "limit": limit });
+    if let Some(training) = ensemble.filter(|_| by_position).and_then(|own| own.training_distances(&[query.tx])) {
+        bundle.note["training"] = json!({ "metres": training.metres[0], "limit": training.limit });
     }
     if let (Some((i, metres)), Some(known)) = (nearest, known) {
         let set = known.partition.set_of(i);
@@ -267,9 +266,8 @@ fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reques
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
     let places: Vec<[f64; 3]> = queries.iter().map(|query| query.tx).collect();
-    let training = predictor.ensemble().and_then(|own| Some((own.training_distances(&places)?, own.training_limit()?)));
-    if let Some((distances, limit)) = training {
-        let beyond = distances.iter().map(|metres| u8::from(*metres > limit));
+    if let Some(training) = predictor.ensemble().and_then(|own| own.training_distances(&places)) {
+        let beyond = (0..places.len()).map(|k| u8::from(training.is_beyond(k)));
         bundle.put_bytes("extrapolated", &[rows, columns], beyond.collect());
     }
     Ok(bundle)

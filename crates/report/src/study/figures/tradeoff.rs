@@ -5,6 +5,7 @@ use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
 use pwrfgs_core::Headline;
+use pwrfgs_experiment::paired::is_rate_ratio;
 use pwrfgs_experiment::{
     ParetoComparison, Record, Setting, StudyVariant, VariantFamily, scores::MODEL, statistics::Spread,
 };
@@ -75,12 +76,7 @@ pub(super) fn strategies(setting: &Setting, key: &str) -> Vec<ChartLine> {
     VariantFamily::all(setting).iter().filter_map(line).collect()
 }
 
-/// Whether a metric is a rate ratio η, drawn as the loss 1 − η on a logarithmic axis: good values of η are all near 1.
-fn is_rate_ratio(key: &str) -> bool {
-    key.starts_with("eta_")
-}
-
-/// Height of a score on its axis.
+/// Height of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are all near 1.
 fn height(key: &str, score: f64) -> f64 {
     if is_rate_ratio(key) { 1.0 - score } else { score }
 }

@@ -6,6 +6,7 @@ use crate::study::comparison::{
 };
 use crate::templates::sentences;
 use minijinja::context;
+use pwrfgs_experiment::paired::is_rate_ratio;
 use pwrfgs_experiment::text::{fixed, grouped};
 use pwrfgs_experiment::{scores::MetricRow, statistics::Spread};
 
@@ -144,7 +145,7 @@ const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
 /// Whether a metric is shown next to the first metric of its task.
 fn is_secondary_metric(metric: &MetricRow) -> bool {
-    metric.key.starts_with("eta_") || metric.key == "snr_all_db"
+    is_rate_ratio(&metric.key) || metric.key == "snr_all_db"
 }
 
 const STAGES: [&str; 6] = [
