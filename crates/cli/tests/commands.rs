@@ -55,7 +55,7 @@ fn run_folder_predicts_and_evaluates() {
         "{line}"
     );
     let page = read(&here.join("runs/small/report.html"));
-    assert!(page.contains(&format!("<b>Model {verdict}{baseline}: {numbers}")), "the page gives the verdict");
+    assert!(page.contains(&format!("<b>The model is {verdict}{baseline}: {numbers}")), "the page gives the verdict");
     assert!(page.contains("<code>pwrfgs report RUN</code>") && page.contains("<code>pwrfgs view RUN</code>"));
     assert!(!page.contains("class=\"lead\"><td>"), "a row of scores has no type of a subtitle");
     assert!(stderr(&output).contains("step 60/60"), "plain lines where there is no terminal: {}", stderr(&output));
