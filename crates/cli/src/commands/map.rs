@@ -44,8 +44,7 @@ Without --bounds, the map covers all training positions and receivers.
 
 EXAMPLES
   pwrfgs map runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01
-  pwrfgs map runs/quickstart/model.safetensors --plane z=1.2 --of direction --out directions
-  python3 -c \"import numpy; print(numpy.load('directions/azimuth.npy').shape)\"")]
+  pwrfgs map runs/quickstart/model.safetensors --plane z=1.2 --of direction --out directions")]
 pub(crate) struct Map {
     /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
