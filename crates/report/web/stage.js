@@ -607,7 +607,7 @@ export class Stage {
       parts.push(`${scored} sample ${this.ids[link]} (${PART_NAMES[part]}), ${metres.toFixed(2)} m away`);
     }
     if (note.strongest) {
-      const other = truth?.note.strongest ? ` (measured ${degrees(truth.note.strongest)})` : "";
+      const other = truth?.note.strongest ? ` (${this.note.simulated ? "simulated" : "measured"} ${degrees(truth.note.strongest)})` : "";
       parts.push(`strongest at ${degrees(note.strongest)}${other}`);
     }
     if (has("deviation")) parts.push(`mean spread ${note.spread.toFixed(3)}`);
