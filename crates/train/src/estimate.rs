@@ -9,13 +9,23 @@ use std::time::{Duration, Instant};
 /// Estimated time of all training steps, from timed steps with two numbers of Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeEstimate {
-    /// Number of Gaussians N and median time per step in seconds: at the start, and with the target of pruning. Without
-    /// a target, the second N is a tenth of the first.
-    pub timed: [(usize, f64); 2],
+    /// Steps with the initial Gaussians.
+    pub start: TimedSteps,
+    /// Steps with the target of pruning; without a target, with a tenth of the initial Gaussians.
+    pub end: TimedSteps,
     /// Shortest and longest expected time of all steps, seconds. Without a target, the longest is without pruning.
     pub seconds: [f64; 2],
     /// Upper over lower quartile of the times of equal steps: about 1 on an idle machine.
     pub spread: f64,
+}
+
+/// Timed steps with one number of Gaussians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimedSteps {
+    /// Number of Gaussians N.
+    pub gaussians: usize,
+    /// Median time per step, seconds.
+    pub step_seconds: f64,
 }
 
 /// Numbers stored per network weight: the weight, two moments, and its derivative in each of sixteen accumulators.
@@ -96,7 +106,8 @@ impl Trainer<'_> {
         let total = |first, last| weighted([before, until, t.steps], first, last);
         let longest = if target.is_some() { end[2] } else { start[2] };
         Ok(TimeEstimate {
-            timed: [(n, start[1]), (last, end[1])],
+            start: TimedSteps { gaussians: n, step_seconds: start[1] },
+            end: TimedSteps { gaussians: last, step_seconds: end[1] },
             seconds: [total(start[0], end[0]), total(start[2], longest)],
             spread: (start[2] / start[0]).max(end[2] / end[0]),
         })

@@ -20,7 +20,7 @@ mod start;
 mod trainer;
 mod warnings;
 
-pub use estimate::{TimeEstimate, network_bytes};
+pub use estimate::{TimeEstimate, TimedSteps, network_bytes};
 pub use graph::{Batch, BatchPixels, LossAndGradients, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use plan::{TrainingPlan, check_available};

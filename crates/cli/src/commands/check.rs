@@ -68,7 +68,7 @@ fn text(p: &Preview) -> String {
         ("point cloud", if p.points > 0 { format!("{} points", n(p.points)) } else { "none".into() }),
         (
             "Gaussians",
-            match p.time.timed[0].0 {
+            match p.time.start.gaussians {
                 0 => "none".into(),
                 count => format!("{} initially", n(count)),
             },
@@ -97,11 +97,13 @@ fn text(p: &Preview) -> String {
 fn time(time: &TimeEstimate, grows: bool) -> String {
     let [shortest, longest] = time.seconds.map(duration);
     let range = if shortest == longest { shortest } else { format!("{shortest} to {longest}") };
-    let ([(first, start), (last, end)], n) = (time.timed, |count: usize| grouped(count as i64));
-    let steps = if last == first {
-        format!("{} per step", pace(start))
+    let TimeEstimate { start, end, .. } = time;
+    let n = |count: usize| grouped(count as i64);
+    let [first, last] = [start, end].map(|steps| pace(steps.step_seconds) + " per step");
+    let steps = if end.gaussians == start.gaussians {
+        first
     } else {
-        format!("{} per step with N = {}, {} with N = {}", pace(start), n(first), pace(end), n(last))
+        format!("{first} with N = {}, {last} with N = {}", n(start.gaussians), n(end.gaussians))
     };
     format!("{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
 }

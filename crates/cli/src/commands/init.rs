@@ -93,11 +93,6 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
 }
 
-/// Setting with these baselines and k-nearest neighbours, whose k follows from the validation set.
-fn baselines(first: &str, last: &str) -> String {
-    format!("baselines=[{first}, NearestNeighbours(k: Auto){last}]")
-}
-
 /// Suggests a pipeline for the data.
 fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> {
     // Paths in a pipeline are relative to its file.
@@ -115,11 +110,10 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
         format!("data={}", try_to_ron(&source).map_err(Error::Config)?),
         format!("split={}", survey.split),
     ];
-    let start = match survey.data.features.as_ref().map(|features| features.width) {
+    let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
         _ if survey.data.task().has_pixels => {
             let stride = survey.stride();
             set.push(format!("training.stride={stride}"));
-            set.push(baselines("MeanSpectrum(), NearestNeighbours(k: 1)", ", Kriging()"));
             if stride == 1 {
                 set.push("projector=Mercator()".into());
             }
@@ -130,36 +124,29 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
                 }
                 None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
             }
-            if survey.nearest < CLOSE_M {
-                set.push(format!("training.batch={}", survey.batch(32)));
-                FINE_SPECTRA
+            let (start, batch) = if survey.nearest < CLOSE_M {
+                (FINE_SPECTRA, 32)
             } else {
                 set.extend(MOVING_LOBES.map(str::to_owned));
-                set.push(format!("training.batch={}", survey.batch(16)));
-                COARSE_SPECTRA
-            }
+                (COARSE_SPECTRA, 16)
+            };
+            (start, batch, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
         }
         _ if survey.data.task().is_scalar => {
             // Wavelengths from the size of the site to 2 m, or to an eighth of a small site.
             let longest = extent(&survey.data).max(1.0).ceil();
             set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
             set.push(format!("deformation.tx_encoding.shortest_m={:?}", (longest / 8.0).min(2.0)));
-            set.push(format!("training.batch={}", survey.batch(128)));
-            set.push(baselines("MeanSpectrum()", ", Kriging()"));
-            POWERS
+            (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
         }
         Some(width) => {
             set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
-            set.push(format!("training.batch={}", survey.batch(128)));
-            set.push(baselines("Zero()", ", Ridge()")); // Kriging needs positions
-            UPLINKS
+            (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
         }
-        None => {
-            set.push(format!("training.batch={}", survey.batch(256)));
-            set.push(baselines("Zero(), NearestNeighbours(k: 1)", ", Kriging()"));
-            CHANNELS
-        }
+        None => (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()"),
     };
+    set.push(format!("training.batch={}", survey.batch(batch)));
+    set.push(format!("baselines=[{baselines}]"));
     let mut pipeline = Pipeline::parse(start, out)?;
     pipeline.set_all(&set)?;
     Ok(pipeline)

@@ -72,7 +72,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
 /// One curve per strategy over N, in the colour of its first variant in the other figures.
 pub(super) fn strategies(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let first = |way: &VariantFamily<'_>| setting.variants.iter().position(|v| v.label == way.variants[0].label);
-    let line = |way: &VariantFamily<'_>| way_line(way, first(way)?, &PRICES[0], key, true);
+    let line = |way: &VariantFamily<'_>| way_line(way, first(way)?, &COSTS[N], key, true);
     VariantFamily::all(setting).iter().filter_map(line).collect()
 }
 
@@ -113,7 +113,10 @@ struct CostAxis {
     of: fn(&Record) -> Option<f64>,
 }
 
-const PRICES: [CostAxis; 3] = [
+/// Index of the number of Gaussians in [`COSTS`].
+const N: usize = 0;
+
+const COSTS: [CostAxis; 3] = [
     CostAxis { name: "pareto-n", axis: "number of Gaussians N", of: |run| Some(run.facts.gaussians as f64) },
     CostAxis { name: "pareto-bytes", axis: "model size [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
     CostAxis { name: "pareto-ms", axis: "latency [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
@@ -121,7 +124,7 @@ const PRICES: [CostAxis; 3] = [
 
 /// First metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds.
 pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
-    let cost = &PRICES[K];
+    let cost = &COSTS[K];
     let mut pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
     // Methods that are always worse than all baselines would compress the axis.
