@@ -35,7 +35,8 @@ pub(crate) struct Check {
 
 /// Load average per core above which the machine is busy.
 const IDLE: f64 = 0.25;
-/// Upper over lower quartile of the times of equal steps above which the machine is busy.
+/// Upper over lower quartile of the times of equal steps above which the spread is printed; short steps spread on an idle
+/// machine too.
 const STEADY: f64 = 1.25;
 
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
@@ -116,7 +117,7 @@ fn machine(p: &Preview) -> String {
         .map(|(load, cores)| format!("load average {load:.1} on {cores} core{}", if cores == 1 { "" } else { "s" }));
     let varies = (p.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", p.time.spread));
     let state = match p.load {
-        _ if is_loaded || varies.is_some() => "busy, an idle machine is faster",
+        _ if is_loaded => "busy, an idle machine is faster",
         Some(_) => "idle",
         None => "load unknown",
     };
