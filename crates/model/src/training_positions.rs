@@ -8,7 +8,7 @@ const MOST: usize = 1_024;
 /// Minimum distance between two positions, as a share of the diagonal of their bounding box: it keeps the file small.
 const CLOSEST: Real = 0.01;
 /// Percentile of the distances between neighbours, and the factor from it to the limit. Both are chosen, not fitted: the
-/// percentile ignores outliers, and the factor leaves all test positions of the shipped splits below the limit.
+/// percentile ignores outliers; on the quickstart the limit is 0.44 m, and test positions are at most 0.30 m away.
 const SPACING: f64 = 0.95;
 const LIMIT: Real = 3.0;
 
