@@ -1,7 +1,7 @@
 //! `pwrfgs view` and the part of a report that moves: in a real browser where there is one, and against whoever means ill.
 
 use crate::common::browser::Browser;
-use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, write};
+use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, stderr, succeed, write};
 use crate::links::hall;
 use crate::model_format::models;
 use pwrfgs::model::file;
@@ -264,18 +264,13 @@ fn page_predictions_equal_program_predictions() {
     assert_eq!(seen, 18, "nine models of eleven, two places each");
 }
 
-#[test]
-fn report_works_offline_and_without_scripts() {
-    let folder = small_run();
-    let path = folder.join("run/report.html");
-    assert!(std::fs::metadata(&path).unwrap().len() < 8_000_000);
-    let address = format!("file://{}", path.display());
-    let Some(page) = Browser::open(&address, [1300, 900]) else { return skipped(NO_BROWSER) };
+/// Drags the transmitter on a page without a server: the prediction is the program's.
+fn predicts_when_dragged(page: &Browser, folder: &Path) {
     page.wait("document.querySelector('[data-ready]')");
     let stage = "document.querySelector('[data-source=file]').stage";
     let model = file::read(&folder.join("run/model.safetensors")).unwrap();
     page.eval("document.querySelector('[data-room]').scrollIntoView({ block: 'center' })");
-    let [x, y] = grip(&page, stage);
+    let [x, y] = grip(page, stage);
     page.drag([x, y], [x + 40.0, y + 10.0], 6, false);
     page.wait(&format!("{stage}.updates > 1 && !{stage}.busy"));
     let tx = numbers(&page.eval(&format!("{stage}.tx")));
@@ -283,6 +278,26 @@ fn report_works_offline_and_without_scripts() {
     let own = model.predict(pwrfgs_core::Query::at([tx[0], tx[1], tx[2]], 0));
     let beyond = shown.iter().zip(&own.pixels).filter(|(a, b)| (*a - f64::from(**b as f32)).abs() > 1e-4).count();
     assert!(beyond * 1000 <= shown.len(), "{beyond} pixels of {}", shown.len());
+}
+
+#[test]
+fn report_works_offline_and_without_scripts() {
+    let folder = small_run();
+    let path = folder.join("run/report.html");
+    assert!(std::fs::metadata(&path).unwrap().len() < 8_000_000);
+    let files = tempfile::tempdir().unwrap();
+    let room = files.path().join("room.html");
+    let save = ["view", "run", "--save", room.to_str().unwrap()];
+    let message = stderr(&succeed(folder, &save));
+    assert!(message.contains("the model predicts in the page"), "{message}");
+    refuse(folder, &save, 2, &["room.html", "exists"]);
+    refuse(folder, &["view", "run", "Kriging", "--save", "two.html"], 2, &["one run folder"]);
+    let [room, address] = [&room, &path].map(|path| format!("file://{}", path.display()));
+    let Some(page) = Browser::open(&room, [1300, 900]) else { return skipped(NO_BROWSER) };
+    predicts_when_dragged(&page, folder);
+    assert_eq!(page.eval("document.querySelectorAll('table').length"), json!(0), "only the room");
+    page.go(&address);
+    predicts_when_dragged(&page, folder);
     let first = "document.querySelector('table.scores tbody tr').textContent";
     let before = page.eval(first);
     page.eval("document.querySelectorAll('table.scores .sort')[1].click()");

@@ -38,7 +38,7 @@ pub use facts::{Facts, FileDigest, Machine, VERSION};
 pub use input::{read_pipeline, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{data_warnings, equality_warning, load, observed, position_warning};
-pub use page::{rebuild_page, write_results};
+pub use page::{rebuild_page, with_run, write_results};
 pub use paired::Paired;
 pub use record::Record;
 pub use repeatability::{Repeatability, repeatability};

@@ -74,6 +74,22 @@ pub(crate) fn conclude(
     Ok(scores.table)
 }
 
+/// Reads the finished run in `folder`, with its data, for `read`.
+///
+/// # Errors
+/// The run has not finished, a file is damaged, or the data have changed; errors of `read`.
+pub fn with_run<T>(
+    folder: &Path,
+    observer: &mut dyn Observer,
+    read: impl FnOnce(&LoadedRun<'_>) -> Result<T>,
+) -> Result<T> {
+    let unfinished = || Error::Config(format!("{} has not finished; run it first", folder.display()));
+    let record = Record::read(folder)?.ok_or_else(unfinished)?;
+    let data = record.load_data(observer)?;
+    let (partition, model) = (record.partition(&data)?, record.model(&data)?);
+    read(&LoadedRun { record: &record, data: &data, partition: &partition, model: &model })
+}
+
 /// Recreates `report.html` of the finished run in `folder` from its folder and data.
 ///
 /// # Errors
@@ -81,20 +97,14 @@ pub(crate) fn conclude(
 pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observer) -> Result<()> {
     let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
     let mut rebuild = || {
-        let unfinished = || Error::Config(format!("{} has not finished; run it first", held.name().display()));
-        let record = Record::read(held.path())?.ok_or_else(unfinished)?;
-        let data = record.load_data(observer)?;
-        let (partition, model) = (record.partition(&data)?, record.model(&data)?);
-        let text = page(&LoadedRun { record: &record, data: &data, partition: &partition, model: &model })?;
+        let (text, facts) = with_run(held.path(), observer, |run| Ok((page(run)?, run.record.facts.clone())))?;
         let path = held.file(REPORT);
         let mark = FileDigest::of(text.as_bytes());
-        if record.facts.files.get(REPORT) == Some(&mark)
-            && files::read(&path).is_ok_and(|own| FileDigest::of(&own) == mark)
-        {
+        if facts.files.get(REPORT) == Some(&mark) && files::read(&path).is_ok_and(|own| FileDigest::of(&own) == mark) {
             return Ok(());
         }
         // The checksum always belongs to the current page.
-        let mut facts = Facts { report: true, ..record.facts };
+        let mut facts = Facts { report: true, ..facts };
         facts.files.remove(REPORT);
         facts.write(held.path())?;
         write_atomically(&path, text.as_bytes())?;

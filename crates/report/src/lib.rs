@@ -20,5 +20,5 @@ mod study;
 mod templates;
 
 pub use pwrfgs_experiment::{Setting, Study, StudyVariant};
-pub use run_page::page;
+pub use run_page::{page, room_page};
 pub use study::{figures, write};

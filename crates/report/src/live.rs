@@ -170,6 +170,8 @@ pub fn strengths(own: &Activated) -> Vec<Real> {
 pub const STAGE: &str = include_str!("../web/stage.html");
 /// Style of the stage.
 pub const STYLE: &str = include_str!("../web/stage.css");
+/// Style of a page that holds only the stage, in light and dark.
+pub const PAGE_STYLE: &str = include_str!("../web/page.css");
 /// JavaScript modules by name, each after the modules that it imports.
 pub const FILES: [(&str, &str); 10] = [
     ("tensors.js", include_str!("../web/tensors.js")),

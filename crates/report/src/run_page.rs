@@ -11,10 +11,11 @@ mod tables;
 use crate::draw::charts::Symbol;
 use crate::draw::room::{Panel, RoomFigure};
 use crate::draw::spectra::ColourScale;
+use crate::live::PAGE_STYLE;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Appearance, Result};
+use pwrfgs_core::{Appearance, Error, Result};
 use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use pwrfgs_experiment::{CEILING, LoadedRun, one_line, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
@@ -68,6 +69,22 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         confidence => curves::confidence(run),
     };
     render("run.html", page)
+}
+
+/// Creates a self-contained page with the interactive room of a run only, and whether its model predicts in the page.
+///
+/// # Errors
+/// Data without transmitter positions or without a test set, which a room cannot show.
+pub fn room_page(run: &LoadedRun<'_>) -> Result<(String, bool)> {
+    let live = live::section(run);
+    let has = |part: &str| live.get_attr(part).is_ok_and(|value| value.is_true());
+    if !has("stage") {
+        let what = "no transmitter positions or no test set, which the page of a room needs";
+        return Err(Error::Config(format!("{}: {what}", run.record.folder.display())));
+    }
+    let predicts = has("model");
+    let context = context! { name => run.record.pipeline.name.clone(), style => PAGE_STYLE, live };
+    Ok((render("room.html", context)?, predicts))
 }
 
 /// Words for the parts of a model and its observations.

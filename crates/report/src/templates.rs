@@ -10,9 +10,12 @@ use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::text::{duration, grouped};
 use std::sync::LazyLock;
 
-const TEMPLATES: [(&str, &str); 13] = [
+const TEMPLATES: [(&str, &str); 16] = [
     ("style.css", include_str!("templates/style.css")),
     ("head.html", include_str!("templates/head.html")),
+    ("policy.html", include_str!("templates/policy.html")),
+    ("live.html", include_str!("templates/live.html")),
+    ("room.html", include_str!("templates/room.html")),
     ("run.html", include_str!("templates/run.html")),
     ("maps.html", include_str!("templates/maps.html")),
     ("powers.html", include_str!("templates/powers.html")),

@@ -9,7 +9,7 @@ use hyper::body::{Body as _, Bytes, Frame};
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::{Response, StatusCode};
 use pwrfgs_report::canvas::xml;
-use pwrfgs_report::live::{FILES, STAGE, STYLE};
+use pwrfgs_report::live::{FILES, PAGE_STYLE, STAGE, STYLE};
 use std::convert::Infallible;
 use std::future::Future;
 use std::pin::Pin;
@@ -40,7 +40,7 @@ pub(crate) async fn answer(
     match path {
         "" => return Ok(text_of("text/html", &html(state))),
         "stage.css" => return Ok(text_of("text/css", STYLE)),
-        "view.css" => return Ok(text_of("text/css", PAGE_STYLE)),
+        "page.css" => return Ok(text_of("text/css", PAGE_STYLE)),
         "events" => return Ok(events(state)),
         _ => {}
     }
@@ -90,16 +90,13 @@ pub(crate) fn sealed(mut response: Response<ResponseBody>) -> Response<ResponseB
     response
 }
 
-/// Style sheet of the page around the stage.
-const PAGE_STYLE: &str = include_str!("view.css");
-
 /// HTML of the page: the stage and its scripts.
 fn html(state: &ServerState) -> String {
     let names: Vec<String> = state.sides.iter().map(|side| xml(&side.name)).collect();
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
-         <title>{} · pwrfgs view</title>\n<link rel=\"icon\" href=\"data:,\">\n<link rel=\"stylesheet\" href=\"view.css\">\n<link rel=\"stylesheet\" \
+         <title>{} · pwrfgs view</title>\n<link rel=\"icon\" href=\"data:,\">\n<link rel=\"stylesheet\" href=\"page.css\">\n<link rel=\"stylesheet\" \
          href=\"stage.css\">\n<script type=\"module\" src=\"stage.js\"></script>\n</head>\n<body>\n<main \
          data-source=\"server\">\n{STAGE}\n</main>\n</body>\n</html>\n",
         names.join(" | ")

@@ -4,11 +4,14 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
+use pwrfgs::experiment::with_run;
+use pwrfgs::report::room_page;
 use pwrfgs::viewer::{ViewPane, view as show};
+use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{Baseline, Error, Result};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 #[derive(Debug, Args)]
@@ -22,11 +25,13 @@ ON THE PAGE
   room         drag to rotate, scroll to zoom
   slider       selects a snapshot of the training, from the start over each prune step to the end;
                new snapshots of a run in progress appear
-Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
+With --save, it writes a page that needs no server: for spectra, single models up to 1 MB predict in
+it, others show up to 50 stored predictions. Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
 in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 
 EXAMPLES
   pwrfgs view runs/quickstart
+  pwrfgs view runs/quickstart --save room.html
   pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'
   pwrfgs view runs/s23-best/joined runs/s23-laptop")]
 pub(crate) struct View {
@@ -36,9 +41,15 @@ pub(crate) struct View {
     /// Open the page in a browser; its address is visible in the process list
     #[arg(long)]
     pub(crate) open: bool,
+    /// Write a page of one finished run that works without a server
+    #[arg(long, value_name = "FILE", conflicts_with = "open")]
+    pub(crate) save: Option<PathBuf>,
 }
 
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
+    if let Some(file) = &arguments.save {
+        return save(&arguments.sides, file, verbosity);
+    }
     let sides = RunProgress::during(verbosity, |progress| open(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
@@ -50,6 +61,18 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
         }
     };
     show(sides, ready, &stop)
+}
+
+/// Writes the room of a finished run as a page.
+fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
+    let [run] = named else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
+    check_new_file(file)?;
+    let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
+    let (page, predicts) = made?;
+    write_atomically(file, page.as_bytes())?;
+    let content = if predicts { "the model predicts in the page" } else { "the page shows stored observations" };
+    verbosity.note(&format!("{content}: {}", file.display()));
+    Ok(())
 }
 
 fn open(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
