@@ -1,6 +1,6 @@
 """pwrfgs: pruned 3D Gaussian splatting for wireless radiance fields.
 
-A prediction in three lines::
+A prediction in three lines:
 
     import pwrfgs
     model = pwrfgs.Model.load("runs/quickstart")

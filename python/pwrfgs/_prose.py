@@ -40,6 +40,8 @@ def prose(text: str, width: int, taken: int = 0) -> List[str]:
             if mark:
                 lines += [mark[2:] + ":", ""]
         else:
+            if mark.startswith("- "):  # an item of a list
+                flush()
             mark = re.sub(r"\[(`[^`]+`)\](\([^)]*\))?", r"\1", mark)
             paragraph.append(mark.replace("`crate::", "`"))
     flush()

@@ -426,11 +426,12 @@ def make_choice(entry: Dict[str, Any]) -> type:
                     raise InputError(unknown(_variant, field, names))
             return Value._make(_variant, {ron_name(field): value for field, value in given.items()})
 
-        listing = "\n".join(f"{python_name(field[0])} : {field[1]}\n    {field[2]}" for field in fields)
+        names = [python_name(field[0] if named else field[0].strip("_0") or "value") for field in fields]
+        listing = "\n".join(f"{name} : {field[1]}\n    {field[2]}" for name, field in zip(names, fields))
         build.__name__ = build.__qualname__ = variant
-        build.__doc__ = f"{doc}\n\n{listing}"
+        build.__doc__ = f"{doc}\n\nParameters\n----------\n{listing}"
         kind = inspect.Parameter.KEYWORD_ONLY if named else inspect.Parameter.POSITIONAL_ONLY
-        parameters = [inspect.Parameter(python_name(field[0].strip("_0") or "value") if not named else python_name(field[0]), kind) for field in fields]
+        parameters = [inspect.Parameter(name, kind) for name in names]
         build.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         body[variant] = staticmethod(build)
     return Choice(entry["name"], (), body)
