@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Tests of the Python package with what cargo has built for development: its compiled half beside the Python half, in single
-# and in double precision, and the notebooks. Arguments go to cargo. Says so where there is no Python to test with.
+# and in double precision, and the notebooks; the site, which has its API. Arguments go to cargo. Says so where there is no
+# Python to test with.
 set -eu
 cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
@@ -65,12 +66,25 @@ test_wheel() {
     test_package wheel python/tests/test_types.py
 }
 
+# The site from a short run, with its links.
+test_site() {
+    "$env/bin/pip" install -q --disable-pip-version-check -r site/requirements.txt >"$env/log" 2>&1 ||
+        { tail -n 3 "$env/log"; (skip "no site was built, since pip cannot install its tools"); return; }
+    local program=$target/debug/pwrfgs run=$target/python-package/site-run
+    rm -rf "$run"
+    "$program" run -q pipelines/quickstart.ron --out "$run" --scale 0.01 --set data.samples=100 --set 'baselines=[MeanSpectrum()]'
+    PATH=$(cd "$env/bin" && pwd):$PATH PYTHONPATH=$target/python-package/f32 \
+        python -B site/build.py "$run" "$target/site" --program "$program"
+}
+
 # Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.
 echo "== Python, f32"
 cargo build "$@" --workspace --lib --bins --tests
 together f32
 test_package f32 python/tests --ignore python/tests/test_types.py # from a wheel below
 test_torch f32
+echo "== the site"
+test_site
 echo "== Python, from a wheel"
 test_wheel
 echo "== Python, f64: derivatives against central differences"

@@ -181,7 +181,8 @@ fn links_between_pages_resolve_to_files_and_headings() {
                 followed += 1;
                 let (file, heading) = target.split_once('#').map_or((&*target, None), |(file, h)| (file, Some(h)));
                 let file = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
-                let generated = file.ends_with("docs/reference.md");
+                // Pages of the site.
+                let generated = file.ends_with("docs/reference.md") || file.extension().is_some_and(|e| e == "html");
                 let known = heading.is_none_or(|h| file.is_file() && anchors(&file).contains(h));
                 if !(generated || file.exists() && known) {
                     broken.push(format!("{}: {target}", page.strip_prefix(root()).unwrap().display()));
@@ -191,4 +192,17 @@ fn links_between_pages_resolve_to_files_and_headings() {
     }
     assert!(followed > 50, "only {followed} links found");
     assert!(broken.is_empty(), "links that lead nowhere; mend them or the headings:\n{}", broken.join("\n"));
+}
+
+#[test]
+fn site_lists_every_page() {
+    let summary = std::fs::read_to_string(root().join("site/SUMMARY.md")).unwrap();
+    let outside = ["site/SUMMARY.md", "crates"];
+    let listed = |page: &Path| {
+        let name = page.strip_prefix(root()).unwrap();
+        let own = name.strip_prefix("site").map_or_else(|_| Path::new("..").join(name), Path::to_owned);
+        outside.iter().any(|folder| name.starts_with(folder)) || summary.contains(&format!("]({})", own.display()))
+    };
+    let missing: Vec<PathBuf> = pages().into_iter().filter(|page| !listed(page)).collect();
+    assert!(missing.is_empty(), "not in site/SUMMARY.md: {missing:?}");
 }
