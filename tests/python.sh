@@ -66,7 +66,7 @@ test_wheel() {
     test_package wheel python/tests/test_types.py
 }
 
-# The site from a short run, with its links.
+# The site from a short run, with its links; the workflows of the repository by their schema, and for holes in their security.
 test_site() {
     "$env/bin/pip" install -q --disable-pip-version-check -r site/requirements.txt >"$env/log" 2>&1 ||
         { tail -n 3 "$env/log"; (skip "no site was built, since pip cannot install its tools"); return; }
@@ -75,6 +75,8 @@ test_site() {
     "$program" run -q pipelines/quickstart.ron --out "$run" --scale 0.01 --set data.samples=100 --set 'baselines=[MeanSpectrum()]'
     PATH=$(cd "$env/bin" && pwd):$PATH PYTHONPATH=$target/python-package/f32 \
         python -B site/build.py "$run" "$target/site" --program "$program"
+    "$env/bin/check-jsonschema" --builtin-schema vendor.github-workflows .github/workflows/*.yml
+    "$env/bin/zizmor" --offline -q .github/workflows
 }
 
 # Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.
@@ -83,7 +85,7 @@ cargo build "$@" --workspace --lib --bins --tests
 together f32
 test_package f32 python/tests --ignore python/tests/test_types.py # from a wheel below
 test_torch f32
-echo "== the site"
+echo "== the site and the workflows"
 test_site
 echo "== Python, from a wheel"
 test_wheel
