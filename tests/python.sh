@@ -72,7 +72,8 @@ test_site() {
         { tail -n 3 "$env/log"; (skip "no site was built, since pip cannot install its tools"); return; }
     local program=$target/debug/pwrfgs run=$target/python-package/site-run
     rm -rf "$run"
-    "$program" run -q pipelines/quickstart.ron --out "$run" --scale 0.01 --set data.samples=100 --set 'baselines=[MeanSpectrum()]'
+    "$program" run -q pipelines/quickstart.ron --out "$run" --scale 0.01 --set data.samples=100 \
+        --set 'baselines=[MeanSpectrum()]' >/dev/null
     PATH=$(cd "$env/bin" && pwd):$PATH PYTHONPATH=$target/python-package/f32 \
         python -B site/build.py "$run" "$target/site" --program "$program"
     "$env/bin/check-jsonschema" --builtin-schema vendor.github-workflows .github/workflows/*.yml
