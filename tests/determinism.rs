@@ -15,7 +15,7 @@ fn busy() -> Pipeline {
         "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 90, height: 24),
          initializer: Random(count: 60, std: 3),
          deformation: Mlp(depth: 3, width: 16, skip: Some(0), tx_hidden: 8, tx_features: 4),
-         pruners: [TopK(), LearnableMask(lambda: 0.1, learning_rate: 0.6), OpacityThreshold(epsilon: 0.02)],
+         pruners: [LearnableMask(lambda: 0.1, learning_rate: 0.6), OpacityThreshold(epsilon: 0.02)],
          training: (steps: 30, batch: 3, target_count: 70, tx_jitter_m: 0.02, densify_until: 15, prune_until: 25, prune_every: 4,
              densify: (from: 2, every: 4, gradient_threshold: 0, clone_below: 0.2, large_above: 0.6,
                        large_after: 8, reset_every: 9, reset_opacity: 0.05))",

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// A step of the densification phase.
 pub(crate) const MOMENT: StepContext =
-    StepContext { step: 1, phase: Phase::Densify, seed: 0, round: 0, rounds: 0, target: None };
+    StepContext { step: 1, phase: Phase::Densify, seed: 0, round: 0, passed: 0, rounds: 0, target: None };
 
 /// A plugin from its text.
 pub(crate) fn plugin<T: ?Sized + PluginKind>(text: &str) -> Plugin<T>

@@ -38,6 +38,8 @@ pub struct StepContext {
     pub seed: u64,
     /// Number of this prune step in the pruning phase, from 1; 0 at all other steps.
     pub round: u64,
+    /// Number of prune steps up to this step.
+    pub passed: u64,
     /// Number of all prune steps.
     pub rounds: u64,
     /// Value of `training.target_count`, the number of Gaussians at the end of pruning; only for the pruner that must reach
@@ -48,7 +50,7 @@ pub struct StepContext {
 impl StepContext {
     /// Creates the context of a step that is not a prune step.
     pub fn new(step: u64, phase: Phase, seed: u64) -> Self {
-        Self { step, phase, seed, round: 0, rounds: 0, target: None }
+        Self { step, phase, seed, round: 0, passed: 0, rounds: 0, target: None }
     }
 
     /// Returns the number of `n` Gaussians to keep at this prune step: each step removes an equal share, and the last
@@ -61,6 +63,13 @@ impl StepContext {
         let (now, last) = (n as f64, target as f64);
         let share = (now / last).powf(left / (left + 1.0));
         (last * share).round() as usize
+    }
+
+    /// Returns the number of `n` Gaussians that the next prune step keeps for [`Self::target`]: all without a target,
+    /// and after the last prune step.
+    pub fn next_quota(&self, n: usize) -> usize {
+        let next = Self { round: self.passed + 1, ..*self };
+        self.target.filter(|_| next.round <= self.rounds).map_or(n, |target| next.quota(n, target))
     }
 }
 

@@ -9,7 +9,7 @@ use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskFall, MaskRate, Phase, Pruner, PrunerTraits,
     Real, StepContext, sigmoid,
-    tape::{TraceScalar, TracedCloud},
+    tape::{TraceScalar, TracedCloud, values},
 };
 use serde::{Deserialize, Serialize};
 
@@ -26,9 +26,14 @@ const COLUMN: &str = "mask_logits";
 /// therefore close about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
 ///
 /// Use this pruner if training shall find the number of Gaussians for a quality. A larger lambda keeps fewer Gaussians
-/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). To fix the number beforehand, set `training.target_count`;
-/// [`crate::LightGaussian`] and other pruners reach a fixed number with less loss of quality. The paper does not give
-/// threshold and initial logit; their values are those of Compact-3DGS.
+/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). The paper does not give threshold and initial logit; their values
+/// are those of Compact-3DGS.
+///
+/// To fix the number beforehand, set `training.target_count`. The target then decides how many Gaussians are kept, and
+/// the masks decide which: each prune step keeps an equal share of them, those with the largest m. Until then, as many
+/// masks stay open as the next prune step keeps: if fewer have σ(m) of at least the threshold, the threshold decreases.
+/// λ is multiplied by the share of open masks among those that the step is to remove, so that the pressure ends when
+/// enough masks are closed.
 ///
 /// With tens of thousands of Gaussians, lambda/N is small against the noise of the gradient, and Adam divides by that
 /// noise. The rate of 0.01 then needs the 20,000 steps of one transmitter that the paper uses. Two ways reduce the
@@ -82,7 +87,7 @@ impl Pruner for LearnableMask {
         let pressure = if adam { None } else { Some(lambda) };
         PrunerTraits {
             columns: vec![ColumnSpec { adam, ..ColumnSpec::learned(COLUMN, from, rate) }],
-            budget: Some(Budget::FinalStep),
+            budget: Some(Budget::Gradual),
             mask_rate: Some(mask_rate),
             mask_fall: (lambda > 0.0).then_some(MaskFall { from, to, rate, pressure }),
             ..PrunerTraits::default()
@@ -97,13 +102,19 @@ impl Pruner for LearnableMask {
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
-        (context.phase != Phase::Finetune)
-            .then(|| cloud.straight_through(cloud.column(COLUMN).sigmoid(), self.threshold).into())
+        (context.phase != Phase::Finetune).then(|| {
+            let masks = cloud.column(COLUMN).sigmoid();
+            let threshold = self.lowest_open(&values(&masks), context);
+            cloud.straight_through(masks, threshold).into()
+        })
     }
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
-        (context.phase != Phase::Finetune && !cloud.is_empty())
-            .then(|| cloud.column(COLUMN).sigmoid().mean::<Rank0, _>() * self.lambda)
+        (context.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
+            let masks = cloud.column(COLUMN).sigmoid();
+            let lambda = self.lambda * self.pressure(&values(&masks), context);
+            masks.mean::<Rank0, _>() * lambda
+        })
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
@@ -122,6 +133,31 @@ impl Pruner for LearnableMask {
             ));
         }
         check_rate(*learning_rate)
+    }
+}
+
+impl LearnableMask {
+    /// Returns the value of σ(m) from which a mask is open: the threshold, or less if fewer masks than the next prune step
+    /// keeps would be open.
+    fn lowest_open(&self, masks: &[Real], context: &StepContext) -> Real {
+        if context.target.is_none() {
+            return self.threshold;
+        }
+        let mut sorted = masks.to_vec();
+        sorted.sort_by(|a, b| b.total_cmp(a));
+        let last = context.next_quota(masks.len()).checked_sub(1).and_then(|last| sorted.get(last));
+        last.map_or(self.threshold, |last| last.min(self.threshold))
+    }
+
+    /// Returns the factor on λ: 1 without a target; with one, the share still open of those that the next prune step
+    /// removes.
+    fn pressure(&self, masks: &[Real], context: &StepContext) -> Real {
+        if context.target.is_none() {
+            return 1.0;
+        }
+        let (n, quota) = (masks.len(), context.next_quota(masks.len()));
+        let open = masks.iter().filter(|mask| **mask >= self.threshold).count();
+        open.saturating_sub(quota) as Real / (n - quota).max(1) as Real
     }
 }
 
@@ -183,6 +219,29 @@ mod tests {
         assert_eq!(gate, kept.iter().map(|k| Real::from(u8::from(*k))).collect::<Vec<_>>());
         assert!(kept.contains(&true) && kept.contains(&false));
         assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &context(Phase::Prune)), logits);
+    }
+
+    #[test]
+    fn target_keeps_enough_masks_open_and_ends_pressure() {
+        let mask = LearnableMask { lambda: 0.03, ..LearnableMask::default() };
+        // Five of seven are open by the threshold, and the only prune step keeps six.
+        let moment = StepContext { rounds: 1, target: Some(6), ..context(Phase::Prune) };
+        let open =
+            |moment: &StepContext| values(&mask.gate(&TracedCloud::new(&masked(&LOGITS)), moment).unwrap().factor());
+        assert_eq!(open(&moment), [1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0], "six stay open");
+        let lambda = |logits: &[Real], moment: &StepContext| {
+            let penalty = mask.penalty(&TracedCloud::new(&masked(logits)), moment).unwrap().array();
+            penalty * logits.len() as Real / logits.iter().map(|m| sigmoid(*m)).sum::<Real>()
+        };
+        // The step is to close four of seven: all four, two or none of them are open.
+        let moment = StepContext { target: Some(3), ..moment };
+        for (logits, share) in [([1.0; 7], 1.0), ([1.0, 1.0, 1.0, 1.0, 1.0, -9.0, -9.0], 0.5), ([-9.0; 7], 0.0)] {
+            assert!((lambda(&logits, &moment) - 0.03 * share).abs() < 1e-6, "{share}");
+            assert!((lambda(&logits, &context(Phase::Prune)) - 0.03).abs() < 1e-6);
+        }
+        // After the last prune step there is nothing left to close.
+        let after = StepContext { passed: 1, ..moment };
+        assert_eq!((open(&after), lambda(&[1.0; 7], &after)), (vec![1.0; 7], 0.0));
     }
 
     #[test]

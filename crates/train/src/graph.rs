@@ -9,6 +9,7 @@
 //! ones.
 
 use crate::loss::Objective;
+use crate::plan::contexts;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
@@ -115,7 +116,8 @@ fn whole(
 ) -> Result<LossAndGradients> {
     let traced = TracedCloud::new(cloud);
     let gates = Gates::of(&traced, pruners, context);
-    let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, context)).reduce(|a, b| a + b);
+    let penalties = pruners.iter().zip(contexts(pruners, context)).filter_map(|(p, own)| p.penalty(&traced, &own));
+    let penalty = penalties.reduce(|a, b| a + b);
     let stats = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
     let d_weights = Rc::new(RefCell::new(vec![0.0; weights.len()]));
     let graph = Graph {
@@ -203,7 +205,8 @@ impl Gates {
                 None => factor,
             });
         };
-        for gate in pruners.iter().filter_map(|p| p.gate(traced, context)) {
+        let own = pruners.iter().zip(contexts(pruners, context));
+        for gate in own.filter_map(|(pruner, context)| pruner.gate(traced, &context)) {
             match gate {
                 Gate::Whole(factor) => times(&mut gates.whole, factor),
                 Gate::Existence(factor) => times(&mut gates.existence, factor),

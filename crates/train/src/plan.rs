@@ -59,11 +59,13 @@ impl PruneTarget {
     pub(crate) fn is_exact(&self) -> bool {
         self.budget != Budget::UpperBound
     }
+}
 
-    /// Returns `context` for pruner `k`; only the pruner with the goal receives the target.
-    pub(crate) fn context(goal: Option<Self>, k: usize, context: &StepContext) -> StepContext {
-        StepContext { target: goal.filter(|goal| goal.pruner == k).map(|goal| goal.target), ..*context }
-    }
+/// Returns `context` for each pruner: only the first that supports a target receives it.
+pub(crate) fn contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
+    let first = pruners.iter().position(|pruner| pruner.traits().budget.is_some());
+    let of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };
+    (0..pruners.len()).map(of).collect()
 }
 
 /// Rejects pruners that this program cannot run.
@@ -135,9 +137,10 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
         return Some(what);
     }
     let MethodTraits { task, blends, .. } = plan.method.traits();
-    for (k, pruner) in plan.pruners.iter().enumerate() {
-        let context = StepContext { round: 1, rounds: 1, ..StepContext::new(1, Phase::Prune, 0) };
-        let needs = pruner.needs(&GaussianCloud::zeros(0), &PruneTarget::context(goal, k, &context));
+    let target = goal.map(|goal| goal.target);
+    let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
+    for (k, (pruner, context)) in plan.pruners.iter().zip(contexts(&plan.pruners, &moment)).enumerate() {
+        let needs = pruner.needs(&GaussianCloud::zeros(0), &context);
         if !blends && needs.statistics.iter().any(|statistic| statistic.requires_blending()) {
             return Some(format!(
                 "`{}` needs blending weights, but this method does not blend; use {}a pruner without them, such as \

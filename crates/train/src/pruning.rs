@@ -4,7 +4,7 @@ use crate::batches::plane_of_pass;
 use crate::edit;
 use crate::graph::{Batch, open_gates};
 use crate::loss::Objective;
-use crate::plan::PruneTarget;
+use crate::plan::{PruneTarget, contexts};
 use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{
@@ -34,11 +34,11 @@ fn votes(
 ) -> (Vec<bool>, RemovalsByRule) {
     let mut rules = RemovalsByRule::new();
     let mut keep = vec![true; cloud.len()];
-    for (k, (pruner, stats)) in pruners.iter().zip(known).enumerate() {
+    for (k, ((pruner, stats), context)) in pruners.iter().zip(known).zip(contexts(pruners, context)).enumerate() {
         if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
             continue;
         }
-        let own = pruner.keep(cloud, stats, &PruneTarget::context(goal, k, context));
+        let own = pruner.keep(cloud, stats, &context);
         assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
         rules.push((format!("`{}`", name_of(pruner)), own.iter().filter(|keep| !**keep).count()));
         keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
@@ -62,8 +62,10 @@ impl Trainer<'_> {
         let phases = (t.densify_until, t.prune_until, t.prune_every);
         let (phase, rounds) = (self.phase(step), rounds_until(t.prune_until, phases));
         let due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
-        let round = if due { rounds_until(step, phases) } else { 0 };
-        StepContext { round, rounds, ..StepContext::new(step, phase, self.plan.seed) }
+        let passed = rounds_until(step, phases);
+        let round = if due { passed } else { 0 };
+        let target = self.goal.map(|goal| goal.target);
+        StepContext { round, passed, rounds, target, ..StepContext::new(step, phase, self.plan.seed) }
     }
 
     /// Runs all pruners. Returns the Gaussians before the step if some were removed.
@@ -88,10 +90,10 @@ impl Trainer<'_> {
     /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
     fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
-        for (k, pruner) in pruners.iter().enumerate() {
-            let context = PruneTarget::context(self.goal, k, context);
-            let stats = self.stats_for(pruner, &context)?;
-            match pruner.edit(&self.cloud, &stats, &context) {
+        let contexts = contexts(pruners, context);
+        for (k, (pruner, context)) in pruners.iter().zip(&contexts).enumerate() {
+            let stats = self.stats_for(pruner, context)?;
+            match pruner.edit(&self.cloud, &stats, context) {
                 Some(edit) => {
                     // If only columns change, the statistics remain valid.
                     let same = edit.rows.iter().enumerate().all(|(i, row)| *row == RowOrigin::Kept(i))
@@ -107,11 +109,10 @@ impl Trainer<'_> {
                 None => known[k] = Some(stats),
             }
         }
-        let known = known.into_iter().zip(pruners).enumerate();
-        let of = |(k, (known, pruner)): (usize, (Option<CloudStats>, _))| {
-            known.map_or_else(|| self.stats_for(pruner, &PruneTarget::context(self.goal, k, context)), Ok)
+        let of = |(known, (pruner, context)): (Option<CloudStats>, (_, &StepContext))| {
+            known.map_or_else(|| self.stats_for(pruner, context), Ok)
         };
-        known.map(of).collect()
+        known.into_iter().zip(pruners.iter().zip(&contexts)).map(of).collect()
     }
 
     /// Keeps the rows with `true`.

@@ -6,8 +6,7 @@ use crate::densify;
 use crate::edit::{self, GaussianIds, PerGaussianState};
 use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::Objective;
-use crate::plan::PruneTarget;
-use crate::plan::TrainingPlan;
+use crate::plan::{PruneTarget, TrainingPlan, contexts};
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Phase, Real, Result, StepContext, rng,
 };
@@ -193,8 +192,8 @@ impl Trainer<'_> {
                 (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
-        for (k, pruner) in pruners.iter().enumerate() {
-            pruner.update(&mut self.cloud, &self.stats, &PruneTarget::context(self.goal, k, &context));
+        for (pruner, context) in pruners.iter().zip(contexts(&pruners, &context)) {
+            pruner.update(&mut self.cloud, &self.stats, &context);
         }
         let pruned = self.edit(&context)?.map(|(cloud, gaussian_ids)| {
             let gates = self.gates_of(&cloud, &context);

@@ -72,7 +72,7 @@ pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult
 }
 
 pub(super) fn context_object<'py>(py: Python<'py>, context: &StepContext) -> PyResult<Bound<'py, PyAny>> {
-    let StepContext { step, phase, seed, round, rounds, target } = *context;
+    let StepContext { step, phase, seed, round, rounds, target, .. } = *context;
     py.import("pwrfgs._types")?.getattr("StepContext")?.call1((step, phase.name(), seed, round, rounds, target))
 }
 
