@@ -35,6 +35,7 @@ pub use pwrfgs_train as train;
 pub use pwrfgs_viewer as viewer;
 
 pub mod foreign;
+mod shipped;
 
 use prelude::{Observer, Pipeline, Result};
 use std::path::Path;

@@ -1,4 +1,5 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
+use pwrfgs::core::ShippedFile;
 use pwrfgs::experiment::sweep::{JOINED, SweepPlan, execute};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs::prelude::*;
@@ -20,11 +21,27 @@ fn read(path: &Path) -> Pipeline {
 }
 
 #[test]
-fn shipped_pipelines_exist() {
-    let names: Vec<String> =
-        files("pipelines").iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-    for name in ["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"] {
-        assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
+fn program_ships_every_pipeline_and_scene() {
+    for folder in [ShippedFile::PIPELINES, ShippedFile::SCENES] {
+        let shipped = ShippedFile::all(folder);
+        for path in files(folder) {
+            let name = path.file_stem().unwrap().to_str().unwrap();
+            let Some(file) = shipped.iter().find(|file| file.name == name) else {
+                assert_eq!(name, "conference", "only the scene with a mesh is not shipped");
+                continue;
+            };
+            assert_eq!(file.source, std::fs::read_to_string(&path).unwrap());
+            assert!(!file.text().contains("../"), "{name}");
+        }
+    }
+    let named = |pipeline: &str| ShippedFile::all(ShippedFile::PIPELINES).iter().any(|file| file.name == pipeline);
+    assert!(["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"].into_iter().all(named));
+    for file in ShippedFile::all(ShippedFile::PIPELINES) {
+        let pipeline = Pipeline::parse(&file.text(), Path::new(file.name)).unwrap_or_else(|e| panic!("{e}"));
+        let text = pipeline.to_ron();
+        let scene = text.split_once("scene: \"").map(|(_, rest)| rest.split('"').next().unwrap());
+        let is_shipped = |scene| ShippedFile::find(ShippedFile::SCENES, Path::new(""), Path::new(scene)).is_some();
+        assert!(scene.is_none_or(is_shipped), "{}: {scene:?}", file.name);
     }
 }
 

@@ -29,7 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit; 50,000 is the bound for all planned features.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_250;
-const IN_TOTAL: usize = 46_500;
+const IN_TOTAL: usize = 46_750;
 /// Files, and files of fewer than 50 code lines.
 const FILES: usize = 365;
 const SMALL: usize = 35;

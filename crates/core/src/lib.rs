@@ -30,6 +30,7 @@ mod rasterizer;
 mod real;
 pub mod rng;
 mod scene;
+mod shipped;
 mod spectra;
 mod splats;
 pub mod ssim;
@@ -63,6 +64,7 @@ pub use scene::{
     Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, coordinate_fault,
     place_fault,
 };
+pub use shipped::ShippedFile;
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};
 pub use stats::{CloudStats, Needs, PassStatistics, Phase, Statistic, StepContext};

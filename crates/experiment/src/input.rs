@@ -1,16 +1,24 @@
 //! Reads pipelines from files and `--set` arguments, with absolute paths.
 
-use pwrfgs_core::{Result, files::read_text};
+use pwrfgs_core::{Result, ShippedFile, files::MAX_TEXT};
 use pwrfgs_pipeline::{Change, EditFault, Pipeline, PipelineEdit};
 use std::path::{Path, PathBuf};
 
-/// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to
-/// the file.
+/// Reads the pipeline in `path`, or the shipped one of this name, applies `--set` arguments and then `training.scale`.
+/// Paths in the file are relative to the file; paths in a shipped pipeline to the current directory.
 ///
 /// # Errors
 /// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or an invalid argument.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    parse(&read_text(path)?, path, set)
+    parse(&pipeline_text(path)?, path, set)
+}
+
+/// Text of the pipeline in `path`, or of the shipped one of this name.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn pipeline_text(path: &Path) -> Result<String> {
+    ShippedFile::read(ShippedFile::PIPELINES, path, MAX_TEXT)
 }
 
 /// Same as [`read_pipeline`], for text that was read from `path`.
@@ -20,9 +28,10 @@ pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline>
     draft.finish().map_err(EditFault::in_arguments)?.resolved()
 }
 
-/// Reads the pipeline in `path` unchanged, with absolute paths.
-pub(crate) fn read_base(path: &Path) -> Result<PipelineEdit> {
-    parse_base(&read_text(path)?, path)
+/// Reads the pipeline in `path`, relative to `here`, or the shipped one of this name; unchanged, with absolute paths.
+pub(crate) fn read_base(here: &Path, path: &Path) -> Result<PipelineEdit> {
+    let path = ShippedFile::find(ShippedFile::PIPELINES, here, path).map_or_else(|| here.join(path), |_| path.into());
+    parse_base(&pipeline_text(&path)?, &path)
 }
 
 fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
@@ -65,8 +74,11 @@ pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     pipeline.rebased(&|path| absolute(base, path))
 }
 
-/// Absolute form of `path`, relative to `base`.
+/// Absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is.
 pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
+    if ShippedFile::find(ShippedFile::SCENES, base, path).is_some() {
+        return path.into();
+    }
     let joined = base.join(path);
     joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }

@@ -35,7 +35,7 @@ pub use ceiling::{NoiseCeiling, ceiling, lapse_of};
 pub use evaluate::{check_alike, evaluate};
 pub use evaluation_set::EvaluationSet;
 pub use facts::{Facts, FileDigest, Machine, VERSION};
-pub use input::{read_pipeline, rebased};
+pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{data_warnings, equality_warning, load, observed, position_warning};
 pub use page::{rebuild_page, with_run, write_results};

@@ -33,7 +33,7 @@ const SAME_FREQUENCY: f64 = 1e-7;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RayTracing {
-    /// Scene file, relative to the pipeline file; `None` for the scene of the data, which must be `Simulated` or a
+    /// Scene file, relative to the pipeline file, or the name of a shipped scene; `None` for the scene of the data, which must be `Simulated` or a
     /// folder of `pwrfgs simulate`. Scenes with meshes must be named for such folders, which do not store meshes.
     #[schemars(extend("format" = "path"))]
     pub scene: Option<PathBuf>,

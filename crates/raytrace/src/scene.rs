@@ -14,7 +14,7 @@ use crate::material::{self, Material};
 use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Pose, Result, did_you_mean, files};
+use pwrfgs_core::{Error, Pose, Result, ShippedFile, did_you_mean};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -73,12 +73,12 @@ pub struct SceneFile {
 }
 
 impl SceneFile {
-    /// Reads a scene file; mesh paths become relative to the current directory.
+    /// Reads a scene file, or the shipped scene of this name; mesh paths become relative to the current directory.
     ///
     /// # Errors
     /// Reports file, line and column of an error.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut scene = Self::parse(&files::read_text_at_most(path, MOST_BYTES)?, path)?;
+        let mut scene = Self::parse(&ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
             if let Object::Mesh { file, .. } = object {

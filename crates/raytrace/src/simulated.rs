@@ -12,7 +12,7 @@ use etcetera::BaseStrategy as _;
 use pwrfgs_core::files::{self, NewFolder};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, JsonSchema, Number, Observations, Progress, Real, Receiver, Result, Sample,
-    Simulation, Spectra, messages::strip_control,
+    ShippedFile, Simulation, Spectra, messages::strip_control,
 };
 use pwrfgs_data::{Arrays, npy_header, npy_header_as, read_points};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ const IN_MEMORY: u64 = 512 << 20;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Simulated {
-    /// Scene file, relative to the pipeline file.
+    /// Scene file, relative to the pipeline file, or the name of a shipped scene, such as `office`.
     #[schemars(extend("format" = "path"))]
     pub scene: PathBuf,
     /// Number of transmitters; with one receiver, number of spectra.
@@ -60,7 +60,7 @@ pub struct Simulated {
 impl Default for Simulated {
     fn default() -> Self {
         Self {
-            scene: "scenes/office.ron".into(),
+            scene: "office".into(),
             samples: 1000,
             seed: 0,
             points: 190_000,
@@ -176,7 +176,9 @@ impl DataSource for Simulated {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let recipe = SimulationRecipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
+        let is_shipped = ShippedFile::find(ShippedFile::SCENES, base, &self.scene).is_some();
+        let scene = if is_shipped { self.scene.clone() } else { base.join(&self.scene) };
+        let recipe = SimulationRecipe::read(&scene, self.samples, self.seed, self.points)?;
         let recipe = recipe.observing(self.observe)?;
         let root = if self.cache { cache_root() } else { None };
         open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))

@@ -164,7 +164,7 @@ impl ExperimentSource<'_> {
     /// Reads the pipeline in `file`, relative to the experiment file, with the settings of all runs. Values are
     /// validated later, together with those of the axes.
     fn base(&self, file: &Path) -> Result<PipelineEdit> {
-        let mut draft = read_base(&self.here.join(file))?;
+        let mut draft = read_base(self.here, file)?;
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
         change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
         set_all(&mut draft, self.set)?;

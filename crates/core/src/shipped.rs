@@ -1,0 +1,114 @@
+//! `ShippedFile`: pipelines and scenes inside the program, which are used by name.
+//!
+//! The facade `pwrfgs` registers the files of the repository; a program without it has none.
+
+use crate::error::{Error, Result, did_you_mean};
+use crate::files::read_text_at_most;
+use std::path::Path;
+
+/// Pipeline or scene of the repository, stored in the program.
+#[derive(Debug)]
+pub struct ShippedFile {
+    /// Folder in the repository: [`Self::PIPELINES`] or [`Self::SCENES`].
+    pub folder: &'static str,
+    /// File name without extension.
+    pub name: &'static str,
+    /// Content of the file in the repository.
+    pub source: &'static str,
+}
+
+inventory::collect!(ShippedFile);
+
+impl ShippedFile {
+    /// Folder of pipelines.
+    pub const PIPELINES: &'static str = "pipelines";
+    /// Folder of scenes.
+    pub const SCENES: &'static str = "scenes";
+
+    /// All files of `folder`, in the order of their names.
+    pub fn all(folder: &str) -> Vec<&'static Self> {
+        let mut all: Vec<_> = inventory::iter::<Self>().filter(|file| file.folder == folder).collect();
+        all.sort_by_key(|file| file.name);
+        all
+    }
+
+    /// Returns the file of `folder` that is named `path`; `None` if `base` holds a file or folder of this name.
+    pub fn find(folder: &str, base: &Path, path: &Path) -> Option<&'static Self> {
+        let found = inventory::iter::<Self>().find(|file| file.folder == folder && path.as_os_str() == file.name)?;
+        (!base.join(path).exists()).then_some(found)
+    }
+
+    /// Returns the text of the shipped file named `path`, or else of the file at `path`, of at most `limit` bytes.
+    ///
+    /// # Errors
+    /// As [`read_text_at_most`]; the message for a missing file without extension suggests a shipped file.
+    pub fn read(folder: &str, path: &Path, limit: u64) -> Result<String> {
+        if let Some(file) = Self::find(folder, Path::new(""), path) {
+            return Ok(file.text());
+        }
+        let all = Self::all(folder);
+        if path.extension().is_some() || path.exists() || all.is_empty() {
+            return read_text_at_most(path, limit);
+        }
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let near = did_you_mean(&name, all.iter().map(|file| file.name));
+        let what = format!("no such file, and the program ships no file of this name in {folder}{near}");
+        Err(Error::input(path, what))
+    }
+
+    /// Content for a file in any folder: it names other shipped files without a path, and its other paths begin in the
+    /// folder of the file instead of the repository.
+    pub fn text(&self) -> String {
+        let mut text = self.source.to_owned();
+        for Self { folder, name, .. } in inventory::iter::<Self>() {
+            for path in [format!("../{folder}/{name}.ron"), format!("{folder}/{name}.ron")] {
+                text = text.replace(&path, name);
+            }
+        }
+        text.replace("\"../", "\"")
+    }
+
+    /// First sentence of the comment at the start of the file.
+    pub fn purpose(&self) -> String {
+        let lines = self.source.lines().map_while(|line| line.strip_prefix("//")).map(str::trim);
+        let header = lines.collect::<Vec<_>>().join(" ");
+        header.split_once(". ").map_or(header.as_str(), |(first, _)| first).trim_end_matches('.').to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    inventory::submit! { ShippedFile { folder: "scenes", name: "room", source: "(name: \"a room\")" } }
+    inventory::submit! { ShippedFile {
+        folder: "pipelines",
+        name: "first",
+        source: "// Trains on scenes/room.ron,\n// 1.5 m wide. More text.\nPipeline(\
+                 data: Simulated(scene: \"../scenes/room.ron\"), root: \"../data/x\")",
+    } }
+
+    #[test]
+    fn shipped_file_needs_no_repository() {
+        let first = ShippedFile::find(ShippedFile::PIPELINES, Path::new(""), Path::new("first")).unwrap();
+        assert!(first.text().ends_with("Pipeline(data: Simulated(scene: \"room\"), root: \"data/x\")"));
+        assert!(first.text().starts_with("// Trains on room,"));
+        assert_eq!(first.purpose(), "Trains on scenes/room.ron, 1.5 m wide");
+        assert_eq!(ShippedFile::all(ShippedFile::SCENES).len(), 1);
+    }
+
+    #[test]
+    fn file_of_user_precedes_shipped_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let find = || ShippedFile::find(ShippedFile::SCENES, folder.path(), Path::new("room"));
+        assert!(find().is_some());
+        std::fs::write(folder.path().join("room"), "(name: \"mine\")").unwrap();
+        assert!(find().is_none());
+        let read = |path: &Path| ShippedFile::read(ShippedFile::SCENES, path, 100);
+        assert_eq!(read(&folder.path().join("room")).unwrap(), "(name: \"mine\")");
+        assert_eq!(read(Path::new("room")).unwrap(), "(name: \"a room\")");
+        let missing = read(Path::new("rom")).unwrap_err();
+        assert!(missing.is_input() && missing.to_string().contains("did you mean `room`?"), "{missing}");
+        assert!(!read(Path::new("rom.ron")).unwrap_err().to_string().contains("ships"));
+    }
+}

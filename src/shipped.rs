@@ -1,0 +1,26 @@
+//! Pipelines and scenes of the repository, stored in the program: `pwrfgs run quickstart` needs no file.
+//!
+//! The scene `conference` is not among them, because it reads a mesh file.
+
+use pwrfgs_core::ShippedFile;
+use pwrfgs_core::plugin::inventory;
+
+/// Registers files as [`ShippedFile`].
+macro_rules! ship {
+    ($($folder:literal: $($name:literal),+;)+) => {$($(
+        inventory::submit! { ShippedFile {
+            folder: $folder,
+            name: $name,
+            source: include_str!(concat!("../", $folder, "/", $name, ".ron")),
+        } }
+    )+)+};
+}
+
+ship! {
+    "pipelines":
+        "ablation-wrfgs", "ablation", "ble", "dense", "nerf2-ble", "nerf2-csi", "nerf2-laptop", "nerf2",
+        "newrf", "office-channel", "office-init", "office-links", "paper", "pwrfgs", "quickstart",
+        "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs";
+    "scenes":
+        "lab-s23", "office-channel", "office-csi", "office-links", "office";
+}
