@@ -2,6 +2,7 @@
 
 mod check;
 mod completions;
+mod data;
 mod evaluate;
 mod export;
 mod import;
@@ -9,6 +10,7 @@ mod init;
 #[cfg(feature = "report")]
 mod map;
 mod options;
+mod pipelines;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -22,15 +24,16 @@ mod view;
 
 pub(crate) use options::count;
 
-use crate::output::Verbosity;
+use crate::output::{SUCCESS, Verbosity};
 use clap::Subcommand;
 use pwrfgs_core::Result;
-use std::process::ExitCode;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Train, prune and evaluate a pipeline
     Run(run::Run),
+    /// List the pipelines in the program, or write one to a file
+    Pipelines(pipelines::Pipelines),
     /// Validate a pipeline and estimate its memory and time
     Check(check::Check),
     /// Run all combinations and seeds of an experiment
@@ -57,6 +60,8 @@ pub(crate) enum Command {
     Simulate(simulate::Simulate),
     /// List plugins and settings, or describe one of them
     Plugins(plugins::Plugins),
+    /// List public data sets, or check a downloaded one
+    Data(data::Data),
     /// Check a data set before training, with splits and baselines
     Inspect(check::Inspect),
     /// Write a commented pipeline for the data in a folder
@@ -74,7 +79,7 @@ impl Command {
         threads: Option<usize>,
         verbosity: Verbosity,
         program: impl FnOnce() -> clap::Command,
-    ) -> Result<ExitCode> {
+    ) -> Result<u8> {
         match self {
             Self::Run(run) => return run::run(run, verbosity),
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
@@ -91,12 +96,14 @@ impl Command {
             Self::Report(report) => report::report(report, verbosity),
             Self::Export(export) => export::export(export, verbosity),
             Self::Import(import) => import::import(import, verbosity),
+            Self::Pipelines(pipelines) => pipelines::pipelines(pipelines),
             Self::Plugins(plugins) => plugins::plugins(plugins),
+            Self::Data(data) => data::data(data, verbosity),
             Self::Inspect(inspect) => check::inspect(inspect, verbosity),
             Self::Init(init) => init::init(init, verbosity),
             Self::Completions(completions) => completions::completions(completions, program()),
             Self::Man(man) => completions::man(man, program()),
         }?;
-        Ok(ExitCode::SUCCESS)
+        Ok(SUCCESS)
     }
 }

@@ -4,21 +4,19 @@
 //! Work checks a flag at the points where it can stop. After one second, the process ends: files are always written
 //! completely or not at all. Only a training may finish its step, which its checkpoint then contains.
 
-use crate::output;
+use crate::output::{self, INTERRUPTED};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
+use signal_hook::flag;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-/// Exit code of an interrupted program, by the convention of shells.
-pub(crate) const INTERRUPTED: u8 = 130;
 const AT_ONCE: &str = "stopped immediately; repeat the command to resume";
 /// Time for work other than training to stop.
 const GRACE: Duration = Duration::from_secs(1);
-/// Interval between checks for running trainings.
+/// Interval between checks for signals and running trainings.
 const TICK: Duration = Duration::from_millis(50);
 
 /// Number of running trainings.
@@ -34,16 +32,23 @@ pub(crate) fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Arc::default))
 }
 
-/// Starts a thread that handles Ctrl-C.
+/// Starts a thread that handles Ctrl-C. Flags work on every system; waiting for a signal does not work on Windows.
 pub(crate) fn listen() -> Result<()> {
     let failed = |e: std::io::Error| Error::Config(format!("cannot handle Ctrl-C: {e}"));
-    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(failed)?;
+    let received = Arc::new(AtomicBool::new(false));
+    let register = |signal| flag::register(signal, Arc::clone(&received)).map_err(failed);
+    register(SIGINT)?;
+    register(SIGTERM)?;
     #[cfg(unix)]
     if !hang_up_is_ignored() {
-        signals.add_signal(signal_hook::consts::SIGHUP).map_err(failed)?;
+        register(signal_hook::consts::SIGHUP)?;
     }
     std::thread::spawn(move || {
-        for _ in signals.forever() {
+        loop {
+            std::thread::sleep(TICK);
+            if !received.swap(false, Ordering::Relaxed) {
+                continue;
+            }
             let Some(stop) = STOP.get() else { end("stopped") };
             if stop.swap(true, Ordering::Relaxed) {
                 end(AT_ONCE);
@@ -103,7 +108,7 @@ pub(crate) fn survive_file_limit() {
     #[cfg(unix)]
     {
         // The flag is unused. If the handler cannot be installed, the signal ends the process as before.
-        _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
+        _ = flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
     }
 }
 

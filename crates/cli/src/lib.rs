@@ -13,7 +13,8 @@ mod reference;
 
 use clap::{ArgAction, CommandFactory as _, Parser};
 use commands::{Command, count};
-use output::Verbosity;
+use output::{FAILED, INVALID, Verbosity};
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 #[derive(Debug, Parser)]
@@ -23,8 +24,8 @@ use std::process::ExitCode;
     about = "Predict spatial spectra, received powers or channels with pruned 3D Gaussians (P-WRFGS)",
     after_help = "\
 EXAMPLES
-  pwrfgs run pipelines/quickstart.ron                   # about a minute, no download
-  pwrfgs run pipelines/quickstart.ron --scale 0.25 --set seed=1 --out runs/short
+  pwrfgs run quickstart                                 # about a minute, no download
+  pwrfgs run quickstart --scale 0.25 --set seed=1 --out runs/short
   pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
   pwrfgs plugins                                        # names that a pipeline can use
 
@@ -55,15 +56,22 @@ impl Arguments {
     }
 }
 
-/// Parses the command line and runs the command; prints one message on failure.
+/// Parses the command line of the process and runs the command; prints one message on failure.
 pub fn main() -> ExitCode {
+    ExitCode::from(run(&std::env::args_os().collect::<Vec<_>>()))
+}
+
+/// Same as [`main`] for these arguments, of which the first is the path of the program; returns the exit code. Invalid
+/// arguments and `--help` end the process.
+pub fn run(arguments: &[OsString]) -> u8 {
     keep_memory();
-    if let Err(error) = check_utf8() {
+    if let Err(error) = check_utf8(arguments) {
         output::error(&error);
-        return ExitCode::from(2);
+        return INVALID;
     }
+    output::set_program(arguments.first());
     interrupt::survive_file_limit();
-    let arguments = Arguments::parse();
+    let arguments = Arguments::parse_from(arguments);
     let (threads, verbosity) = (arguments.threads, arguments.verbosity());
     output::start_logging(verbosity);
     let done = set_threads(threads)
@@ -72,14 +80,14 @@ pub fn main() -> ExitCode {
     interrupt::wait_if_ending();
     done.unwrap_or_else(|error| {
         output::error(&error);
-        ExitCode::from(if error.is_input() { 2 } else { 1 })
+        if error.is_input() { INVALID } else { FAILED }
     })
 }
 
 /// Rejects arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
-fn check_utf8() -> pwrfgs_core::Result<()> {
+fn check_utf8(arguments: &[OsString]) -> pwrfgs_core::Result<()> {
     let here = std::env::current_dir().unwrap_or_default().into_os_string();
-    let mut all = std::env::args_os().skip(1).chain([here]);
+    let mut all = arguments.iter().skip(1).chain([&here]);
     all.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
         let text = text.to_string_lossy().into_owned();
         Err(pwrfgs_core::Error::Config(format!("{text}: not UTF-8; rename the file or folder")))
@@ -106,7 +114,7 @@ fn keep_memory() {
         const BYTES: libc::c_int = 1 << 30;
         for option in [libc::M_MMAP_THRESHOLD, libc::M_TRIM_THRESHOLD] {
             #[allow(unsafe_code)]
-            // SAFETY: two settings of the allocator, made before any other thread runs; a refused one changes nothing.
+            // SAFETY: two settings of the allocator, made before a thread of this program runs; a refused one changes nothing.
             unsafe {
                 libc::mallopt(option, BYTES);
             }

@@ -3,12 +3,22 @@
 use indicatif::MultiProgress;
 use pwrfgs_core::{Error, Result, messages::escape_control};
 use std::collections::BTreeSet;
+use std::ffi::OsString;
 use std::io::{ErrorKind, IsTerminal as _, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::prelude::*;
+
+/// Exit code of a command that succeeded.
+pub(crate) const SUCCESS: u8 = 0;
+/// Exit code of a command that failed, such as on a full disk.
+pub(crate) const FAILED: u8 = 1;
+/// Exit code for invalid input.
+pub(crate) const INVALID: u8 = 2;
+/// Exit code of an interrupted program, by the convention of shells.
+pub(crate) const INTERRUPTED: u8 = 130;
 
 /// Amount of output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
@@ -28,6 +38,24 @@ impl Verbosity {
             note(line);
         }
     }
+}
+
+/// Path by which the program was called.
+static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// Sets the path by which the program was called, if it has a folder.
+pub(crate) fn set_program(called: Option<&OsString>) {
+    let has_folder = |path: &PathBuf| path.parent().is_some_and(|folder| !folder.as_os_str().is_empty());
+    if let Some(path) = called.map(PathBuf::from).filter(has_folder) {
+        _ = PROGRAM.set(path);
+    }
+}
+
+/// Path of the program, for a command line that starts it again. The Python package is called by a script, and the
+/// executable of the process is then the interpreter.
+pub(crate) fn program() -> Result<PathBuf> {
+    let failed = |e| Error::Config(format!("cannot find the path of this program: {e}"));
+    PROGRAM.get().map_or_else(|| std::env::current_exe().map_err(failed), |called| Ok(called.clone()))
 }
 
 /// Progress bars of the process; lines are printed above them.
@@ -78,10 +106,7 @@ pub(crate) fn start_logging(verbosity: Verbosity) {
         .without_time()
         .with_ansi(std::io::stderr().is_terminal())
         .with_writer(|| StderrAboveBars);
-    let started = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init();
-    if let Err(e) = started {
-        note(&format!("warning: cannot start logging: {e}"));
-    }
+    _ = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init(); // the Python package has its own logger
 }
 
 /// Writer to stderr, above the progress bars.

@@ -26,6 +26,7 @@ mod pruning;
 mod report;
 mod resume;
 mod scoring;
+mod shipped;
 mod shipped_models;
 mod simulate;
 mod slurm;

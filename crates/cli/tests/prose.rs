@@ -14,8 +14,22 @@ const FOR_USERS: f64 = 3.0;
 const IN_CODE: f64 = 5.0;
 /// Commands whose help is counted.
 const COMMANDS: &[&str] = &[
-    "check", "evaluate", "export", "import", "init", "inspect", "map", "plugins", "predict", "report", "run",
-    "simulate", "sweep", "view",
+    "check",
+    "data",
+    "evaluate",
+    "export",
+    "import",
+    "init",
+    "inspect",
+    "map",
+    "pipelines",
+    "plugins",
+    "predict",
+    "report",
+    "run",
+    "simulate",
+    "sweep",
+    "view",
 ];
 
 fn root() -> PathBuf {

@@ -26,7 +26,7 @@ EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
   pwrfgs check pipelines/pwrfgs.ron --scale 0.1")]
 pub(crate) struct Check {
-    /// Pipeline file or run folder
+    /// Pipeline file, name in `pwrfgs pipelines`, or run folder
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
@@ -135,7 +135,7 @@ EXAMPLES
   pwrfgs inspect data/s23
   pwrfgs inspect pipelines/s23-array.ron --set data.root=data/s23")]
 pub(crate) struct Inspect {
-    /// Data folder (layouts in docs/data.md), pipeline file or run folder
+    /// Data folder (layouts in docs/data.md), pipeline (file or name) or run folder
     #[arg(value_name = "DATA")]
     pub(crate) data: PathBuf,
     /// Change a setting, such as 'split=Random(test: 0.3)'; repeatable

@@ -13,7 +13,7 @@ use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_place, write_new};
 use pwrfgs_core::plugin::{name_of as plugin_name, to_ron, try_to_ron};
-use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, Split, recognise, rng};
+use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, ShippedFile, Split, recognise, rng};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -55,14 +55,15 @@ const SHOWN: [&str; 9] =
 const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
 
 /// Shipped pipelines that new ones start from.
-const FINE_SPECTRA: &str = include_str!("../../../../pipelines/s23-laptop.ron");
-const COARSE_SPECTRA: &str = include_str!("../../../../pipelines/quickstart.ron");
-const POWERS: &str = include_str!("../../../../pipelines/ble.ron");
-const CHANNELS: &str = include_str!("../../../../pipelines/office-channel.ron");
+const FINE_SPECTRA: &str = "s23-laptop";
+const COARSE_SPECTRA: &str = "quickstart";
+const POWERS: &str = "ble";
+const CHANNELS: &str = "office-channel";
+const UPLINKS: &str = "uplink";
+
 const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_info.yml, or spectra.npy (spectra); gateway_rssi.csv \
                        and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
                        base-station.yml (channels); see docs/data.md";
-const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
 
 /// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the centre
 /// of a Gaussian together, so what it learns of a lobe in one direction holds for others.
@@ -91,6 +92,16 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
+}
+
+/// Error for a folder without data of a known layout.
+pub(super) fn unknown_folder(folder: &Path) -> Error {
+    let what = match folder.metadata() {
+        Ok(entry) if entry.is_dir() => UNKNOWN,
+        Ok(_) => "is a file; give a folder in a layout of docs/data.md",
+        Err(_) => "no such folder",
+    };
+    Error::input(folder, what)
 }
 
 /// Suggests a pipeline for the data.
@@ -147,7 +158,8 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
     };
     set.push(format!("training.batch={}", survey.batch(batch)));
     set.push(format!("baselines=[{baselines}]"));
-    let mut pipeline = Pipeline::parse(start, out)?;
+    let start = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
+    let mut pipeline = Pipeline::parse(start.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;
     Ok(pipeline)
 }
@@ -201,12 +213,7 @@ struct DataSurvey {
 impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
     fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        let unknown = match folder.metadata() {
-            Ok(entry) if entry.is_dir() => UNKNOWN,
-            Ok(_) => "is a file; give a folder in a layout of docs/data.md",
-            Err(_) => "no such folder",
-        };
-        let source = recognise(folder).ok_or_else(|| Error::input(folder, unknown))?;
+        let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
         data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));

@@ -1,15 +1,14 @@
 //! `pwrfgs run`: runs a pipeline.
 
 use super::options::{ChangeOptions, named};
-use crate::interrupt::{INTERRUPTED, stop_flag};
-use crate::output::{self, Verbosity};
+use crate::interrupt::stop_flag;
+use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::{RunOutcome, read_pipeline};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -19,13 +18,13 @@ A folder with other files is never changed. Paths in a pipeline are relative to 
 the command line to the current directory. docs/guide.md describes the run folder.
 
 EXAMPLES
-  pwrfgs run pipelines/quickstart.ron
-  pwrfgs run pipelines/quickstart.ron --scale 0.25 --set tensorboard=true --out runs/quarter
+  pwrfgs run quickstart
+  pwrfgs run quickstart --scale 0.25 --set tensorboard=true --out runs/quarter
   pwrfgs run runs/quarter --set seed=1 --out runs/quarter-1
   pwrfgs run pipelines/s23-laptop.ron --set data.root=data/s23
   pwrfgs run pipelines/ablation.ron --set pruners.LearnableMask.lambda=0.05 --out runs/sparse")]
 pub(crate) struct Run {
-    /// Pipeline file, or run folder: resumes the run, or repeats it in --out
+    /// Pipeline file, name in `pwrfgs pipelines`, or run folder: resumes the run, or repeats it in --out
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
@@ -35,7 +34,7 @@ pub(crate) struct Run {
     pub(crate) out: Option<PathBuf>,
 }
 
-pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     let (file, folder) = named(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
@@ -48,11 +47,11 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
                 "stopped before scoring was complete; the trained model is in {}; repeat the command to score it",
                 out.display()
             ));
-            Ok(ExitCode::from(INTERRUPTED))
+            Ok(INTERRUPTED)
         }
         RunOutcome::Interrupted { step: 0 } => {
             output::note("stopped before the first step; repeat the command to start again");
-            Ok(ExitCode::from(INTERRUPTED))
+            Ok(INTERRUPTED)
         }
         RunOutcome::Interrupted { step } => {
             output::note(&format!(
@@ -60,7 +59,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
                 pipeline.training.steps,
                 out.display()
             ));
-            Ok(ExitCode::from(INTERRUPTED))
+            Ok(INTERRUPTED)
         }
         RunOutcome::Finished { scores, already } => {
             if already {
@@ -69,7 +68,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
             let last = last_line(scores.verdict(), &out);
             output::result(&(scores.to_text() + &report.unwrap_or_default() + &last))?;
-            Ok(ExitCode::SUCCESS)
+            Ok(SUCCESS)
         }
     }
 }

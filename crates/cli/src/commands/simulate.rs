@@ -1,7 +1,7 @@
 //! `pwrfgs simulate`: simulates a data set from a scene.
 
-use crate::interrupt::{INTERRUPTED, stop_flag};
-use crate::output::{self, Verbosity};
+use crate::interrupt::stop_flag;
+use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
 use pwrfgs::experiment::staged;
@@ -9,7 +9,6 @@ use pwrfgs::raytrace::output::{self as folder, OutputLayout};
 use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::time::Instant;
 
 #[derive(Debug, Args)]
@@ -26,12 +25,12 @@ and index files (every fifth transmitter is for test). Several receivers get a f
 for rssi. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
 
 EXAMPLES
-  pwrfgs simulate scenes/office.ron --out data/office
+  pwrfgs simulate office --out data/office
   pwrfgs simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many
   pwrfgs simulate scenes/office-links.ron --layout rssi --noise-db 3 --no-paths --out data/rssi
   pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --no-paths --out data/csi")]
 pub(crate) struct Simulate {
-    /// Scene file
+    /// Scene file, or name of a scene in `pwrfgs pipelines`
     #[arg(value_name = "SCENE")]
     pub(crate) scene: PathBuf,
     /// Output folder; must be new or empty
@@ -105,7 +104,7 @@ impl Simulate {
     }
 }
 
-pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<u8> {
     let begun = Instant::now();
     let stop = stop_flag();
     let (observe, layout) = arguments.output_layout()?;
@@ -118,11 +117,11 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     });
     if matches!(written, Err(Error::Stopped)) {
         output::note("stopped without output; repeat the command to start again");
-        return Ok(ExitCode::from(INTERRUPTED));
+        return Ok(INTERRUPTED);
     }
     written?;
     verbosity.note(&summary(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }
 
 /// Describes the data set and the setting to train on it.

@@ -3,8 +3,8 @@
 mod table;
 
 use super::options::{ChangeOptions, count};
-use crate::interrupt::{INTERRUPTED, stop_flag};
-use crate::output::{self, Verbosity};
+use crate::interrupt::stop_flag;
+use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
@@ -13,7 +13,6 @@ use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use table::SweepTable;
 
@@ -84,12 +83,12 @@ fn shard(text: &str) -> Result<Shard, String> {
     }
 }
 
-pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<u8> {
     let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
     let runs = chosen(&plan, arguments)?;
     if arguments.status {
         output::result(&table::status(&plan, &runs, &queued_or_note(&plan)))?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(SUCCESS);
     }
     let threads_there = rayon::current_num_threads();
     if arguments.jobs > threads_there {
@@ -126,7 +125,7 @@ fn chosen(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
 }
 
 /// Runs all runs in this process.
-fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
+fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
     let stop = stop_flag();
     let board = SweepTable::new(plan, runs.len(), verbosity);
     let end = RunProgress::during(verbosity, |progress| {
@@ -154,25 +153,25 @@ fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> 
             runs.len(),
             plan.folder.join("failures").display()
         ));
-        return Ok(ExitCode::from(1));
+        return Ok(FAILED);
     }
     if stop.load(Ordering::Relaxed) {
         output::note("stopped; repeat the command to resume");
-        return Ok(ExitCode::from(INTERRUPTED));
+        return Ok(INTERRUPTED);
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }
 
 /// Lists all runs with estimated times.
-fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
+fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
     let pool = pool(jobs)?;
     let seconds = RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
     output::result(&table::plan(plan, runs, &seconds, jobs))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }
 
 /// Submits to Slurm the runs that are not finished, running or queued.
-fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
+fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
     let queued = slurm::queued(plan)?;
     let free = |run: &usize| {
@@ -182,7 +181,7 @@ fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<u
     let waiting = open.len() - runs.len();
     if runs.is_empty() {
         output::result(&format!("nothing to submit: {waiting} runs are queued or running, the others are finished\n"))?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(SUCCESS);
     }
     let command = task_command(plan, arguments, threads.unwrap_or(plan.slurm.cpus))?;
     let (job, script) = slurm::submit(plan, &runs, &command)?;
@@ -191,7 +190,7 @@ fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<u
         runs.len(),
         script.display()
     ))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }
 
 /// Command line of a task; the name of its run comes last.
@@ -199,8 +198,7 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
     let text = |path: &std::path::Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
-    let program =
-        std::env::current_exe().map_err(|e| Error::Config(format!("cannot find the path of this program: {e}")))?;
+    let program = output::program()?;
     let here = std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.
     let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];

@@ -1,0 +1,212 @@
+//! `pwrfgs data`: lists public data sets, and checks a downloaded one. The program downloads nothing.
+
+use super::init::unknown_folder;
+use crate::output::{self, Verbosity};
+use crate::progress::RunProgress;
+use clap::{Args, Subcommand};
+use pwrfgs::experiment::text::{aligned, grouped};
+use pwrfgs::experiment::{Observer as _, data_warnings, observed, staged};
+use pwrfgs_core::files::{digest, if_found, read};
+use pwrfgs_core::plugin::name_of;
+use pwrfgs_core::{Dataset, Result, recognise};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Without a subcommand, it prints licence, size, address and folder of each public data set that the
+field uses. The program downloads nothing: each entry has a command or the steps of a download.
+
+EXAMPLES
+  pwrfgs data
+  pwrfgs data check data/s23")]
+pub(crate) struct Data {
+    #[command(subcommand)]
+    pub(crate) action: Option<DataAction>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum DataAction {
+    /// Check layout, content and digests of a data folder
+    Check {
+        /// Data folder
+        #[arg(value_name = "FOLDER")]
+        folder: PathBuf,
+    },
+}
+
+/// Public data set.
+struct PublicData {
+    name: &'static str,
+    content: &'static str,
+    licence: &'static str,
+    size: &'static str,
+    source: &'static str,
+    /// Download, as a command or in words.
+    download: &'static str,
+    /// Folder in which the shipped pipelines expect it.
+    folder: &'static str,
+    pipelines: &'static str,
+    /// SHA-256 of files of the copy behind the scores in `docs/results.md`.
+    digests: &'static [(&'static str, &'static str)],
+}
+
+const NERF2: &str = "https://connectpolyu-my.sharepoint.com/:f:/g/personal/20032132r_connect_polyu_hk/EuAACSdRP4VGgw_9n2IqL84BkY_tWD5TeE9kDT0lvjw6jw?e=ygYEvX";
+const NERF2_LICENCE: &str = "MIT, data included (https://github.com/XPengZhao/NeRF2); cite Zhao et al., MobiCom 2023";
+const UNREADABLE: &str = "none: pwrfgs does not read this layout";
+
+const PUBLIC: [PublicData; 5] = [
+    PublicData {
+        name: "s23",
+        content: "measured spectra of 6,123 transmitter positions, 920 MHz, 4 x 4 antennas (NeRF2, RFID)",
+        licence: NERF2_LICENCE,
+        size: "50 MB unpacked",
+        source: NERF2,
+        download: "open the address in a browser, download RFID/s23-dataset.tar.gz and unpack it (no direct link for curl)",
+        folder: "data/s23",
+        pipelines: "s23-laptop, s23-array, paper, dense, nerf2, nerf2-laptop, pwrfgs, wrfgs",
+        digests: &[
+            ("gateway_info.yml", "e04ec8dba6f4828898c6f4245cfb55283c75e94d46bac33d07382ee5c1dd182a"),
+            ("tx_pos.csv", "c7f560952555ae95b05ba3663d0212baaa8c62e80073be32d67098f2e943f885"),
+            ("spectrum/00001.png", "56ff1f6e028556357fc70d08c87d51f75905575c90a0c4f176719e80770b0d8d"),
+        ],
+    },
+    PublicData {
+        name: "BLE",
+        content: "measured received power of 4,800 transmitter positions at 21 gateways (NeRF2, BLE)",
+        licence: NERF2_LICENCE,
+        size: "0.8 MB unpacked",
+        source: NERF2,
+        download: "open the address in a browser, download BLE/rssi-dataset-1.tar.gz and unpack it (no direct link for curl)",
+        folder: "data/ble",
+        pipelines: "ble, nerf2-ble",
+        digests: &[
+            ("gateway_position.yml", "2de978e259dbf5c165c9924a92cc49146c1204d37c6c0982c92bcd2e56be7b60"),
+            ("gateway_rssi.csv", "0b5682be02853a0db536c17f1f232812832451f748c383fffd17379939571243"),
+            ("tx_pos.csv", "9e0b296dba5a7e59164f8c080ec785b24e6dfe1b3ecc04f8a3dd0f7f39a9323b"),
+        ],
+    },
+    PublicData {
+        name: "NeWRF",
+        content: "*simulated* channels of a conference room, 433 MHz to 5.8 GHz, 395 or 433 positions",
+        licence: "MIT; cite Lu et al., ICML 2024 (arXiv:2403.03241)",
+        size: "72 kB after the conversion in docs/data.md",
+        source: "https://github.com/LuHaofan/NeWRF, folder data/",
+        download: "curl -LO https://raw.githubusercontent.com/LuHaofan/NeWRF/HEAD/data/dataset_conference_433MHz_rt_image_fc.pkl",
+        folder: "data/newrf",
+        pipelines: "newrf",
+        digests: &[
+            ("csi_433MHz.npy", "cd25e96ef53b0d09e5a5e5dd34fc53dfd82566cab3820ae061940c4780530dda"),
+            ("csi_433MHz_pos.csv", "186284e29e28d5af3b03cfcc6ef9fad1b0777592a0dc7753ba6dea3532bbb1f6"),
+        ],
+    },
+    PublicData {
+        name: "RF-3DGS",
+        content: "*simulated* spatial spectra at moving receivers in a lobby (Sionna), camera images",
+        licence: "code Apache-2.0; licence of the data not verified; cite Zhang et al. (arXiv:2411.19420)",
+        size: "not verified",
+        source: "https://github.com/SunLab-UGA/RF-3DGS",
+        download: "follow the link to its data in the README (no direct link for curl)",
+        folder: "any",
+        pipelines: UNREADABLE,
+        digests: &[],
+    },
+    PublicData {
+        name: "DeepMIMO",
+        content: "*simulated* paths and channels of many sites, by ray tracing",
+        licence: "code Apache-2.0; each scenario states its own licence; cite Alkhateeb, ITA 2019",
+        size: "differs between scenarios",
+        source: "https://www.deepmimo.net",
+        download: "pip install deepmimo && python3 -c 'import deepmimo; deepmimo.download(\"asu_campus_3p5\")'",
+        folder: "any",
+        pipelines: UNREADABLE,
+        digests: &[],
+    },
+];
+
+pub(crate) fn data(arguments: &Data, verbosity: Verbosity) -> Result<()> {
+    let text = match &arguments.action {
+        None => listing(),
+        Some(DataAction::Check { folder }) => checked(folder, verbosity)?,
+    };
+    output::result(&text)
+}
+
+/// Properties of each public data set.
+fn listing() -> String {
+    let mut text = String::new();
+    for set in &PUBLIC {
+        let rows = [
+            ("  licence", set.licence),
+            ("  size", set.size),
+            ("  address", set.source),
+            ("  download", set.download),
+            ("  copy to", set.folder),
+            ("  pipelines", set.pipelines),
+        ];
+        let rows = rows.map(|(name, value)| vec![name.to_owned(), value.to_owned()]);
+        text += &format!("{}: {}\n{}\n", set.name, set.content, aligned(&rows, 2));
+    }
+    text + "Formats and splits: docs/data.md. Check a downloaded folder: pwrfgs data check FOLDER\n"
+}
+
+/// Result of a check: content of the folder, and its digests next to known ones.
+fn checked(folder: &Path, verbosity: Verbosity) -> Result<String> {
+    if !folder.is_dir() {
+        return Err(unknown_folder(folder));
+    }
+    let digests = compared(folder)?;
+    let Some(source) = recognise(folder) else {
+        return digests.ok_or_else(|| unknown_folder(folder));
+    };
+    let data = RunProgress::during(verbosity, |progress| {
+        let data = staged(progress, "observations", |bar| source.load(Path::new(""), bar))?;
+        data_warnings(&data, None).iter().for_each(|warning| progress.on_warning(warning));
+        Ok(data)
+    })?;
+    let none = || "digests: no file of a known public data set; `pwrfgs data` lists them\n".to_owned();
+    let layout = format!("layout: {}, {}, {}\n", name_of(&source), observed(&data), origin(&data));
+    Ok(layout + &split(&data) + &digests.unwrap_or_else(none))
+}
+
+fn origin(data: &Dataset) -> &'static str {
+    if data.is_simulated() { "simulated" } else { "measured" }
+}
+
+/// Sizes of the split in the index files.
+fn split(data: &Dataset) -> String {
+    match &data.official {
+        Some((train, test)) => {
+            format!("index files: {} training, {} test\n", grouped(train.len() as i64), grouped(test.len() as i64))
+        }
+        None => "index files: none\n".into(),
+    }
+}
+
+/// Compares the files of a folder with the public data set that has an equal file; `None` if there is no such set.
+fn compared(folder: &Path) -> Result<Option<String>> {
+    for set in &PUBLIC {
+        let mut lines = Vec::new();
+        for (name, known) in set.digests {
+            let path = folder.join(name);
+            let found = if_found(&path, read(&path))?.map(|bytes| digest(&bytes));
+            lines.push((name, found.as_deref() == Some(*known), found));
+        }
+        if !lines.iter().any(|(_, is_equal, _)| *is_equal) {
+            continue;
+        }
+        let word = |is_equal: bool, found: Option<&String>| match (is_equal, found) {
+            (true, _) => "equal".to_owned(),
+            (false, Some(digest)) => format!("differs: {digest}"),
+            (false, None) => "missing".into(),
+        };
+        let rows: Vec<Vec<String>> = lines
+            .iter()
+            .map(|(name, is_equal, found)| vec![format!("  {name}"), word(*is_equal, found.as_ref())])
+            .collect();
+        let equal = lines.iter().filter(|(_, is_equal, _)| *is_equal).count();
+        let head =
+            format!("digests: {equal} of {} files equal those of {} in docs/results.md\n", lines.len(), set.name);
+        return Ok(Some(head + &aligned(&rows, 2)));
+    }
+    Ok(None)
+}

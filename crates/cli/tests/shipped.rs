@@ -1,0 +1,132 @@
+//! Pipelines and scenes in the program are used by name, without the repository.
+use crate::common::{refuse, stderr, stdout, succeed, write};
+use pwrfgs_core::testing::shared;
+
+/// Settings that make `quickstart` a run of a second.
+const SHORT: [&str; 8] = [
+    "--scale",
+    "0.004",
+    "--set",
+    "data.samples=60",
+    "--set",
+    "data.points=500",
+    "--set",
+    "baselines=[MeanSpectrum(), RayTracing()]",
+];
+
+#[test]
+fn quickstart_runs_in_empty_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let run = |pipeline: &str| succeed(here, &[&["run", pipeline][..], &SHORT].concat());
+    let output = run("quickstart");
+    assert!(stdout(&output).contains("report: runs/quickstart"), "{}", stdout(&output));
+    assert!(stderr(&output).contains("office (simulated)"), "{}", stderr(&output));
+    let text = std::fs::read_to_string(here.join("runs/quickstart/pipeline.ron")).unwrap();
+    assert!(text.contains("scene: \"office\""), "{text}");
+
+    // A copy is the same pipeline.
+    let copied = succeed(here, &["pipelines", "--copy", "quickstart"]);
+    assert!(stdout(&copied).ends_with("next: pwrfgs run quickstart.ron\n"), "{}", stdout(&copied));
+    assert!(stderr(&run("quickstart.ron")).contains("nothing to do"));
+    let again = succeed(here, &["run", "runs/quickstart"]);
+    assert!(stderr(&again).contains("nothing to do"), "the run folder needs no scene file: {}", stderr(&again));
+    refuse(here, &["pipelines", "--copy", "quickstart"], 2, &["quickstart.ron", "not overwritten"]);
+
+    // A file of the user is used first.
+    write(&here.join("quickstart"), "Pipeline(name: 1)");
+    refuse(here, &["check", "quickstart"], 2, &["quickstart:1:16"]);
+}
+
+#[test]
+fn pipelines_are_listed_with_their_purpose() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = stdout(&succeed(folder.path(), &["pipelines"]));
+    let line =
+        |name: &str| list.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{name}: {list}"));
+    assert!(line("s23-laptop ").contains("Trains P-WRFGS on s23 (measured)"));
+    assert!(line("quickstart ").contains("simulated") && line("scenes ").contains("office-csi"));
+    assert!(list.lines().all(|line| line.len() < 165), "{list}");
+}
+
+#[test]
+fn unknown_names_suggest_shipped_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |arguments: &[&str], words: &[&str]| refuse(folder.path(), arguments, 2, words);
+    refused(&["run", "quikstart"], &["quikstart: no such file", "did you mean `quickstart`?"]);
+    refused(
+        &["pipelines", "--copy", "s23-labtop"],
+        &["--copy s23-labtop: no such pipeline; did you mean `s23-laptop`?"],
+    );
+    refused(&["simulate", "ofice", "--out", "o"], &["ofice: no such file", "did you mean `office`?"]);
+    refused(&["run", "quickstart", "--set", "data.scene=ofice"], &["did you mean `office`?"]);
+    // The data of other pipelines begin in the current directory.
+    refused(&["run", "s23-laptop"], &[&folder.path().join("data/s23").display().to_string()]);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is written");
+}
+
+#[test]
+fn experiments_and_simulate_accept_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let axis = "(name: \"N\", variants: [(label: \"8\", set: {\"initializer.max_points\": 8})])";
+    write(&here.join("e.ron"), &format!("Experiment(name: \"e\", base: \"quickstart\", axes: [{axis}])"));
+    let plan = succeed(here, &["sweep", "e.ron", "--dry-run", "--set", "data.samples=60", "--set", "data.points=500"]);
+    assert!(stdout(&plan).contains("runs/e"), "{}", stdout(&plan));
+    succeed(here, &["simulate", "office", "--samples", "5", "--points", "10", "--no-paths", "--out", "data"]);
+    assert!(here.join("data/spectrum/00005.png").is_file());
+}
+
+#[test]
+fn public_data_are_listed_with_licence_and_address() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = stdout(&succeed(folder.path(), &["data"]));
+    for set in list.split("\n\n").filter(|set| set.contains("  licence")) {
+        for field in ["size", "address", "download", "copy to", "pipelines"] {
+            assert!(set.contains(&format!("\n  {field} ")), "{set}");
+        }
+    }
+    for set in ["s23: measured", "BLE: measured", "NeWRF: *simulated*", "RF-3DGS: *simulated*", "DeepMIMO: *simulated*"]
+    {
+        assert!(list.contains(set), "{list}");
+    }
+    assert!(list.contains("curl -LO https://"), "{list}");
+}
+
+#[test]
+fn data_check_reports_layout_and_digests() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    succeed(here, &["simulate", "office", "--samples", "5", "--points", "10", "--no-paths", "--out", "mine"]);
+    let text = stdout(&succeed(here, &["data", "check", "mine"]));
+    assert!(
+        text.starts_with(
+            "layout: Nerf2Spectrum, 5 spectra of 360 x 90 pixels, simulated\nindex files: 4 training, 1 test"
+        ),
+        "{text}"
+    );
+    assert!(text.ends_with("digests: no file of a known public data set; `pwrfgs data` lists them\n"), "{text}");
+    std::fs::remove_file(here.join("mine/tx_pos.csv")).unwrap();
+    refuse(here, &["data", "check", "mine"], 2, &["tx_pos.csv"]);
+    refuse(here, &["data", "check", "nowhere"], 2, &["nowhere: no such folder"]);
+    std::fs::create_dir(here.join("empty")).unwrap();
+    refuse(here, &["data", "check", "empty"], 2, &["no known layout of data"]);
+
+    let Some(shared) = shared("data") else { return };
+    let check = |name: &str| stdout(&succeed(here, &["data", "check", shared.join(name).to_str().unwrap()]));
+    for (name, files) in [("s23", 3), ("ble", 3), ("newrf", 2)] {
+        let text = check(name);
+        assert!(text.contains(&format!("digests: {files} of {files} files equal those of")), "{text}");
+    }
+    // A changed file.
+    for name in ["gateway_position.yml", "gateway_rssi.csv", "tx_pos.csv"] {
+        let bytes = std::fs::read(shared.join("ble").join(name)).unwrap();
+        let cut = if name == "tx_pos.csv" { &[&bytes[..], b"\n"].concat()[..] } else { &bytes[..] };
+        write(&here.join("ble").join(name), std::str::from_utf8(cut).unwrap());
+    }
+    let text = stdout(&succeed(here, &["data", "check", "ble"]));
+    assert!(
+        text.contains("digests: 2 of 3 files equal those of BLE") && text.contains("tx_pos.csv            differs: "),
+        "{text}"
+    );
+}
