@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, List
 
-from . import baselines, metrics, plot, settings
+from . import baselines, datasets, metrics, plot, settings
 from ._errors import Error, InputError
 from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
@@ -31,7 +31,7 @@ from . import _plugins
 __all__: List[str] = [
     "Baseline", "Cloud", "Column", "Dataset", "Error", "Gaussians", "Initializer", "InputError", "Links", "Metric", "Model",
     "StepContext", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "SweepError", "Trainer",
-    "Value", "__version__", "baselines", "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
+    "Value", "__version__", "baselines", "datasets", "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
     "report", "run", "settings", "simulate", "sweep",
 ]
 __all__ += _plugins.__all__

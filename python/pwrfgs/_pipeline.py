@@ -28,8 +28,8 @@ def without_comments(text: str) -> str:
 class Pipeline:
     """All settings of a run: data, split, initialiser, pruners, training, baselines and metrics.
 
-    ``Pipeline("pipelines/quickstart.ron")`` reads a file, ``Pipeline("Pipeline(name: ..)")`` a text, and
-    ``Pipeline(name="first", data=Teacher(), initializer=Random())`` combines values. Fields are attributes, at any depth:
+    ``Pipeline("my.ron")`` reads a file, ``Pipeline("quickstart")`` a pipeline of the package (``pwrfgs pipelines`` lists them),
+    ``Pipeline("Pipeline(name: ..)")`` a text, and ``Pipeline(name="first", data=Teacher(), initializer=Random())`` combines values. Fields are attributes, at any depth:
     ``pipeline.training.steps = 2000``. Each change is validated at once. ``str`` is RON with every default written out.
 
     Relative paths start at the folder of the file, or at the current directory.
@@ -47,15 +47,11 @@ class Pipeline:
         elif isinstance(source, str) and is_text(source):
             inner = _pwrfgs.Pipeline.parse(source, "pipeline", os.getcwd())
         else:
-            path = os.path.abspath(os.fspath(source))
+            path = os.fspath(source)
             if os.path.isdir(path):
                 path = os.path.join(path, "pipeline.ron")
-            try:
-                with open(path, encoding="utf-8") as file:
-                    text = file.read()
-            except (OSError, UnicodeDecodeError) as error:
-                raise InputError(f"cannot read {os.fspath(source)}: {error}") from None
-            inner = _pwrfgs.Pipeline.parse(text, os.path.relpath(path), os.path.dirname(path))
+            text = _pwrfgs.pipeline_text(path)
+            inner = _pwrfgs.Pipeline.parse(text, os.path.relpath(path), os.path.dirname(os.path.abspath(path)))
         object.__setattr__(self, "_inner", inner)
         if fields:
             self.set(fields)

@@ -227,12 +227,12 @@ def run(
     metrics: Sequence[Any] = (),
     progress: bool = True,
 ) -> Run:
-    """Train, prune, score and report: ``run("pipelines/quickstart.ron")``.
+    """Train, prune, score and report: ``run("quickstart")``.
 
     Parameters
     ----------
     pipeline
-        A ``Pipeline``, the path of a pipeline file, or a run folder to resume.
+        A ``Pipeline``, the path of a pipeline file, the name of a pipeline in the package, or a run folder to resume.
     set
         Settings by path, as in ``--set``: ``{"training.steps": 2000, "split": "Voxel()"}``.
     out
@@ -382,7 +382,8 @@ def simulate(
     paths: bool = False,
     progress: bool = True,
 ) -> "_pwrfgs.Dataset":
-    """Simulate a scene file into the new folder ``out`` and load it: ``simulate("scenes/office.ron", "data/office")``.
+    """Simulate a scene into the new folder ``out`` and load it: ``simulate("office", "data/office")``. ``scene`` is a file, or
+    the name of a scene in the package.
 
     ``layout`` is "spectra", "arrays", "rssi" (with noise of ``noise_db``), "channels" or "csi" (with an SNR of ``snr_db``).
     Ctrl-C stops without leaving files. With several receivers, each has a folder inside ``out`` (except for "rssi"); the

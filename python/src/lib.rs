@@ -33,11 +33,11 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]
-    use super::run::{facts, report, run, simulate, sweep};
+    use super::run::{facts, program, report, run, simulate, sweep};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]
-    use super::settings::{Pipeline, complete, parse_ron, registry, types};
+    use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -11,6 +11,7 @@ use pwrfgs::report::{Study, write};
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::SyncSender;
@@ -200,6 +201,12 @@ pub(crate) fn simulate(
         folder::write_as(&recipe, layout, paths, &out, &send, stop)
     };
     waited(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
+}
+
+/// Runs the program `pwrfgs`; the first argument is its path. Returns the exit code.
+#[pyfunction]
+pub(crate) fn program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| pwrfgs_cli::run(&arguments))
 }
 
 /// Folders of every run, followed by the joined model, each with the reason of a failure.

@@ -1,7 +1,7 @@
 //! Plugins, pipelines and their text.
 
 use crate::border::{free, unplaced, wrong};
-use pwrfgs::experiment::rebased;
+use pwrfgs::experiment::{pipeline_text as read_pipeline_text, rebased};
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
 use pwrfgs::prelude::Pipeline as Inner;
@@ -91,6 +91,12 @@ impl Pipeline {
         })?;
         Ok(crate::data::Dataset::new(data, Some(to_ron(&source))))
     }
+}
+
+/// Text of a pipeline file, or of the shipped pipeline of this name.
+#[pyfunction]
+pub(crate) fn pipeline_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    free(py, || read_pipeline_text(&path))
 }
 
 /// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items",

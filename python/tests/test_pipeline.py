@@ -164,3 +164,18 @@ def test_a_saved_pipeline_means_the_same_data(tmp_path):
         there.save(path)
     commented = "// mine\n/* (a) */ " + str(there)
     assert pwrfgs.Pipeline(commented).name == there.name
+
+
+def test_pipelines_of_the_package_have_names(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pipeline = pwrfgs.Pipeline("quickstart")
+    assert pipeline.name == "quickstart" and pipeline.data.scene == "office" and pipeline.folder == str(tmp_path)
+    pipeline.set({"data.samples": 12, "data.points": 100})
+    data = pipeline.load_data()
+    assert len(data) == 12 and data.simulated
+    assert len(pwrfgs.Dataset.load(pwrfgs.Simulated(scene="office", samples=12, points=100))) == 12
+    assert len(pwrfgs.simulate("office", tmp_path / "office", samples=5, points=10, progress=False)) == 5
+    with pytest.raises(pwrfgs.InputError, match="did you mean `s23-laptop`"):
+        pwrfgs.Pipeline("s23-lptop")
+    (tmp_path / "quickstart").write_text(str(pipeline.copy().set({"seed": 7})))
+    assert pwrfgs.Pipeline("quickstart").seed == 7

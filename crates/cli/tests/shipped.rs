@@ -70,7 +70,7 @@ fn experiments_and_simulate_accept_names() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let axis = "(name: \"N\", variants: [(label: \"8\", set: {\"initializer.max_points\": 8})])";
-    write(&here.join("e.ron"), &format!("Experiment(name: \"e\", base: \"quickstart\", axes: [{axis}])"));
+    write(&here.join("e.ron"), format!("Experiment(name: \"e\", base: \"quickstart\", axes: [{axis}])"));
     let plan = succeed(here, &["sweep", "e.ron", "--dry-run", "--set", "data.samples=60", "--set", "data.points=500"]);
     assert!(stdout(&plan).contains("runs/e"), "{}", stdout(&plan));
     succeed(here, &["simulate", "office", "--samples", "5", "--points", "10", "--no-paths", "--out", "data"]);

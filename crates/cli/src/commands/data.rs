@@ -133,8 +133,7 @@ pub(crate) fn data(arguments: &Data, verbosity: Verbosity) -> Result<()> {
 
 /// Properties of each public data set.
 fn listing() -> String {
-    let mut text = String::new();
-    for set in &PUBLIC {
+    let entry = |set: &PublicData| {
         let rows = [
             ("  licence", set.licence),
             ("  size", set.size),
@@ -144,9 +143,10 @@ fn listing() -> String {
             ("  pipelines", set.pipelines),
         ];
         let rows = rows.map(|(name, value)| vec![name.to_owned(), value.to_owned()]);
-        text += &format!("{}: {}\n{}\n", set.name, set.content, aligned(&rows, 2));
-    }
-    text + "Formats and splits: docs/data.md. Check a downloaded folder: pwrfgs data check FOLDER\n"
+        format!("{}: {}\n{}", set.name, set.content, aligned(&rows, 2))
+    };
+    PUBLIC.each_ref().map(entry).join("\n")
+        + "\nFormats and splits: docs/data.md. Check a downloaded folder: pwrfgs data check FOLDER\n"
 }
 
 /// Result of a check: content of the folder, and its digests next to known ones.

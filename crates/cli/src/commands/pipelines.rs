@@ -2,6 +2,7 @@
 
 use crate::output;
 use clap::Args;
+use pwrfgs::experiment::text::aligned;
 use pwrfgs_core::files::{check_file_place, write_new};
 use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean};
 use std::path::PathBuf;
@@ -35,8 +36,8 @@ pub(crate) fn pipelines(arguments: &Pipelines) -> Result<()> {
         }
         return output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), file.purpose(), out.display()));
     }
-    let column = all.iter().map(|file| file.name.len()).max().unwrap_or(0) + 2;
-    let lines: String = all.iter().map(|file| format!("{:column$}{}\n", file.name, file.purpose())).collect();
+    let lines: Vec<_> = all.iter().map(|file| vec![file.name.to_owned(), file.purpose()]).collect();
     let scenes: Vec<&str> = ShippedFile::all(ShippedFile::SCENES).iter().map(|file| file.name).collect();
-    output::result(&format!("{lines}scenes for `pwrfgs simulate`: {}\n", scenes.join(", ")))
+    let list = aligned(&lines, 2);
+    output::result(&format!("{list}scenes for `pwrfgs simulate`: {}\n", scenes.join(", ")))
 }
