@@ -91,6 +91,7 @@ def _add_licences(information):
     metadata = information / "METADATA"
     fields, separator, text = metadata.read_text(encoding="utf-8").partition("\n\n")
     lines = [f"License-File: {name}" for name in [*names, "LICENSE-THIRD-PARTY"]]
+    fields = "\n".join(line for line in fields.splitlines() if line not in lines)  # maturin has found some of them
     metadata.write_text("\n".join([fields, *lines]) + separator + text, encoding="utf-8")
 
 
