@@ -52,6 +52,17 @@ pub trait Split:
     /// Returns three disjoint sorted lists; training and test set are not empty.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
+    /// Divides `links`, in ascending order, into the units that the split holds out together, in order; a fold of a
+    /// cross-validation holds some of them.
+    fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        links.chunk_by(|a, b| data.links[*a].transmitter == data.links[*b].transmitter).map(<[usize]>::to_vec).collect()
+    }
+
+    /// Returns whether a fold holds consecutive units, and not units at random.
+    fn is_in_order(&self) -> bool {
+        false
+    }
+
     /// Returns whether the training set is deliberately small, so that a larger test set is accepted.
     fn is_sparse(&self) -> bool {
         false
@@ -123,8 +134,8 @@ pub trait Predict: Send + Sync {
         None
     }
 
-    /// Returns whether it uses the simulated scene (exact or with errors) instead of the training data, as ray tracing
-    /// does. It is then an oracle baseline and not ranked.
+    /// Returns whether it uses what a model does not know: the simulated scene (exact or with errors), as ray tracing
+    /// does, or the time of a measurement. It is then an oracle baseline and not ranked.
     fn is_oracle(&self) -> bool {
         false
     }

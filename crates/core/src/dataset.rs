@@ -173,8 +173,8 @@ impl Dataset {
 
     /// Returns the query for a prediction of link `i`.
     pub fn query(&self, i: usize) -> Query<'_> {
-        let Sample { tx, receiver, .. } = self.sample(i);
-        Query { tx, receiver, features: self.features.as_ref().map_or(&[], |features| features.of(i)) }
+        let Sample { id, tx, receiver } = self.sample(i);
+        Query { tx, receiver, features: self.features.as_ref().map_or(&[], |features| features.of(i)), id: Some(id) }
     }
 
     /// Returns the measurement type.

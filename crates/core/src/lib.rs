@@ -18,6 +18,7 @@ mod error;
 pub mod files;
 mod image;
 mod initializer;
+pub mod kriging;
 mod layout;
 pub mod messages;
 mod method;

@@ -102,7 +102,7 @@ pub struct ModelFacts<'a> {
     pub means: &'a [[Real; 3]],
     /// Size of the Gaussians in the model file, bytes.
     pub gaussian_bytes: usize,
-    /// Size of the network in the model file, bytes.
+    /// Size of the network and of residual processes in the model file, bytes.
     pub network_bytes: usize,
 }
 

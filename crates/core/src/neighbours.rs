@@ -13,7 +13,11 @@ use std::num::NonZero;
 type Tree = ImmutableKdTree<Real, 3>;
 
 /// Returns |a − b|, in the unit of both.
-pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub fn distance<const N: usize>(a: [f64; N], b: [f64; N]) -> f64 {
+    between(&a, &b)
+}
+
+fn between(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
@@ -69,6 +73,56 @@ fn tree(points: &[[Real; 3]]) -> Option<Tree> {
         return None;
     }
     Some(Tree::new_from_slice(points).expect("a tree of some points can be built"))
+}
+
+/// Positions of any dimension, with their samples: exact search through all of them; 80,000 take less than a millisecond.
+#[derive(Clone, Debug)]
+pub struct Nearest {
+    /// Coordinates `[S,width]`, row-major.
+    places: Vec<f64>,
+    width: usize,
+    samples: Vec<usize>,
+}
+
+impl Nearest {
+    /// Creates a lookup for samples with coordinates of `width` numbers each, in metres or any other unit.
+    pub fn new<P: AsRef<[f64]>>(samples: Vec<usize>, width: usize, place: impl Fn(usize) -> P) -> Self {
+        let mut places = Vec::with_capacity(samples.len() * width);
+        samples.iter().for_each(|&i| places.extend_from_slice(place(i).as_ref()));
+        Self { places, width: width.max(1), samples }
+    }
+
+    /// Returns all samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
+    /// distances. Ties go to the lower sample index.
+    pub fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
+        /// Number of candidates beyond k that are kept before the worst are dropped.
+        const SPARE: usize = 1024;
+        let k = k.clamp(1, self.samples.len().max(1));
+        let by_distance = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        let keep_nearest = |near: &mut Vec<(f64, usize)>| {
+            if near.len() > k {
+                near.select_nth_unstable_by(k - 1, by_distance);
+                near.truncate(k);
+            }
+        };
+        let (mut exact, mut near, mut worst) = (Vec::new(), Vec::with_capacity(k + SPARE), f64::INFINITY);
+        for (place, &sample) in self.places.chunks_exact(self.width).zip(&self.samples) {
+            let distance = between(place, at);
+            if distance == 0.0 {
+                exact.push(sample);
+            }
+            if distance <= worst {
+                near.push((distance, sample));
+                if near.len() == k + SPARE {
+                    keep_nearest(&mut near);
+                    worst = near.iter().fold(0.0, |worst, n| worst.max(n.0));
+                }
+            }
+        }
+        keep_nearest(&mut near);
+        near.sort_unstable_by(by_distance);
+        (exact, near)
+    }
 }
 
 #[cfg(test)]

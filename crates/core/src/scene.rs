@@ -96,12 +96,14 @@ pub struct Query<'a> {
     pub features: &'a [Real],
     /// Index of the receiver in the data.
     pub receiver: usize,
+    /// Id of the sample in data, which follows time in a trajectory; `None` for other positions. Models do not use it.
+    pub id: Option<u32>,
 }
 
 impl Query<'static> {
     /// Creates a query for a transmitter at `tx` and the receiver of that index.
     pub fn at(tx: [f64; 3], receiver: usize) -> Self {
-        Self { tx, features: &[], receiver }
+        Self { tx, features: &[], receiver, id: None }
     }
 }
 

@@ -150,6 +150,11 @@ impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
         own.or(self.pooled.as_ref()).or_else(any).expect("one predictor was fitted at least").predict(query)
     }
 
+    fn is_oracle(&self) -> bool {
+        let fitted = self.each.iter().filter_map(|(_, own)| own.as_ref()).chain(&self.pooled).next();
+        fitted.is_some_and(Predict::is_oracle)
+    }
+
     fn note(&self) -> Option<String> {
         let own: Vec<(&str, &P)> =
             self.each.iter().filter_map(|(name, own)| Some((name.as_str(), own.as_ref()?))).collect();

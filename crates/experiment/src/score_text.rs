@@ -69,7 +69,9 @@ impl ScoreTable {
             }
         }
         let things = self.task.counted[1];
-        let oracle = format!("† oracle baseline: uses the scene of the simulated {things}; not ranked");
+        let oracle = format!(
+            "† oracle baseline: uses the scene of simulated {things}, or the time of measured ones; not ranked"
+        );
         let own = (!self.oracles.is_empty()).then_some(oracle);
         let pairs = self.paired.as_ref().map(|paired| paired.note(self.task));
         let notes = own.iter().chain(&pairs).chain(&self.notes);

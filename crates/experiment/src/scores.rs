@@ -37,7 +37,7 @@ pub struct ScoreTable {
     pub predictors: Vec<String>,
     /// One entry per metric.
     pub metrics: Vec<MetricRow>,
-    /// Names of the oracle baselines, which use the simulated scene itself.
+    /// Names of the oracle baselines, which use the simulated scene itself or the time of a measurement.
     pub oracles: Vec<String>,
     /// Names of the predictors that are members of the model.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

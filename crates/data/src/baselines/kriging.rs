@@ -1,14 +1,27 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-mod equations;
-mod likelihood;
-
-use super::neighbours::Nearest;
+use super::log_distance::{PathLoss, log_distance, points};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
-use equations::{Correlation, Trend, solve};
-use likelihood::HeldOutCases;
-use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result};
+use pwrfgs_core::kriging::{
+    Correlation, CorrelationKind, HeldOutCases, Place, SearchSpace, in_space, most_likely, solve,
+};
+use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::{
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Sample, Sampling, evenly,
+    rng,
+};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+
+/// Largest number of samples predicted in the fit.
+const CASES: usize = 160;
+/// Largest number of neighbours per prediction.
+const FROM: usize = 24;
+/// Largest number of powers predicted in the fit.
+const POWERS: usize = 320;
+const FROM_POWERS: usize = 16;
+/// Approximate number of pixels per spectrum used in the fit: every n-th row and column.
+const PIXELS: usize = 2_000;
 
 /// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
 /// transmitter position.
@@ -33,6 +46,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_core::{Baseline, Plugin};
 /// # use pwrfgs_data as _;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("Kriging()").unwrap().name(), "Kriging");
+/// assert_eq!(Plugin::<dyn Baseline>::parse("Kriging(time: true)").unwrap().name(), "Kriging, space and time");
 /// assert!(Plugin::<dyn Baseline>::parse("Kriging(neighbours: 1)").is_err());
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -40,18 +54,21 @@ use serde::{Deserialize, Serialize};
 pub struct Kriging {
     /// Number of samples per prediction, 2 to 512; time grows with its cube.
     pub neighbours: usize,
+    /// Whether the process is over position and time, with ids as times: only for data with ids in order of time. A
+    /// place has no time, so this is an oracle baseline, which is not ranked: it shows how much spectra vary over time.
+    pub time: bool,
 }
 
 impl Default for Kriging {
     fn default() -> Self {
-        Self { neighbours: 48 }
+        Self { neighbours: 48, time: false }
     }
 }
 
 #[typetag::serde]
 impl Baseline for Kriging {
     fn name(&self) -> String {
-        "Kriging".into()
+        if self.time { "Kriging, space and time" } else { "Kriging" }.into()
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
@@ -67,16 +84,11 @@ impl Baseline for Kriging {
         ByReceiver::fit(data, known, |known| {
             let all = all_of(known)?;
             let trend = Trend::of(data, &all);
-            let cases = if trend.law.is_some() {
-                HeldOutCases::of_powers(&trend, &all)
-            } else {
-                let (train, validation) = choosing(known);
-                HeldOutCases::new(&trend, train, &validation)
-            };
-            let correlation = likelihood::most_likely(&cases);
+            let correlation = trend.most_likely(&all, known, self.time);
             data.observations.check()?;
-            let nearest = Nearest::new(all, 3, |i| correlation.scaled(data.sample(i).tx));
-            Ok(Process { trend, nearest, correlation, neighbours: self.neighbours })
+            let in_space = self.time.then(|| Nearest::new(all.clone(), 3, |i| data.sample(i).tx));
+            let nearest = Nearest::new(all, 4, |i| correlation.scaled(place(data, i)));
+            Ok(Process { trend, nearest, in_space, correlation, neighbours: self.neighbours })
         })
     }
 
@@ -88,9 +100,87 @@ impl Baseline for Kriging {
     }
 }
 
+/// Trend that is subtracted from every observation.
+struct Trend<'a> {
+    data: &'a Dataset,
+    law: Option<PathLoss>,
+}
+
+impl<'a> Trend<'a> {
+    /// Fits the trend to these links by least squares.
+    fn of(data: &'a Dataset, links: &[usize]) -> Self {
+        Self { data, law: data.task().is_scalar.then(|| PathLoss::fit(&points(data, links))) }
+    }
+
+    /// Power of the path-loss model for a link, dBm; 0 without a model.
+    fn at(&self, query: Query<'_>) -> f64 {
+        self.law.map_or(0.0, |law| law.at(log_distance(self.data, query)))
+    }
+
+    /// Residual of link `i` at every `stride`-th column of every `stride`-th row.
+    fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
+        self.data.observations.sampled(i, Sampling::every(stride), out);
+        if self.law.is_some() {
+            out[0] -= self.at(self.data.query(i)) as Real;
+        }
+    }
+
+    /// Most likely correlation. Spectra: of validation samples, each given its nearest training samples. Powers: of at
+    /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to
+    /// the joint density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain
+    /// long distances.
+    fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> Correlation {
+        let space_of = |i: usize| self.data.sample(i).tx;
+        let given = |nearest: &Nearest, i: usize, count| {
+            (i, nearest.find(&space_of(i), count).1.into_iter().map(|(_, j)| j).collect::<Vec<_>>())
+        };
+        let is_power = self.law.is_some();
+        let cases: Vec<_> = if is_power {
+            let mut order = evenly(all, POWERS);
+            rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
+            let case = |n: usize| given(&Nearest::new(order[..n].to_vec(), 3, space_of), order[n], FROM_POWERS);
+            (1..order.len()).into_par_iter().map(case).collect()
+        } else {
+            let (train, validation) = choosing(known);
+            let in_time = |i: usize| [f64::from(self.data.sample(i).id)];
+            let later = time.then(|| Nearest::new(train.clone(), 1, in_time));
+            let nearest = Nearest::new(train, 3, space_of);
+            let case = |&i: &usize| {
+                let Some(later) = &later else { return given(&nearest, i, FROM) };
+                // Half of the neighbours are nearest in space, and half in time.
+                let (i, mut near) = given(&nearest, i, FROM / 2);
+                let others = later.find(&in_time(i), FROM).1.into_iter().map(|(_, j)| j);
+                near.extend(others.filter(|j| !near.contains(j)).take(FROM / 2).collect::<Vec<_>>());
+                (i, near)
+            };
+            evenly(&validation, CASES).par_iter().map(case).collect()
+        };
+        let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
+        let cases = HeldOutCases::new(&cases, |i| place(self.data, i), |_, i| self.picture(i));
+        most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1
+    }
+
+    /// About [`PIXELS`] values of link `i` for the fit.
+    fn picture(&self, i: usize) -> Vec<Real> {
+        let Dataset { width, height, .. } = *self.data;
+        let stride = ((width * height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
+        let mut pixels = vec![0.0; width.div_ceil(stride) * height.div_ceil(stride)];
+        self.residual(i, stride, &mut pixels);
+        pixels
+    }
+}
+
+/// Place of link `i`, with its id as its time.
+fn place(data: &Dataset, i: usize) -> Place {
+    let Sample { id, tx: [x, y, z], .. } = data.sample(i);
+    [x, y, z, f64::from(id)]
+}
+
 struct Process<'a> {
     trend: Trend<'a>,
     nearest: Nearest,
+    /// Samples by position alone, for a process over time.
+    in_space: Option<Nearest>,
     correlation: Correlation,
     neighbours: usize,
 }
@@ -98,9 +188,9 @@ struct Process<'a> {
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         let data = self.trend.data;
-        let at = self.correlation.scaled(query.tx);
+        let at = self.correlation.scaled(self.place_of(query));
         let samples: Vec<usize> = self.nearest.find(&at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(data.sample(i).tx)).collect();
+        let places: Vec<Place> = samples.iter().map(|&i| self.correlation.scaled(place(data, i))).collect();
         let solution = solve(&self.correlation, &places, at);
         if self.trend.law.is_none() {
             return weighted_mean(data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
@@ -112,6 +202,20 @@ impl Predict for Process<'_> {
         };
         let dbm = self.trend.at(query) + samples.iter().zip(solution.simple).map(residual).sum::<f64>();
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
+    }
+
+    fn is_oracle(&self) -> bool {
+        self.in_space.is_some()
+    }
+}
+
+impl Process<'_> {
+    /// Place of a query. Without an id, its time is that of the nearest sample in space.
+    fn place_of(&self, query: Query<'_>) -> Place {
+        let Some(in_space) = &self.in_space else { return self::in_space(query.tx) };
+        let nearest = || in_space.find(&query.tx, 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
+        let [x, y, z] = query.tx;
+        [x, y, z, query.id.or_else(nearest).map_or(0.0, f64::from)]
     }
 }
 
@@ -128,14 +232,15 @@ impl ReceiverPredictor for Process<'_> {
 impl Process<'_> {
     /// Description of the fit for a single receiver.
     fn note_of_one(&self) -> String {
-        let Correlation { kind, scales_m, noise } = &self.correlation;
-        let [x, y, z] = scales_m.map(digits);
+        let Correlation { kind, scales, noise } = &self.correlation;
+        let [x, y, z, time] = scales.map(digits);
+        let time = if self.in_space.is_some() { format!(", a time scale of {time} samples") } else { String::new() };
         let law = self.trend.law.map_or_else(String::new, |law| {
             let (level, slope) = (digits(law.level), digits(law.slope));
             format!(", path loss of {level} dBm at 1 m and {slope} dB per decade")
         });
         format!(
-            "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m, and noise of {} of the \
+            "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m{time}, and noise of {} of the \
              variance{law}",
             kind.words(),
             digits(*noise)
@@ -144,8 +249,8 @@ impl Process<'_> {
 
     /// Short description of the fit for one of several receivers, in the order of [`note_of_many`].
     fn in_short(&self) -> String {
-        let Correlation { kind, scales_m, noise } = &self.correlation;
-        let [x, y, z] = scales_m.map(digits);
+        let Correlation { kind, scales, noise } = &self.correlation;
+        let [x, y, z, _] = scales.map(digits);
         let scales = if x == y && y == z { x } else { format!("{x} x {y} x {z}") };
         let law = self.trend.law.map(|law| [digits(law.level), digits(law.slope)]);
         let numbers = [kind.words().to_owned(), scales, digits(*noise)].into_iter().chain(law.into_iter().flatten());

@@ -1,8 +1,8 @@
 //! Tests of the mean and of nearest neighbours.
 
-use super::neighbours::Nearest;
 use super::*;
 use crate::splits::testing::{line_of_samples, samples_at};
+use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Pose, Sample, Spectra, rng, ssim};
 

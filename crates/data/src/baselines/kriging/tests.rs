@@ -1,13 +1,17 @@
 //! Comparison with closed forms and scikit-learn 1.9.1.
 
-use super::equations::CorrelationKind;
-use super::likelihood::{HeldOutCases, most_likely};
 use super::*;
 use crate::splits::testing::line_of_samples;
 use pwrfgs_core::{Pose, Sample, Spectra, rng};
 
-const PLACES: [[f64; 3]; 6] =
-    [[0.0; 3], [0.5, 0.1, 0.2], [0.9, 0.7, 0.1], [0.2, 1.1, 0.6], [1.3, 0.4, 0.9], [0.7, 0.6, 0.5]];
+const PLACES: [Place; 6] = [
+    [0.0; 4],
+    [0.5, 0.1, 0.2, 0.0],
+    [0.9, 0.7, 0.1, 0.0],
+    [0.2, 1.1, 0.6, 0.0],
+    [1.3, 0.4, 0.9, 0.0],
+    [0.7, 0.6, 0.5, 0.0],
+];
 
 fn close(a: f64, b: f64, by: f64) {
     assert!((a - b).abs() <= by, "{a} instead of {b}");
@@ -24,9 +28,9 @@ fn kriging_predictions_match_scikit_learn() {
         (CorrelationKind::SquaredExponential, 3.551_534_306, 0.093_223_336),
     ];
     for (kind, mean, variance) in known {
-        let correlation = Correlation { kind, scales_m: [0.5, 0.8, 1.2], noise: 0.05 };
+        let correlation = Correlation { kind, scales: [0.5, 0.8, 1.2, f64::INFINITY], noise: 0.05 };
         let places = PLACES.map(|place| correlation.scaled(place));
-        let found = solve(&correlation, &places, correlation.scaled([0.6, 0.5, 0.3]));
+        let found = solve(&correlation, &places, correlation.scaled([0.6, 0.5, 0.3, 0.0]));
         close(found.weights.iter().sum(), 1.0, 1e-12);
         close(found.weights.iter().zip(values).map(|(w, v)| w * v).sum(), mean, 1e-6);
         close(found.variance, variance, 1e-6);
@@ -36,11 +40,11 @@ fn kriging_predictions_match_scikit_learn() {
 /// With one position the weight is 1 and the variance that of a difference; two at equal distance have weight 1/2 each.
 #[test]
 fn kriging_of_one_and_two_positions_has_closed_form() {
-    let correlation = Correlation { kind: CorrelationKind::Exponential, scales_m: [1.0; 3], noise: 0.25 };
-    let one = solve(&correlation, &[[0.0; 3]], [0.7, 0.0, 0.0]);
+    let correlation = Correlation { kind: CorrelationKind::Exponential, scales: [1.0; 4], noise: 0.25 };
+    let one = solve(&correlation, &[[0.0; 4]], [0.7, 0.0, 0.0, 0.0]);
     assert_eq!(one.weights, [1.0]);
     close(one.variance, 2.0 * (1.0 + 0.25 - (-0.7f64).exp()), 1e-12);
-    let two = solve(&correlation, &[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [0.0; 3]);
+    let two = solve(&correlation, &[[-1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], [0.0; 4]);
     close(two.weights[0], 0.5, 1e-12);
     close(two.variance, 1.25 + 0.5 * (1.25 + (-2.0f64).exp()) - 2.0 * (-1.0f64).exp(), 1e-12);
 }
@@ -48,10 +52,10 @@ fn kriging_of_one_and_two_positions_has_closed_form() {
 #[test]
 fn kriging_without_noise_interpolates_and_accepts_coincident_positions() {
     for kind in CorrelationKind::ALL {
-        let correlation = Correlation { kind, scales_m: [1.0; 3], noise: 1e-9 };
+        let correlation = Correlation { kind, scales: [1.0; 4], noise: 1e-9 };
         let found = solve(&correlation, &PLACES, PLACES[3]);
         close(found.weights[3], 1.0, 1e-4);
-        let same = solve(&Correlation { noise: 1e-4, ..correlation }, &[[1.0; 3]; 40], [2.0; 3]);
+        let same = solve(&Correlation { noise: 1e-4, ..correlation }, &[[1.0; 4]; 40], [2.0; 4]);
         assert!(same.weights.iter().all(|w| (w - 1.0 / 40.0).abs() < 1e-6) && same.variance > 0.0);
     }
 }
@@ -65,8 +69,8 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     // Each value is drawn given those before it: exact, but slow.
     let mut pixels: Vec<Vec<f64>> = Vec::new();
     for i in 0..count {
-        let places: Vec<[f64; 3]> = samples[..i].iter().map(|s| correlation.scaled(s.tx)).collect();
-        let solution = (i > 0).then(|| solve(correlation, &places, correlation.scaled(samples[i].tx)));
+        let places: Vec<Place> = samples[..i].iter().map(|s| correlation.scaled(in_space(s.tx))).collect();
+        let solution = (i > 0).then(|| solve(correlation, &places, correlation.scaled(in_space(samples[i].tx))));
         let (weights, variance) = solution.map_or((vec![], 1.0 + correlation.noise), |s| (s.weights, s.variance));
         let pixel = |k: usize| {
             let mean: f64 = weights.iter().enumerate().map(|(j, w): (usize, &f64)| w * pixels[j][k]).sum();
@@ -80,20 +84,29 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     Dataset::new("process", Pose::IDENTITY, vec![], samples, Spectra::float((12, 12), &flat).unwrap()).unwrap()
 }
 
+/// Cases of `validation` samples, each given its 24 nearest of `train`.
+fn cases_of(data: &Dataset, train: &[usize], validation: &[usize]) -> HeldOutCases {
+    let nearest = Nearest::new(train.to_vec(), 4, |i| place(data, i));
+    let near = |i: usize| nearest.find(&place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
+    let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
+    HeldOutCases::new(&cases, |i| place(data, i), |_, i| data.image(i).pixels)
+}
+
 #[test]
 fn likelihood_recovers_true_parameters() {
     for kind in [CorrelationKind::Exponential, CorrelationKind::SquaredExponential] {
-        let truth = Correlation { kind, scales_m: [0.3, 0.3, 1.2], noise: 0.1 };
+        let truth = Correlation { kind, scales: [0.3, 0.3, 1.2, f64::INFINITY], noise: 0.1 };
         let data = drawn(&truth, 260);
         let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
-        let cases = HeldOutCases::new(&Trend::of(&data, &[]), train, &validation);
-        let found = most_likely(&cases);
+        let cases = cases_of(&data, &train, &validation);
+        let space = SearchSpace { kinds: &CorrelationKind::ALL, isotropic: false, time: false };
+        let found = most_likely(&cases, space).1;
         println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
         assert_eq!(found.kind, kind);
         assert!(cases.log_likelihood(&found) > cases.log_likelihood(&truth) - 0.05);
         assert!((0.03..0.3).contains(&found.noise), "{found:?}");
         // Length scale and variance of an exponential are hard to separate; anisotropy is not.
-        let stretch = found.scales_m[2] / found.scales_m[0];
+        let stretch = found.scales[2] / found.scales[0];
         assert!((2.0..8.0).contains(&stretch), "{found:?}");
     }
 }
@@ -101,13 +114,13 @@ fn likelihood_recovers_true_parameters() {
 /// Density of one sample given its neighbours, written out.
 #[test]
 fn likelihood_equals_density_of_predictions() {
-    let truth = Correlation { kind: CorrelationKind::Matern32, scales_m: [0.5; 3], noise: 0.2 };
+    let truth = Correlation { kind: CorrelationKind::Matern32, scales: [0.5; 4], noise: 0.2 };
     let data = drawn(&truth, 12);
-    let cases = HeldOutCases::new(&Trend::of(&data, &[]), (0..10).collect(), &[10, 11]);
+    let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11]);
     let mut terms = Vec::new();
     for i in [10, 11] {
-        let places: Vec<[f64; 3]> = (0..10).map(|j| truth.scaled(data.sample(j).tx)).collect();
-        let solution = solve(&truth, &places, truth.scaled(data.sample(i).tx));
+        let places: Vec<Place> = (0..10).map(|j| truth.scaled(place(&data, j))).collect();
+        let solution = solve(&truth, &places, truth.scaled(place(&data, i)));
         let mut error = 0.0;
         for k in 0..144 {
             let mean: f64 = (0..10).map(|j| solution.weights[j] * data.image(j).pixels[k] as f64).sum();
@@ -122,7 +135,11 @@ fn likelihood_equals_density_of_predictions() {
 
 #[test]
 fn predictions_follow_from_parameters_in_note() {
-    let truth = Correlation { kind: CorrelationKind::SquaredExponential, scales_m: [0.08, 0.3, 1.2], noise: 0.001 };
+    let truth = Correlation {
+        kind: CorrelationKind::SquaredExponential,
+        scales: [0.08, 0.3, 1.2, f64::INFINITY],
+        noise: 0.001,
+    };
     let data = drawn(&truth, 120);
     let all: Vec<usize> = (0..100).collect();
     let fitted = Kriging::default().fit(&data, FittingSet::train(&all)).unwrap();
@@ -135,9 +152,9 @@ fn predictions_follow_from_parameters_in_note() {
     let numbers: Vec<f64> = words.iter().map(|word| word.parse().unwrap()).collect();
     let [x, y, z, noise] = numbers[..] else { panic!("{note}") };
     let kind = CorrelationKind::ALL.into_iter().rev().find(|kind| note.contains(kind.words())).unwrap();
-    let correlation = Correlation { kind, scales_m: [x, y, z], noise };
-    let nearest = Nearest::new(all, 3, |i| correlation.scaled(data.sample(i).tx));
-    let again = Process { trend: Trend::of(&data, &[]), nearest, correlation, neighbours: 48 };
+    let correlation = Correlation { kind, scales: [x, y, z, f64::INFINITY], noise };
+    let nearest = Nearest::new(all, 4, |i| correlation.scaled(place(&data, i)));
+    let again = Process { trend: Trend::of(&data, &[]), nearest, in_space: None, correlation, neighbours: 48 };
     for i in 100..120 {
         let [a, b] = [&*fitted, &again].map(|process: &dyn Predict| process.predict(data.query(i)).pixels);
         a.iter().zip(&b).for_each(|(a, b)| close(*a as f64, *b as f64, 5e-3));
@@ -165,4 +182,31 @@ fn kriging_accepts_few_and_equal_samples() {
     let fitted = Kriging::default().fit(&same, FittingSet::train(&(0..30).collect::<Vec<_>>())).unwrap();
     assert!(fitted.predict([1.0; 3].into()).pixels.iter().all(|p| (p - 0.2).abs() < 1e-5));
     assert!(Kriging::default().fit(&same, FittingSet::default()).is_err());
+}
+
+/// All samples are at nearly one position, and each value drifts slowly with the id.
+#[test]
+fn process_over_time_predicts_drift_that_space_alone_misses() {
+    let mut random = rng::stream(4, "drift", 0);
+    let mut near = || f64::from(rng::uniform(&mut random) as f32);
+    let samples: Vec<Sample> = (0..200).map(|id| Sample::new(id, [near(), near(), 0.0])).collect();
+    let drift = |id: usize, k: usize| (0.06 * id as f32 + k as f32).sin();
+    let pixels: Vec<f32> = (0..200).flat_map(|id| (0..16).map(move |k| drift(id, k))).collect();
+    let data =
+        Dataset::new("drift", Pose::IDENTITY, vec![], samples, Spectra::float((4, 4), &pixels).unwrap()).unwrap();
+    let (test, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 5 == 2);
+    let error = |time: bool| {
+        let fitted = Kriging { time, ..Kriging::default() }.fit(&data, FittingSet::train(&train)).unwrap();
+        assert_eq!(fitted.is_oracle(), time);
+        assert_eq!(fitted.note().unwrap().contains("a time scale of"), time);
+        let without_id = fitted.predict(Query::from([0.5, 0.5, 0.0]));
+        assert!(without_id.pixels.iter().all(|p| p.is_finite()));
+        let of = |&i: &usize| {
+            let (found, truth) = (fitted.predict(data.query(i)), data.image(i));
+            found.pixels.iter().zip(&truth.pixels).map(|(f, t)| (*f as f64 - *t as f64).abs()).sum::<f64>() / 16.0
+        };
+        test.iter().map(of).sum::<f64>() / test.len() as f64
+    };
+    let (space, both) = (error(false), error(true));
+    assert!(both < 0.05 && space > 0.3, "{both} and {space}");
 }

@@ -1,25 +1,36 @@
-//! Equations of ordinary kriging by Cholesky factorisation (Rasmussen and Williams, Gaussian Processes for Machine
-//! Learning, 2006, sections 2.2 and 2.7 with an unknown mean; Cressie, Statistics for Spatial Data, 1993): correlation,
-//! prediction and trend.
+//! Kriging, the prediction of a Gaussian process over positions, by Cholesky factorisation (Rasmussen and Williams,
+//! Gaussian Processes for Machine Learning, 2006, sections 2.2 and 2.7 with an unknown mean; Cressie, Statistics for
+//! Spatial Data, 1993): correlation and prediction; `likelihood.rs` fits the correlation.
 
-use super::super::log_distance::{PathLoss, log_distance, points};
-use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Cholesky, Dataset, Query, Real, Sampling};
+mod likelihood;
+
+use crate::Cholesky;
+use crate::neighbours::distance;
+pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
+use serde::{Deserialize, Serialize};
+
+/// Position of a sample: x, y and z in metres, and its time in samples, 0 for processes over space alone.
+pub type Place = [f64; 4];
+
+/// Returns the place of a transmitter at `tx` (metres), without time.
+pub fn in_space([x, y, z]: [f64; 3]) -> Place {
+    [x, y, z, 0.0]
+}
 
 /// Prediction at one position from other samples.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Solution {
+pub struct Solution {
     /// Weights of the samples; they add up to 1.
-    pub(super) weights: Vec<f64>,
+    pub weights: Vec<f64>,
     /// Weights for a process of known zero mean: zero far from all positions.
-    pub(super) simple: Vec<f64>,
+    pub simple: Vec<f64>,
     /// Variance of a measurement at the position about the prediction, noise included, in units of the process
     /// variance.
-    pub(super) variance: f64,
+    pub variance: f64,
 }
 
 /// Predicts a measurement at `at` from at least one sample at `places`, in units of the length scales.
-pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]) -> Solution {
+pub fn solve(correlation: &Correlation, places: &[Place], at: Place) -> Solution {
     let n = places.len();
     let mut factor = vec![0.0; n * n];
     for i in 0..n {
@@ -43,8 +54,8 @@ pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]
 }
 
 /// Correlation function over distance in units of the length scale.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum CorrelationKind {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CorrelationKind {
     /// exp(-d), Matern 1/2: continuous and rough.
     Exponential,
     /// (1 + sqrt(3) d) exp(-sqrt(3) d): differentiable once.
@@ -54,10 +65,11 @@ pub(super) enum CorrelationKind {
 }
 
 impl CorrelationKind {
-    pub(super) const ALL: [Self; 3] = [Self::Exponential, Self::Matern32, Self::SquaredExponential];
+    /// All functions.
+    pub const ALL: [Self; 3] = [Self::Exponential, Self::Matern32, Self::SquaredExponential];
 
-    /// Name for use in a sentence.
-    pub(super) fn words(self) -> &'static str {
+    /// Returns its name for use in a sentence.
+    pub fn words(self) -> &'static str {
         match self {
             Self::Exponential => "exponential",
             Self::Matern32 => "Matern 3/2",
@@ -65,8 +77,8 @@ impl CorrelationKind {
         }
     }
 
-    /// Correlation at distance `d`, in length scales.
-    pub(super) fn at(self, d: f64) -> f64 {
+    /// Returns the correlation at distance `d`, in length scales.
+    pub fn at(self, d: f64) -> f64 {
         match self {
             Self::Exponential => (-d).exp(),
             Self::Matern32 => {
@@ -80,43 +92,18 @@ impl CorrelationKind {
 
 /// Gaussian process of variance 1 with measurement noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Correlation {
-    pub(super) kind: CorrelationKind,
-    /// Length scales of x, y and z, metres.
-    pub(super) scales_m: [f64; 3],
+pub struct Correlation {
+    /// Correlation function.
+    pub kind: CorrelationKind,
+    /// Length scales of x, y and z in metres, and time scale in samples: infinite if time has no effect.
+    pub scales: [f64; 4],
     /// Noise variance, relative to the process variance.
-    pub(super) noise: f64,
+    pub noise: f64,
 }
 
 impl Correlation {
-    /// Position in units of the length scales.
-    pub(super) fn scaled(&self, place: [f64; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|k| place[k] / self.scales_m[k])
-    }
-}
-
-/// Trend that is subtracted from every observation.
-pub(super) struct Trend<'a> {
-    pub(super) data: &'a Dataset,
-    pub(super) law: Option<PathLoss>,
-}
-
-impl<'a> Trend<'a> {
-    /// Fits the trend to these links by least squares.
-    pub(super) fn of(data: &'a Dataset, links: &[usize]) -> Self {
-        Self { data, law: data.task().is_scalar.then(|| PathLoss::fit(&points(data, links))) }
-    }
-
-    /// Power of the path-loss model for a link, dBm; 0 without a model.
-    pub(super) fn at(&self, query: Query<'_>) -> f64 {
-        self.law.map_or(0.0, |law| law.at(log_distance(self.data, query)))
-    }
-
-    /// Residual of link `i` at every `stride`-th column of every `stride`-th row.
-    pub(super) fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
-        self.data.observations.sampled(i, Sampling::every(stride), out);
-        if self.law.is_some() {
-            out[0] -= self.at(self.data.query(i)) as Real;
-        }
+    /// Returns the place in units of the scales.
+    pub fn scaled(&self, place: Place) -> Place {
+        [0, 1, 2, 3].map(|k| place[k] / self.scales[k])
     }
 }

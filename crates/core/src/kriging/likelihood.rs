@@ -1,0 +1,183 @@
+//! Maximum-likelihood fit of correlation, scales and noise.
+
+use super::{Correlation, CorrelationKind, Place, solve};
+use crate::{Real, neighbours};
+use rayon::prelude::*;
+
+/// Range of the noise; below it, coinciding positions are dominated by rounding.
+const NOISE: [f64; 2] = [1e-4, 1e2];
+/// Range of the length scales, in units of the sample distance.
+const SCALE: [f64; 2] = [1e-2, 1e4];
+/// Range of the time scale, and its start, samples.
+const TIME: [f64; 2] = [1.0, 1e5];
+const TIME_START: f64 = 100.0;
+/// Step sizes of the search, in powers of two.
+const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
+
+/// Samples to predict, each from other samples.
+#[derive(Debug)]
+pub struct HeldOutCases {
+    all: Vec<HeldOutCase>,
+    /// Median distance from a sample to its neighbours, metres.
+    typical_m: f64,
+}
+
+#[derive(Debug)]
+struct HeldOutCase {
+    at: Place,
+    places: Vec<Place>,
+    /// Sums over values of products of two observations: the predicted one (first) and its neighbours, square.
+    products: Vec<f64>,
+}
+
+impl HeldOutCases {
+    /// Creates cases: a sample to predict with its neighbours, nearest first. `values` returns the values of one of them,
+    /// given the number of the case and the sample.
+    pub fn new(
+        cases: &[(usize, Vec<usize>)],
+        place: impl Fn(usize) -> Place + Sync,
+        values: impl Fn(usize, usize) -> Vec<Real> + Sync,
+    ) -> Self {
+        let case = |(c, (sample, from)): (usize, &(usize, Vec<usize>))| {
+            let values: Vec<Vec<Real>> = std::iter::once(sample).chain(from).map(|i| values(c, *i)).collect();
+            HeldOutCase {
+                at: place(*sample),
+                places: from.iter().map(|i| place(*i)).collect(),
+                products: products(&values),
+            }
+        };
+        let all: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
+        let mut distances: Vec<f64> = all.iter().map(HeldOutCase::reach_m).filter(|reach| *reach > 0.0).collect();
+        distances.sort_by(f64::total_cmp);
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all }
+    }
+
+    /// Squared prediction errors, summed over values, with the variances predicted by the process of variance 1.
+    fn errors(&self, correlation: &Correlation) -> Vec<(f64, f64)> {
+        self.all.par_iter().map(|case| case.error(correlation)).collect()
+    }
+
+    /// Returns the most likely process variance, summed over values: the mean of squared errors in units of the
+    /// predicted variance.
+    pub fn variance(&self, correlation: &Correlation) -> f64 {
+        strength(&self.errors(correlation))
+    }
+
+    /// Returns the log-likelihood at the best process variance, up to a constant and sign: half of n times the logarithm
+    /// of that variance plus all logarithms of conditional variances. Higher is more likely.
+    pub fn log_likelihood(&self, correlation: &Correlation) -> f64 {
+        let found = self.errors(correlation);
+        let logs: f64 = found.iter().map(|(_, variance)| variance.ln()).sum();
+        // Identical spectra have zero variance.
+        -0.5 * (found.len() as f64 * strength(&found).max(1e-30).ln() + logs)
+    }
+}
+
+fn strength(found: &[(f64, f64)]) -> f64 {
+    found.iter().map(|(error, variance)| error / variance).sum::<f64>() / found.len() as f64
+}
+
+/// Sums of products of two of the given observations, square.
+fn products(values: &[Vec<Real>]) -> Vec<f64> {
+    let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
+    // Differences from the first observation avoid cancellation for bright spectra.
+    let less: Vec<Vec<Real>> =
+        values.iter().map(|p| p.iter().zip(&values[0]).map(|(p, first)| p - first).collect()).collect();
+    less.iter().flat_map(|a| less.iter().map(|b| product(a, b))).collect()
+}
+
+impl HeldOutCase {
+    /// Distance from the predicted sample to its median neighbour, metres.
+    fn reach_m(&self) -> f64 {
+        let in_space = |[x, y, z, _]: Place| [x, y, z];
+        let middle = self.places.get(self.places.len() / 2);
+        middle.map_or(0.0, |place| neighbours::distance(in_space(*place), in_space(self.at)))
+    }
+
+    /// Squared prediction error, summed over values, and the variance predicted by the process.
+    fn error(&self, correlation: &Correlation) -> (f64, f64) {
+        let places: Vec<Place> = self.places.iter().map(|place| correlation.scaled(*place)).collect();
+        let solution = solve(correlation, &places, correlation.scaled(self.at));
+        // Weights add up to 1, so the error is the weighted sum of differences from the predicted sample.
+        let n = places.len() + 1;
+        let row = |(i, weight): (usize, &f64)| {
+            let products = &self.products[(i + 1) * n + 1..(i + 2) * n];
+            weight * products.iter().zip(&solution.weights).map(|(p, w)| p * w).sum::<f64>()
+        };
+        (solution.weights.iter().enumerate().map(row).sum::<f64>().max(0.0), solution.variance)
+    }
+}
+
+/// Returns the most likely correlation, with its log-likelihood: coordinate search with step factors from 4 down to 1.09.
+pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>) -> (f64, Correlation) {
+    let of_kind = |&kind: &CorrelationKind| {
+        let time = if space.time { TIME_START } else { f64::INFINITY };
+        let length = 8.0 * cases.typical_m;
+        let start = Correlation { kind, scales: [length, length, length, time], noise: 0.1 };
+        if cases.all.is_empty() { (0.0, start) } else { search(cases, start, space) }
+    };
+    let found = space.kinds.iter().map(of_kind);
+    found.reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("a kind is given")
+}
+
+/// Correlations that are compared.
+#[derive(Clone, Copy, Debug)]
+pub struct SearchSpace<'a> {
+    /// Correlation functions, at least one.
+    pub kinds: &'a [CorrelationKind],
+    /// Whether all axes have the same length scale. Single numbers suffice only for this.
+    pub isotropic: bool,
+    /// Whether time has an effect.
+    pub time: bool,
+}
+
+fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (f64, Correlation) {
+    let mut best = (cases.log_likelihood(&start), start);
+    let is_searched = |parameter: &usize| match parameter {
+        1..=3 => !space.isotropic,
+        6 => space.time,
+        _ => true,
+    };
+    for step in STEPS {
+        // Each round but the last improves the likelihood; the limit covers noise in the last digits.
+        for _ in 0..20 {
+            let before = best.0;
+            for parameter in (0..7).filter(is_searched) {
+                for factor in [step.exp2(), (-step).exp2()] {
+                    while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
+                        let likelihood = cases.log_likelihood(&next);
+                        if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
+                            break;
+                        }
+                        best = (likelihood, next);
+                    }
+                }
+            }
+            if best.0 <= before {
+                break;
+            }
+        }
+    }
+    best
+}
+
+/// Multiplies one parameter by `factor`: all length scales, one of three, the noise, length scales and noise in opposite
+/// directions (longer scales go with a larger process variance, so relative noise falls), or the time scale. `None`
+/// outside the range.
+fn moved(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
+    let mut next = *from;
+    match parameter {
+        0 => next.scales[..3].iter_mut().for_each(|scale| *scale *= factor),
+        1..=3 => next.scales[parameter - 1] *= factor,
+        4 => next.noise *= factor,
+        5 => {
+            next.scales[..3].iter_mut().for_each(|scale| *scale *= factor);
+            next.noise /= factor;
+        }
+        _ => next.scales[3] *= factor,
+    }
+    let within = |[low, high]: [f64; 2], value: f64| (low..=high).contains(&value);
+    let time = next.scales[3];
+    let fits = next.scales[..3].iter().all(|scale| within(SCALE, scale / typical_m)) && within(NOISE, next.noise);
+    (fits && (time.is_infinite() || within(TIME, time))).then_some(next)
+}
