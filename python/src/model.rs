@@ -50,7 +50,7 @@ impl Links {
     fn query(&self, k: usize) -> Query<'_> {
         let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let width = self.features.len() / self.txs.len().max(1);
-        Query { tx: self.txs[i], receiver, features: &self.features[i * width..][..width] }
+        Query { features: &self.features[i * width..][..width], ..Query::at(self.txs[i], receiver) }
     }
 }
 
@@ -177,11 +177,19 @@ impl Model {
     #[pyo3(signature = (*paths))]
     fn load(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Self> {
         let read = || {
+            let file_in = |path: &PathBuf| {
+                if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() }
+            };
+            if let [path] = paths.as_slice() {
+                return file::read_ensemble(&file_in(path));
+            }
             let mut members = Vec::new();
             for path in &paths {
-                let file_in =
-                    if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() };
-                let ensemble = file::read_ensemble(&file_in)?;
+                let ensemble = file::read_ensemble(&file_in(path))?;
+                if ensemble.residuals().is_some() {
+                    let what = "has a residual process, which predicts for this model alone; load it as the only model";
+                    return Err(Error::input(path, what));
+                }
                 let called = |(name, model): (&String, &pwrfgs::model::Model)| {
                     let alone = ensemble.members().len() == 1;
                     (

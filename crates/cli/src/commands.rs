@@ -19,6 +19,7 @@ mod run;
 #[cfg(feature = "raytrace")]
 mod simulate;
 mod sweep;
+mod update;
 #[cfg(feature = "viewer")]
 mod view;
 
@@ -51,6 +52,8 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Compare finished runs in tables and figures (HTML, CSV, LaTeX)
     Report(report::Report),
+    /// Add new measurements to a model with a residual process, without training
+    Update(update::Update),
     /// Convert a trained model for splat viewers or Python
     Export(export::Export),
     /// Import your own spectra from NumPy arrays or PNG images
@@ -94,6 +97,7 @@ impl Command {
             Self::Evaluate(evaluate) => evaluate::evaluate(evaluate, verbosity),
             #[cfg(feature = "report")]
             Self::Report(report) => report::report(report, verbosity),
+            Self::Update(update) => update::update(update, verbosity),
             Self::Export(export) => export::export(export, verbosity),
             Self::Import(import) => import::import(import, verbosity),
             Self::Pipelines(pipelines) => pipelines::pipelines(pipelines),

@@ -24,6 +24,7 @@ mod odd_files;
 mod prose;
 mod pruning;
 mod report;
+mod residuals;
 mod resume;
 mod scoring;
 mod shipped;

@@ -38,5 +38,5 @@ pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum};
 pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::save;
-pub use splits::{LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
+pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use teacher::Teacher;

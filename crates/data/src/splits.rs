@@ -8,6 +8,7 @@
 //! set by the same rule.
 
 mod blocks;
+mod fold;
 mod links;
 #[cfg(test)]
 mod many_receivers;
@@ -16,6 +17,7 @@ mod random;
 pub(crate) mod testing;
 
 pub use blocks::{TimeBlock, Voxel};
+pub use fold::Fold;
 pub use links::{LeaveReceiverOut, RandomLinks};
 pub use random::{Random, Sparse};
 

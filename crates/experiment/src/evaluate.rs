@@ -8,10 +8,12 @@ use crate::evaluation_set::EvaluationSet;
 use crate::record::Confidence;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, check_stopped, staged};
+use crate::text::number;
+use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
     Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
 };
-use pwrfgs_model::{Ensemble, Prepared};
+use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -46,7 +48,7 @@ pub fn evaluate(
         let facts = ModelFacts {
             means: &ensemble.means_from(data.scene.origin),
             gaussian_bytes: ensemble.gaussian_bytes(),
-            network_bytes: ensemble.network_bytes(),
+            network_bytes: ensemble.network_bytes() + ensemble.residual_bytes(),
         };
         test.model(name, ready, Some(facts), &pipeline.metrics, session)
     };
@@ -63,6 +65,7 @@ pub fn evaluate(
         confidence = Some(Confidence::measure(model, data, &partition.test, session)?);
     }
     let (mut notes, mut oracles): (Vec<String>, Vec<String>) = Default::default();
+    notes.extend(ensemble.residuals().map(|residuals| note_of(residuals, data)));
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
         let fitted = baseline.fit(data, partition.known())?;
@@ -83,6 +86,20 @@ pub fn evaluate(
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
     scores.table.paired = scores.paired(&partition.test.iter().map(position).collect());
     Ok((scores, confidence))
+}
+
+/// Describes the residual processes of a model.
+fn note_of(residuals: &Residuals, data: &Dataset) -> String {
+    let receivers = &data.scene.receivers;
+    let of = |(receiver, process): (usize, &ResidualProcess)| {
+        let Correlation { kind, scales: [x, y, z, _], noise } = process.correlation;
+        let name = receivers.get(receiver).filter(|_| receivers.len() > 1);
+        let name = name.map_or_else(String::new, |receiver| format!("{}: ", strip_control(&receiver.name)));
+        let [x, y, z, noise] = [x, y, z, noise].map(number);
+        format!("{name}{} x prediction, {} with {x}, {y}, {z} m, noise {noise}", process.share, kind.words())
+    };
+    let processes = residuals.processes().iter().enumerate().filter_map(|(r, own)| Some((r, own.as_ref()?)));
+    format!("the residuals of the model are Kriged ({})", processes.map(of).collect::<Vec<_>>().join("; "))
 }
 
 /// Mean of the first validation metric for each baseline, fitted on the training set alone, on the samples of

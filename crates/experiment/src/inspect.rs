@@ -13,6 +13,7 @@ use crate::facts::{free_memory, load_average, peak_memory};
 use crate::input::prepared;
 use crate::load::{load, observed};
 use crate::repeatability::in_order;
+use crate::residuals::check_residuals;
 use crate::samples::nearest_train;
 use crate::scores::CEILING;
 use crate::session::{Observer, Session, staged};
@@ -82,6 +83,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let pipeline = prepared(pipeline, base)?;
     let (data, partition) = load(&pipeline, base, observer)?;
     pipeline.check_data(&data)?;
+    check_residuals(&pipeline, &data, &partition)?;
     let mut loaded_bytes = 0;
     let trainer = fitting(&pipeline, || {
         let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
@@ -240,7 +242,8 @@ pub fn length(metres: f64) -> String {
 fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
     let own = to_ron(&pipeline.split);
     let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
-    let others = registered::<dyn Split>().into_iter().filter_map(|name| {
+    // A fold has the test set of another split.
+    let others = registered::<dyn Split>().into_iter().filter(|name| *name != "Fold").filter_map(|name| {
         let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
         (split.ready().is_ok() && to_ron(&split) != own).then(|| (split, format!("{name}()")))
     });

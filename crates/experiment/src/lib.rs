@@ -19,6 +19,7 @@ mod page;
 pub mod paired;
 pub mod record;
 pub mod repeatability;
+mod residuals;
 mod run_folder;
 mod runner;
 pub mod samples;

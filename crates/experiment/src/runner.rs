@@ -7,6 +7,7 @@ use crate::input::prepared;
 use crate::journal::Journal;
 use crate::load::load;
 use crate::page::conclude;
+use crate::residuals::{check_residuals, with_residuals};
 use crate::run_folder::{RunFolder, RunState};
 use crate::scores::ScoreTable;
 use crate::session::Session;
@@ -82,6 +83,7 @@ fn attempt(
     }
     let (data, partition) = load(pipeline, base, session.observer)?;
     pipeline.check_data(&data)?;
+    check_residuals(pipeline, &data, &partition)?;
     // Created before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
@@ -111,14 +113,22 @@ fn complete<'a>(
     (folder, mut facts): (&RunFolder, Facts),
 ) -> Result<RunOutcome> {
     let Training { pipeline, data, partition, .. } = training;
-    let model = match trainer {
-        None => file::read(&folder.file(MODEL_FILE))?,
+    let mut model = match trainer {
+        None => file::read_ensemble(&folder.file(MODEL_FILE))?,
         Some(mut trainer) => match training.train(&mut trainer, folder, &mut facts)? {
-            Some(model) => model,
+            Some(model) => Ensemble::of(model),
             None => return Ok(RunOutcome::Interrupted { step: trainer.done() }),
         },
     };
-    let (session, begun, model) = (training.session, Instant::now(), Ensemble::of(model));
+    let (session, begun) = (training.session, Instant::now());
+    if let (Some(settings), None) = (&pipeline.residuals, model.residuals()) {
+        let left_out = [partition.validation.clone()];
+        model = match with_residuals(model, settings, (data, partition), &left_out, session) {
+            Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
+            fitted => fitted?,
+        };
+        file::write_ensemble(&folder.file(MODEL_FILE), &model)?;
+    }
     session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.task().counted[1]));
     let scored = evaluate(&model, pipeline, data, partition, session)
         .and_then(|found| Ok((found, validation_baselines(model.plane(), pipeline, data, partition, session)?)));

@@ -23,6 +23,7 @@ use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
 use crate::load::load;
 use crate::page::conclude;
+use crate::residuals::with_residuals;
 use crate::run_folder::RunFolder;
 use crate::runner::{RunOutcome, run};
 use crate::scores::ScoreTable;
@@ -170,7 +171,15 @@ struct Join<'a, 's> {
 impl Join<'_, '_> {
     /// Writes and scores the model, unless the same model with these scores exists.
     fn end(&mut self, folder: &mut RunFolder) -> Result<RunOutcome> {
-        let ensemble = self.assemble()?;
+        let (mut ensemble, path) = (self.assemble()?, folder.file(MODEL_FILE));
+        let bytes = file::ensemble_to_bytes(&ensemble);
+        // Residual processes of the same members are kept.
+        let is_same = |kept: &Ensemble| file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes;
+        if self.pipeline.residuals.is_some()
+            && let Some(kept) = file::read_ensemble(&path).ok().filter(is_same)
+        {
+            ensemble = kept;
+        }
         let bytes = file::ensemble_to_bytes(&ensemble);
         let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
         if Facts::read(folder.path())?.is_some_and(is_joined)
@@ -182,7 +191,15 @@ impl Join<'_, '_> {
         self.pipeline.check_data(&data)?;
         let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
         let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
-        write_atomically(&folder.file(MODEL_FILE), &bytes)?;
+        if let (Some(settings), None) = (&self.pipeline.residuals, ensemble.residuals()) {
+            let fold = |run: &PlannedRun| Ok(run.pipeline.partition(&data)?.validation);
+            let folds: Vec<Vec<usize>> = self.plan.runs.iter().map(fold).collect::<Result<_>>()?;
+            ensemble = match with_residuals(ensemble, settings, (&data, &partition), &folds, self.session) {
+                Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
+                fitted => fitted?,
+            };
+        }
+        write_atomically(&path, &file::ensemble_to_bytes(&ensemble))?;
         match self.assess(&ensemble, (&data, &partition), folder, facts) {
             Ok(scores) => Ok(RunOutcome::Finished { scores, already: false }),
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),

@@ -1,21 +1,22 @@
 //! `Ensemble`: several models of one scene that predict together.
 
-use crate::{Model, Prepared, TrainingDistances};
+use crate::{Model, Prepared, Residuals, TrainingDistances};
 use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
 /// each clamped to [0, 1]; a single model predicts without clamping. The deviation between models measures uncertainty:
-/// see [`Prepared::predict_with_deviation`].
+/// see [`Prepared::predict_with_deviation`]. [`Residuals`] can correct the mean.
 #[derive(Clone, Debug)]
 pub struct Ensemble {
     names: Vec<String>,
     members: Vec<Model>,
+    residuals: Option<Residuals>,
 }
 
 impl Ensemble {
     /// Creates an ensemble of one model.
     pub fn of(model: Model) -> Self {
-        Self { names: vec!["1".into()], members: vec![model] }
+        Self { names: vec!["1".into()], members: vec![model], residuals: None }
     }
 
     /// Creates an ensemble of one or more models with one pixel grid, named by their numbers from 1.
@@ -41,7 +42,7 @@ impl Ensemble {
             ));
         }
         let (names, members) = members.into_iter().unzip();
-        Ok(Self { names, members })
+        Ok(Self { names, members, residuals: None })
     }
 
     /// Returns the ensemble if all models differ: equal models have no deviation and count twice in the mean.
@@ -65,6 +66,17 @@ impl Ensemble {
         Ok(self)
     }
 
+    /// Returns the ensemble with residual processes that correct its prediction, or without.
+    #[must_use]
+    pub fn with_residuals(self, residuals: Option<Residuals>) -> Self {
+        Self { residuals, ..self }
+    }
+
+    /// Returns the residual processes, if any.
+    pub fn residuals(&self) -> Option<&Residuals> {
+        self.residuals.as_ref()
+    }
+
     /// Returns the models, one or more.
     pub fn members(&self) -> &[Model] {
         &self.members
@@ -80,7 +92,7 @@ impl Ensemble {
         &self.names
     }
 
-    /// Returns the model if there is only one.
+    /// Returns the model if there is only one; without its residual processes.
     pub fn into_only(mut self) -> Option<Model> {
         self.members.pop().filter(|_| self.members.is_empty())
     }
@@ -103,6 +115,11 @@ impl Ensemble {
     /// Returns the size of the networks of all members in the file, bytes.
     pub fn network_bytes(&self) -> usize {
         self.members.iter().map(Model::network_bytes).sum()
+    }
+
+    /// Returns the size of the residual processes in the file, bytes; 0 without.
+    pub fn residual_bytes(&self) -> usize {
+        self.residuals.as_ref().map_or(0, Residuals::bytes)
     }
 
     /// Returns the centres of all members, metres from `origin`.
@@ -139,6 +156,6 @@ impl Ensemble {
 
     /// Prepares all members for predictions.
     pub fn prepare(&self) -> Prepared<'_> {
-        Prepared::new(&self.members)
+        Prepared::new(&self.members, self.residuals.as_ref())
     }
 }

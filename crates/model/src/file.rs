@@ -1,5 +1,6 @@
 //! Model file; `docs/model-format.md` describes it.
 
+use crate::residuals::ResidualsNote;
 use crate::tensors::Tensors;
 use crate::{Ensemble, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
@@ -17,6 +18,8 @@ struct EnsembleNote {
     format: String,
     version: u32,
     members: Vec<MemberNote>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    residuals: Option<ResidualsNote>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -69,6 +72,8 @@ struct ReceiverNote {
 const FORMAT: &str = "pwrfgs-model";
 const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
 const ENSEMBLE_VERSION: u32 = 2;
+/// Version of a file with residual processes: programs that ignore them must not predict from it.
+const RESIDUALS_VERSION: u32 = 3;
 /// Maximum number of members in a file, and maximum length of their names.
 pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
@@ -122,13 +127,17 @@ fn tensors(model: &Model) -> Tensors {
 }
 
 fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
-    if let [model] = ensemble.members() {
+    if let ([model], None) = (ensemble.members(), ensemble.residuals()) {
         return tensors(model);
     }
     let named = || ensemble.names().iter().zip(ensemble.members());
     let members = named().map(|(name, model)| MemberNote { name: name.clone(), model: note(model) }).collect();
-    let mut file =
-        Tensors::new(json(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version: ENSEMBLE_VERSION, members }));
+    let residuals = ensemble.residuals().map(ResidualsNote::of);
+    let version = if residuals.is_some() { RESIDUALS_VERSION } else { ENSEMBLE_VERSION };
+    let mut file = Tensors::new(json(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version, members, residuals }));
+    if let Some(residuals) = ensemble.residuals() {
+        residuals.put(&mut file);
+    }
     for (place, model) in ensemble.members().iter().enumerate() {
         put_model(&mut file, &prefix(place), model);
     }
@@ -207,10 +216,15 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
         let note = serde_json::from_str(&file.note).map_err(unreadable)?;
         return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
     }
-    if version != ENSEMBLE_VERSION {
-        return Err(format!("a `{format}` of version {version}, expected version {ENSEMBLE_VERSION}"));
+    if ![ENSEMBLE_VERSION, RESIDUALS_VERSION].contains(&version) {
+        return Err(format!(
+            "a `{format}` of version {version}, expected version {ENSEMBLE_VERSION} or {RESIDUALS_VERSION}"
+        ));
     }
-    let EnsembleNote { members, .. } = serde_json::from_str(&file.note).map_err(unreadable)?;
+    let EnsembleNote { members, residuals, .. } = serde_json::from_str(&file.note).map_err(unreadable)?;
+    if residuals.is_some() != (version == RESIDUALS_VERSION) {
+        return Err(format!("version {RESIDUALS_VERSION} has `residuals`, and version {ENSEMBLE_VERSION} has none"));
+    }
     if members.len() > MOST_MEMBERS {
         return Err(format!("an ensemble of {} members, expected at most {MOST_MEMBERS}", members.len()));
     }
@@ -226,7 +240,9 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
         let model = take_model(&mut file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
         models.push((name, model));
     }
-    Ensemble::named(models)
+    let ensemble = Ensemble::named(models)?;
+    let residuals = residuals.map(|note| note.take(&mut file, &ensemble.members()[0].stages.setup)).transpose()?;
+    Ok(ensemble.with_residuals(residuals))
 }
 
 fn check_version(format: &str, version: u32) -> Result<(), String> {

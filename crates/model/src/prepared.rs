@@ -1,6 +1,6 @@
 //! `Prepared`: models ready to predict, with all transmitter-independent values precomputed.
 
-use crate::Model;
+use crate::{Model, Residuals};
 use pwrfgs_core::{
     Cache, Conditions, GaussianCloud, Image, ImagePlane, ObservationRequest, Parameters, PixelSubset, Predict, Query,
     Real, Receiver, StageTimes, Task,
@@ -20,6 +20,7 @@ use std::time::Instant;
 #[derive(Debug)]
 pub struct Prepared<'a> {
     members: Vec<Member<'a>>,
+    residuals: Option<&'a Residuals>,
 }
 
 /// Model with its precomputed values.
@@ -44,8 +45,8 @@ const POOL: usize = 128;
 
 impl<'a> Prepared<'a> {
     /// Prepares one or more models with one pixel grid.
-    pub(crate) fn new(models: &'a [Model]) -> Self {
-        Self { members: models.iter().map(Member::new).collect() }
+    pub(crate) fn new(models: &'a [Model], residuals: Option<&'a Residuals>) -> Self {
+        Self { members: models.iter().map(Member::new).collect(), residuals }
     }
 
     /// Returns the models.
@@ -75,16 +76,20 @@ impl<'a> Prepared<'a> {
 
     /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the
     /// only receiver. Also returns the total time of each stage. The prediction of one model is not clamped; that of
-    /// several is the mean, with each spectrum clamped to [0, 1].
+    /// several is the mean, with each spectrum clamped to [0, 1]. Residual processes add the expected residual.
     pub fn predict_timed<'q>(&self, query: impl Into<Query<'q>>) -> (Image, StageTimes) {
-        let (pictures, times) = self.pictures(query.into());
-        (mean(pictures, self.task()), times)
+        let (begun, query) = (Instant::now(), query.into());
+        let (pictures, times) = self.pictures(query);
+        let mean = self.corrected(mean(pictures, self.task()), query);
+        let total = if self.residuals.is_some() { begun.elapsed().as_secs_f64() } else { times.total };
+        (mean, StageTimes { total, ..times })
     }
 
     /// Predicts an observation and the standard deviation over the members for every value (n in the denominator); 0
-    /// for a single model. Also returns the total time of each stage.
+    /// for a single model. The deviation is that of the members, without residual processes. Also returns the total time of each stage.
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
-        let (pictures, times) = self.pictures(query.into());
+        let query = query.into();
+        let (pictures, times) = self.pictures(query);
         let count = pictures.len() as Real;
         let clamped: Vec<Image> = pictures.iter().map(|own| self.task().shown(own.clone())).collect();
         let mean = mean(pictures, self.task());
@@ -96,7 +101,15 @@ impl<'a> Prepared<'a> {
             }
             deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
         }
-        (mean, deviation, times)
+        (self.corrected(mean, query), deviation, times)
+    }
+
+    /// Prediction with the expected residual.
+    fn corrected(&self, mean: Image, query: Query<'_>) -> Image {
+        let Some(residuals) = self.residuals else { return mean };
+        let mut image = self.task().shown(mean);
+        residuals.correct(&mut image, query, self.members[0].model.stages.origin);
+        image
     }
 
     /// Returns the predictions of all members, not clamped, and the total time of each stage.
@@ -120,7 +133,8 @@ impl<'a> Prepared<'a> {
     pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
         let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.task());
-        queries.iter().map(of_all).collect()
+        let means: Vec<Image> = queries.iter().map(of_all).collect();
+        means.into_par_iter().zip(queries).map(|(mean, query)| self.corrected(mean, *query)).collect()
     }
 
     /// Runs [`Self::predict_many`] into `numbers`, as contiguous observations.
@@ -131,7 +145,7 @@ impl<'a> Prepared<'a> {
         let of_each = self.plane().width * self.plane().height;
         assert_eq!(numbers.len(), queries.len() * of_each, "numbers of {} observations", queries.len());
         for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * of_each)) {
-            if let [member] = self.members.as_slice() {
+            if let ([member], None) = (self.members.as_slice(), self.residuals) {
                 let (found, _) = member.numbers(group);
                 // If `numbers` is new memory, its first access takes longer than the copy.
                 let copy = |(to, from): (&mut [Real], &[Real])| to.copy_from_slice(from);
@@ -154,7 +168,7 @@ impl Model {
 
     /// Precomputes all transmitter-independent values.
     pub fn prepare(&self) -> Prepared<'_> {
-        Prepared::new(std::slice::from_ref(self))
+        Prepared::new(std::slice::from_ref(self), None)
     }
 }
 

@@ -12,19 +12,40 @@ const NOTE: &str = "pwrfgs";
 pub struct Tensors {
     /// JSON text of the metadata.
     pub note: String,
-    tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
+    long: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
+    /// 8-bit tensors, which are large: not converted to [`Real`].
+    short: BTreeMap<String, (Vec<usize>, Vec<i8>)>,
 }
 
 impl Tensors {
     /// Creates an empty file; `note` is JSON text.
     pub fn new(note: String) -> Self {
-        Self { note, tensors: BTreeMap::new() }
+        Self { note, ..Self::default() }
     }
 
     /// Adds a tensor; `values` fill `shape` row by row.
     pub fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<Real>) {
         assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
-        self.tensors.insert(name.into(), (shape, values));
+        self.long.insert(name.into(), (shape, values));
+    }
+
+    /// Adds a tensor of 8-bit integers; `values` fill `shape` row by row.
+    pub fn put_short(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<i8>) {
+        assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
+        self.short.insert(name.into(), (shape, values));
+    }
+
+    /// Takes out a tensor of 8-bit integers of this shape.
+    ///
+    /// # Errors
+    /// The message names the tensor and the expected shape.
+    pub fn take_short(&mut self, name: &str, shape: &[usize]) -> Result<Vec<i8>, String> {
+        let (found, values) =
+            self.short.remove(name).ok_or_else(|| format!("tensor `{name}` of type I8 is missing"))?;
+        if found != shape {
+            return Err(format!("tensor `{name}` has shape {found:?}, expected {shape:?}"));
+        }
+        Ok(values)
     }
 
     /// Takes out a tensor of this shape.
@@ -33,7 +54,7 @@ impl Tensors {
     /// The message names the tensor and the expected shape.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
         self.expect(name, shape)?;
-        let (_, values) = self.tensors.remove(name).expect("it is there");
+        let (_, values) = self.long.remove(name).expect("it is there");
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             return Err(format!("tensor `{name}` holds {} at {at}", values[at]));
         }
@@ -54,13 +75,17 @@ impl Tensors {
 
     /// Returns the shape of a tensor.
     pub fn shape(&self, name: &str) -> Option<&[usize]> {
-        self.tensors.get(name).map(|(shape, _)| shape.as_slice())
+        self.long.get(name).map(|(shape, _)| shape.as_slice())
     }
 
     /// Returns the SHA-256 of the note and of every tensor with its name and shape.
     pub fn digest(&self) -> String {
         let mut all = self.note.clone().into_bytes();
-        for (name, (shape, values)) in &self.tensors {
+        for (name, (shape, values)) in &self.long {
+            all.extend(format!("\n{name} {shape:?}\n").bytes());
+            all.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        for (name, (shape, values)) in &self.short {
             all.extend(format!("\n{name} {shape:?}\n").bytes());
             all.extend(values.iter().flat_map(|v| v.to_le_bytes()));
         }
@@ -81,7 +106,7 @@ impl Tensors {
         let inner = format!(".{prefix}");
         let short = |name: &str| name.starts_with(prefix) || name.contains(&inner);
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
-        match self.tensors.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
+        match self.long.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
             Some((name, _)) => Err(format!("tensor `{name}` has a value too large for 16 bits")),
             None => Ok(self.encode(short)),
         }
@@ -97,11 +122,12 @@ impl Tensors {
                 (whole, values.iter().flat_map(|v| v.to_le_bytes()).collect())
             }
         };
-        let bytes: BTreeMap<&str, (Dtype, Vec<u8>)> =
-            self.tensors.iter().map(|(name, (_, values))| (name.as_str(), encoded(name, values))).collect();
-        let views = self.tensors.iter().map(|(name, (shape, _))| {
-            let (dtype, data) = &bytes[name.as_str()];
-            (name.as_str(), TensorView::new(*dtype, shape.clone(), data).expect("a tensor fills its shape"))
+        let reals = self.long.iter().map(|(name, (shape, values))| (name, shape, encoded(name, values)));
+        let bytes = |values: &[i8]| values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bytes_of = self.short.iter().map(|(name, (shape, values))| (name, shape, (Dtype::I8, bytes(values))));
+        let all: Vec<_> = reals.chain(bytes_of).collect();
+        let views = all.iter().map(|(name, shape, (dtype, data))| {
+            (name.as_str(), TensorView::new(*dtype, (*shape).clone(), data).expect("a tensor fills its shape"))
         });
         let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
         safetensors::serialize(views, Some(note)).expect("shapes fit their data")
@@ -117,9 +143,14 @@ impl Tensors {
         let note = header.metadata().as_ref().and_then(|m| m.get(NOTE)).cloned();
         let note = note.ok_or("a safetensors file, but not one of pwrfgs")?;
         let file = SafeTensors::deserialize(bytes).map_err(damaged)?;
-        let mut tensors = BTreeMap::new();
+        let (mut long, mut short) = (BTreeMap::new(), BTreeMap::new());
         for (name, view) in file.tensors() {
             let data = view.data();
+            if view.dtype() == Dtype::I8 {
+                let values = data.iter().map(|b| i8::from_le_bytes([*b])).collect();
+                short.insert(name, (view.shape().to_vec(), values));
+                continue;
+            }
             let values = match view.dtype() {
                 Dtype::F32 => {
                     data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("four")) as Real).collect()
@@ -132,11 +163,11 @@ impl Tensors {
                     data.chunks_exact(2).map(long).collect()
                 }
                 other => {
-                    return Err(format!("tensor `{name}` has type {other:?}, expected F16, F32 or F64"));
+                    return Err(format!("tensor `{name}` has type {other:?}, expected I8, F16, F32 or F64"));
                 }
             };
-            tensors.insert(name, (view.shape().to_vec(), values));
+            long.insert(name, (view.shape().to_vec(), values));
         }
-        Ok(Self { note, tensors })
+        Ok(Self { note, long, short })
     }
 }

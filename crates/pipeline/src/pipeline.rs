@@ -6,8 +6,9 @@ use pwrfgs_core::{
     Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, Method, Metric, Partition,
     Projector, Pruner, Rasterizer, Result, Split, rng,
 };
+use pwrfgs_data::Fold;
 use pwrfgs_methods::{Calibration, Readout, SplattedChannel, Splatting};
-use pwrfgs_model::Stages;
+use pwrfgs_model::{Kriged, Stages};
 use pwrfgs_train::{Training, TrainingPlan};
 use serde::{Deserialize, Serialize};
 
@@ -56,6 +57,9 @@ pub struct Pipeline {
     /// Training settings (algorithm 1 of the paper).
     #[serde(default)]
     pub training: Checked<Training>,
+    /// Gaussian process that predicts the residuals of the trained model, such as `Kriged()`; without it, the model
+    /// predicts alone.
+    pub residuals: Option<Checked<Kriged>>,
     /// Baselines in the score table.
     #[serde(default)]
     pub baselines: Vec<Plugin<dyn Baseline>>,
@@ -138,6 +142,14 @@ impl Pipeline {
     /// Errors of the split.
     pub fn partition(&self, data: &Dataset) -> Result<Partition> {
         self.split.split(data, &mut rng::stream(self.split_seed.unwrap_or(self.seed), "split", 0))
+    }
+
+    /// Returns the pipeline of one of `count` models of an ensemble whose residuals are predicted: it leaves out fold
+    /// `index` of the known samples as its validation set, and predicts alone.
+    #[must_use]
+    pub fn folded(&self, index: usize, count: usize) -> Self {
+        let split: Box<dyn Split> = Box::new(Fold { of: self.split.clone(), index, count });
+        Self { split: split.into(), residuals: None, ..self.clone() }
     }
 
     /// Pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.

@@ -125,6 +125,10 @@ pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
         return file::read_ensemble(path);
     }
     let files: Vec<Ensemble> = paths.iter().map(|path| file::read_ensemble(path)).collect::<Result<_>>()?;
+    if let Some(place) = files.iter().position(|file| file.residuals().is_some()) {
+        let what = "has a residual process, which predicts for this model alone; give it as the only model";
+        return Err(Error::input(&paths[place], what));
+    }
     let members = files.iter().flat_map(|file| file.members().iter().cloned()).collect();
     Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }

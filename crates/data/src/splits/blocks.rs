@@ -1,10 +1,13 @@
 //! `TimeBlock` and `Voxel`: hold out a block of the trajectory or whole cells of space.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
+use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part, transmitters};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Number of stretches of time in [`TimeBlock::units`].
+const STRETCHES: usize = 24;
 
 /// Split by time: the test set is a contiguous block of the sorted transmitter ids, with all links of each.
 ///
@@ -57,6 +60,17 @@ impl Split for TimeBlock {
         finish(data, train, validation, test.collect())
     }
 
+    /// Stretches of equal length.
+    fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        let transmitters = transmitters(data, links);
+        let length = transmitters.len().div_ceil(STRETCHES).max(1);
+        transmitters.chunks(length).map(|stretch| links_among(data, links, stretch)).collect()
+    }
+
+    fn is_in_order(&self) -> bool {
+        true
+    }
+
     fn check(&self) -> Result<(), String> {
         if !(0.0..1.0).contains(&self.start) {
             return Err(format!(
@@ -73,6 +87,11 @@ impl Split for TimeBlock {
         }
         check_validation(self.validation)
     }
+}
+
+/// Those of `links` whose transmitter is in `stretch`; both are ascending.
+fn links_among(data: &Dataset, links: &[usize], stretch: &[usize]) -> Vec<usize> {
+    links.iter().copied().filter(|i| stretch.binary_search(&data.links[*i].transmitter).is_ok()).collect()
 }
 
 /// Split by space: whole cubic cells are drawn at random until the test share is reached. All links of a transmitter
@@ -158,6 +177,15 @@ impl Split for Voxel {
         let test = draw(&mut cells, part(self.test, count));
         let validation = draw(&mut cells, part(self.validation, count - test.len()));
         finish(data, cells.concat(), validation, test)
+    }
+
+    /// Cells.
+    fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
+        for &i in links {
+            cells.entry(self.cell(data.sample(i).tx)).or_default().push(i);
+        }
+        cells.into_values().collect()
     }
 
     fn check(&self) -> Result<(), String> {

@@ -138,6 +138,11 @@ impl Split for RandomLinks {
         finish_links(train, validation, test)
     }
 
+    /// Links.
+    fn units(&self, _: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        links.iter().map(|&i| vec![i]).collect()
+    }
+
     fn check(&self) -> Result<(), String> {
         check_test("test", self.test)?;
         check_validation(self.validation)

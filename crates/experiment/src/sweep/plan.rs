@@ -290,7 +290,7 @@ impl PlannedRun {
     }
 }
 
-/// Gives all `runs` the same split and returns the pipeline that scores their joined model `name`. Only that model is
+/// Gives all `runs` the same split, or each a fold of it if `residuals` are predicted, and returns the pipeline that scores their joined model `name`. Only that model is
 /// compared with baselines.
 ///
 /// # Errors
@@ -324,12 +324,19 @@ fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
         if to_ron(&first.pipeline.split) != to_ron(&pipeline.split) {
             return differ("split");
         }
+        if first.pipeline.residuals != pipeline.residuals {
+            return differ("residuals");
+        }
         if first.pipeline.projector.plane(360, 90) != pipeline.projector.plane(360, 90) {
             return differ("projector");
         }
     }
     let scored = Pipeline { name: name.to_owned(), split_seed: Some(split_seed), ..first.pipeline.clone() };
-    for PlannedRun { pipeline, .. } in runs {
+    let count = runs.len();
+    for (index, PlannedRun { pipeline, .. }) in runs.iter_mut().enumerate() {
+        if scored.residuals.is_some() {
+            *pipeline = pipeline.folded(index, count);
+        }
         pipeline.split_seed = Some(split_seed);
         pipeline.baselines.clear();
     }

@@ -71,7 +71,7 @@ fn shows(model: &Ensemble) -> bool {
 
 /// Model file, if it is one model that the page can predict.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
-    let [only] = run.model.members() else { return None };
+    let ([only], None) = (run.model.members(), run.model.residuals()) else { return None };
     let name = name_of(only.stages.deformation()?);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
     let drawn = only.stages.setup.receivers.len() == 1 && run.data.task().has_pixels;

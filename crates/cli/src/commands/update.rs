@@ -1,0 +1,73 @@
+//! `pwrfgs update`: adds new measurements to the residual process of a trained model.
+
+use crate::output::Verbosity;
+use crate::progress::RunProgress;
+use clap::Args;
+use pwrfgs::experiment::text::grouped;
+use pwrfgs::experiment::{check_alike, staged};
+use pwrfgs::model::file;
+use pwrfgs_core::files::check_new_file;
+use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::{Error, Result, recognise};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The model needs a residual process (residuals: Kriged() in its pipeline). All links of the new data
+become known links. Nothing is trained: the Gaussians, the network and the correlation stay.
+The data need the observations, receivers and frequencies of the model.
+
+EXAMPLES
+  pwrfgs update runs/lab/model.safetensors --data data/today --out today.safetensors")]
+pub(crate) struct Update {
+    /// Trained model with a residual process (model.safetensors of a run)
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// Folder of new data (layouts in docs/data.md)
+    #[arg(long, value_name = "DIR")]
+    pub(crate) data: PathBuf,
+    /// Model file to write; must not exist
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+}
+
+pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
+    check_new_file(&arguments.out)?;
+    let model = file::read_ensemble(&arguments.model)?;
+    let Some(residuals) = model.residuals() else {
+        let what = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
+        return Err(Error::input(&arguments.model, what));
+    };
+    let source = recognise(&arguments.data)
+        .ok_or_else(|| Error::input(&arguments.data, "not a data folder; give a layout of docs/data.md"))?;
+    let mut progress = RunProgress::new(verbosity);
+    let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
+    let ready = model.prepare();
+    check_alike(&ready, &data)?;
+    if !data.placed || data.features.is_some() {
+        return Err(Error::input(&arguments.data, "no transmitter positions; give data with positions"));
+    }
+    let (known, origin) = (ready.receivers(), model.members()[0].stages.origin);
+    let moved = known
+        .iter()
+        .zip(&data.scene.receivers)
+        .find(|(own, other)| origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose));
+    if let Some((_, receiver)) = moved {
+        let name = strip_control(&receiver.name);
+        let what = format!("receiver `{name}` has another pose than in the model; give data of the same receivers");
+        return Err(Error::input(&arguments.data, what));
+    }
+    let begun = Instant::now();
+    let (updated, added) = residuals.updated(&model, &data)?;
+    progress.finish();
+    if added == 0 {
+        return Err(Error::input(&arguments.data, "no link at a receiver with a residual process"));
+    }
+    let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
+    file::write_ensemble(&arguments.out, &model.clone().with_residuals(Some(updated)))?;
+    let things = data.task().counted[usize::from(added != 1)];
+    let out = arguments.out.display();
+    verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));
+    Ok(())
+}

@@ -1,0 +1,149 @@
+//! Models whose residuals are Kriged: every command reads them, and a stopped run ends in the same bytes.
+use crate::common::{SMALL, call, measured, picture, pwrfgs, refuse, stderr, stdout, succeed, write};
+use pwrfgs::model::file;
+use std::path::Path;
+use std::process::Stdio;
+
+const MODEL: &str = "model.safetensors";
+
+fn kriged() -> String {
+    SMALL.replace("name: \"small\",", "name: \"small\", residuals: Kriged(),")
+}
+
+fn bytes(path: &Path) -> Vec<u8> {
+    std::fs::read(path).unwrap()
+}
+
+#[test]
+fn every_command_reads_a_model_with_residuals() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), kriged());
+    let table = stdout(&succeed(here, &["run", "p.ron", "--out", "r", "--threads", "2"]));
+    assert!(table.contains("the residuals of the model are Kriged ("), "{table}");
+    let model = "r/model.safetensors";
+    let whole = bytes(&here.join(model));
+    assert!(file::read_ensemble(&here.join(model)).unwrap().residuals().is_some());
+    succeed(here, &["predict", model, "--tx", "0.3,0.1,0.9", "--out", "predicted"]);
+    assert!(stdout(&succeed(here, &["evaluate", model])).contains("are Kriged ("));
+    succeed(here, &["map", model, "--plane", "z=0.5", "--out", "map"]);
+    succeed(here, &["export", model, "--npz", "m.npz"]);
+    succeed(here, &["export", model, "--half", "half.safetensors"]);
+    assert!(file::read_ensemble(&here.join("half.safetensors")).unwrap().residuals().is_some());
+    let page = std::fs::read_to_string(here.join("r/report.html")).unwrap();
+    assert!(page.contains("are Kriged ("), "the page shows stored spectra and the note");
+    let two = ["predict", model, "half.safetensors", "--tx", "0,0,1", "--out", "no"];
+    refuse(here, &two, 2, &["has a residual process", "give it as the only model"]);
+
+    // Stopped between training and the fit: the model of the training alone is on disk.
+    let plain = file::read_ensemble(&here.join(model)).unwrap().with_residuals(None);
+    file::write_ensemble(&here.join(model), &plain).unwrap();
+    std::fs::remove_file(here.join("r/run.json")).unwrap();
+    succeed(here, &["run", "p.ron", "--out", "r", "--threads", "1", "-q"]);
+    assert!(bytes(&here.join(model)) == whole, "another model after a restart with another number of threads");
+    assert!(stderr(&succeed(here, &["run", "p.ron", "--out", "r"])).contains("nothing to do"));
+}
+
+#[test]
+fn run_needs_a_validation_set_and_valid_settings_for_residuals() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), kriged());
+    let run = |set: &'static str| ["run", "p.ron", "--out", "r", "-q", "--set", set];
+    refuse(here, &run("residuals=Kriged(stride: 0)"), 2, &["`stride` is 0"]);
+    refuse(here, &run("split=Official(validation: 0.0)"), 2, &["residuals", "`validation` share"]);
+    assert!(!here.join("r").exists(), "refused before the training");
+}
+
+/// Each member leaves out its own fold; the members share the test set.
+#[test]
+fn joined_models_leave_out_one_fold_each() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), kriged());
+    let experiment = "Experiment(name: \"folds\", join: true, base: \"p.ron\", seeds: [0, 1, 2])";
+    write(&here.join("e.ron"), experiment);
+    succeed(here, &["sweep", "e.ron", "--out", "s", "--jobs", "2", "-q"]);
+    let joined = here.join("s/joined").join(MODEL);
+    let ensemble = file::read_ensemble(&joined).unwrap();
+    assert_eq!((ensemble.members().len(), ensemble.residuals().unwrap().processes().len()), (3, 1));
+    for seed in 0..3 {
+        let run = here.join(format!("s/seed={seed}"));
+        let text = std::fs::read_to_string(run.join("pipeline.ron")).unwrap();
+        assert!(text.contains("Fold(") && text.contains(&format!("index: {seed}")), "{text}");
+        assert!(file::read_ensemble(&run.join(MODEL)).unwrap().residuals().is_none());
+    }
+    let sets = |run: &str| -> Vec<[String; 2]> {
+        let text = std::fs::read_to_string(here.join(run).join("samples.csv")).unwrap();
+        let fields = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<_>>();
+        let column = fields(text.lines().next().unwrap()).iter().position(|name| name == "split").unwrap();
+        text.lines().skip(1).map(fields).map(|row| [row[0].clone(), row[column].clone()]).collect()
+    };
+    let held = |seed: usize| sets(&format!("s/seed={seed}")).into_iter().filter(|row| row[1] == "validation");
+    let mut known: Vec<String> = (0..3).flat_map(held).map(|row| row[0].clone()).collect();
+    known.sort();
+    let mut expected: Vec<String> =
+        sets("s/joined").into_iter().filter(|row| row[1] != "test").map(|row| row[0].clone()).collect();
+    expected.sort();
+    assert_eq!(known, expected);
+
+    // The joined model is kept, or made again to the same bytes.
+    let whole = bytes(&joined);
+    succeed(here, &["sweep", "e.ron", "--out", "s", "-q"]);
+    assert!(bytes(&joined) == whole);
+    std::fs::remove_dir_all(here.join("s/joined")).unwrap();
+    succeed(here, &["sweep", "e.ron", "--out", "s", "-q", "--threads", "1"]);
+    assert!(bytes(&joined) == whole);
+}
+
+/// A run that is interrupted while it trains ends in the same bytes.
+#[test]
+fn killed_run_with_residuals_resumes_to_the_same_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), kriged().replace("steps: 60", "steps: 400"));
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    let mut child = pwrfgs(here);
+    let mut child = child.args(["run", "p.ron", "--out", "r", "-q"]).stderr(Stdio::null()).spawn().unwrap();
+    crate::common::wait_for_step(&mut child, &here.join("r"), 100);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(call(here, &["run", "p.ron", "--out", "r", "-q"]).status.success());
+    assert!(bytes(&here.join("r").join(MODEL)) == bytes(&here.join("whole").join(MODEL)));
+}
+
+#[test]
+fn update_adds_measurements_and_refuses_other_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    let set = ["--set", "residuals=Kriged()", "--set", "split=Official(validation: 0.5)"];
+    succeed(here, &[&["run", "p.ron", "--out", "r", "-q"][..], &set].concat());
+    succeed(here, &["run", "p.ron", "--out", "plain", "-q"]);
+    let update =
+        |model: &'static str, data: &'static str, out: &'static str| ["update", model, "--data", data, "--out", out];
+    let model = "r/model.safetensors";
+    assert!(
+        stderr(&succeed(here, &update(model, "data", "new.safetensors"))).contains("6 new spectra in new.safetensors")
+    );
+    let known = |name: &str| {
+        let ensemble = file::read_ensemble(&here.join(name)).unwrap();
+        ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len()
+    };
+    assert_eq!((known(model), known("new.safetensors")), (4, 10));
+    succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--out", "predicted"]);
+
+    refuse(here, &update(model, "data", "new.safetensors"), 2, &["new.safetensors exists"]);
+    refuse(here, &update("plain/model.safetensors", "data", "no"), 2, &["has no residual process", "Kriged()"]);
+    refuse(here, &update(model, "r", "no"), 2, &["not a data folder"]);
+    let pose = here.join("data/gateway_info.yml");
+    let text = std::fs::read_to_string(&pose).unwrap();
+    write(&pose, text.replace("position: [0.0,", "position: [0.5,"));
+    refuse(here, &update(model, "data", "no"), 2, &["another pose"]);
+    write(&pose, text);
+    for id in 1..=6 {
+        picture(&here.join(format!("data/spectrum/{id:05}.png")), 48, 24);
+    }
+    refuse(here, &update(model, "data", "no"), 2, &["12 x 6", "48 x 24"]);
+    assert!(!here.join("no").exists());
+}

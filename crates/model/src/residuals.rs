@@ -1,0 +1,210 @@
+//! `Residuals`: a Gaussian process over the transmitter position that predicts what a model leaves.
+//!
+//! The prediction is y(x) = b f(x) + Σ wᵢ (yᵢ − b f(xᵢ)): the prediction f of the model times a share b, plus kriging of
+//! the residuals of the nearest known observations (regression kriging: Hengl, Heuvelink and Rossiter, Computers and
+//! Geosciences 33, 2007). The weights w add up to 1.
+//!
+//! Residuals of a model at positions that it trained on are too small. The share, the correlation and the variance
+//! therefore maximise the likelihood of links that a model did not train on, each given the residuals of the same model at
+//! other links (`fit.rs`).
+
+mod file;
+mod fit;
+mod grid;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use file::ResidualsNote;
+pub use fit::{KnownLinks, Kriged};
+pub(crate) use grid::CoarseGrid;
+
+use crate::Ensemble;
+use pwrfgs_core::kriging::{Correlation, Place, in_space, solve};
+use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::{Dataset, Error, Image, Origin, Query, Real, Result};
+
+/// Residual processes of a model, one per receiver.
+#[derive(Clone, Debug)]
+pub struct Residuals {
+    pub(crate) grid: CoarseGrid,
+    /// Number of known links per prediction.
+    pub(crate) neighbours: usize,
+    /// Processes in the order of the receivers; `None` for a receiver that the model predicts alone.
+    pub(crate) processes: Vec<Option<ResidualProcess>>,
+}
+
+/// Residual process at one receiver.
+#[derive(Clone, Debug)]
+pub struct ResidualProcess {
+    /// Share b of the prediction of the model, 0 to 1.
+    pub share: f64,
+    /// Correlation of the residuals.
+    pub correlation: Correlation,
+    /// Process variance of a value at a position that the model did not train on.
+    pub variance: f64,
+    /// Positions `[n,3]` of the known links, metres from the origin of the model.
+    pub(crate) places: Vec<[Real; 3]>,
+    pub(crate) values: ResidualValues,
+    nearest: Nearest,
+}
+
+/// Residuals `[n, values]` on the coarse grid.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum ResidualValues {
+    /// Exact numbers.
+    Exact(Vec<Real>),
+    /// 8-bit numbers from -127 to 127, and the unit of each link.
+    Short(Vec<i8>, Vec<Real>),
+}
+
+impl ResidualValues {
+    /// Rounds `[n, of_each]` numbers to 8 bits.
+    fn rounded(values: &[Real], of_each: usize) -> Self {
+        let units: Vec<Real> = values.chunks_exact(of_each).map(|own| own.iter().fold(0.0, largest) / 127.0).collect();
+        let short = |(own, unit): (&[Real], &Real)| -> Vec<i8> {
+            let unit = if *unit > 0.0 { *unit } else { 1.0 };
+            own.iter().map(|v| (v / unit).round().clamp(-127.0, 127.0) as i8).collect()
+        };
+        Self::Short(values.chunks_exact(of_each).zip(&units).flat_map(short).collect(), units)
+    }
+
+    /// Appends numbers of the same kind.
+    fn extend(&mut self, values: &[Real], of_each: usize) {
+        match (self, Self::rounded(values, of_each)) {
+            (Self::Exact(own), _) => own.extend_from_slice(values),
+            (Self::Short(own, of_own), Self::Short(more, units)) => {
+                own.extend(more);
+                of_own.extend(units);
+            }
+            (Self::Short(..), Self::Exact(_)) => unreachable!("rounded numbers are short"),
+        }
+    }
+
+    /// Adds `weight` times the residual of link `i`.
+    fn add(&self, i: usize, weight: f64, sum: &mut [Real]) {
+        let n = sum.len();
+        match self {
+            Self::Exact(values) => {
+                let weight = weight as Real;
+                sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * v);
+            }
+            Self::Short(values, units) => {
+                let weight = weight as Real * units[i];
+                sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * Real::from(*v));
+            }
+        }
+    }
+}
+
+fn largest(most: Real, value: &Real) -> Real {
+    most.max(value.abs())
+}
+
+impl ResidualProcess {
+    pub(crate) fn new(
+        (share, variance, correlation): (f64, f64, Correlation),
+        places: Vec<[Real; 3]>,
+        values: ResidualValues,
+    ) -> Self {
+        let nearest = Nearest::new((0..places.len()).collect(), 4, |i| correlation.scaled(place(places[i])));
+        Self { share, correlation, variance, places, values, nearest }
+    }
+
+    /// Returns the number of known links.
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Returns whether there is no known link.
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+
+    /// Adds the expected residual at a position (metres from the origin) to `sum`, from the nearest known links. Returns
+    /// the variance of a measurement there about the prediction, per value.
+    fn add_expected(&self, at: [Real; 3], neighbours: usize, sum: &mut [Real]) -> f64 {
+        let at = self.correlation.scaled(place(at));
+        let near: Vec<usize> = self.nearest.find(&at, neighbours).1.into_iter().map(|(_, i)| i).collect();
+        let places: Vec<Place> = near.iter().map(|&i| self.correlation.scaled(place(self.places[i]))).collect();
+        let solution = solve(&self.correlation, &places, at);
+        near.iter().zip(&solution.weights).for_each(|(&i, weight)| self.values.add(i, *weight, sum));
+        self.variance * solution.variance
+    }
+}
+
+/// Place of a position in metres from the origin.
+fn place(at: [Real; 3]) -> Place {
+    in_space(at.map(|v| v as f64))
+}
+
+impl Residuals {
+    /// Returns the processes in the order of the receivers; `None` for a receiver that the model predicts alone.
+    pub fn processes(&self) -> &[Option<ResidualProcess>] {
+        &self.processes
+    }
+
+    /// Returns the size of residuals and positions in the model file, bytes.
+    pub fn bytes(&self) -> usize {
+        let of = |process: &ResidualProcess| match &process.values {
+            ResidualValues::Exact(values) => size_of_val(values.as_slice()),
+            ResidualValues::Short(values, units) => values.len() + size_of_val(units.as_slice()),
+        };
+        self.processes.iter().flatten().map(|own| size_of_val(own.places.as_slice()) + of(own)).sum()
+    }
+
+    /// Returns the distance between stored pixels, in pixels; 1 for exact residuals.
+    pub fn stride(&self) -> usize {
+        self.grid.stride
+    }
+
+    /// Returns the processes of `ensemble` with the links of new `data` added, and the number of added links. Share,
+    /// correlation and variance stay. A prediction uses the nearest known links only, so nothing else changes: links at
+    /// receivers without a process are skipped.
+    ///
+    /// # Errors
+    /// A spectrum that cannot be read, or [`Error::Config`] for a prediction that is not finite.
+    pub fn updated(&self, ensemble: &Ensemble, data: &Dataset) -> Result<(Self, usize)> {
+        let base = ensemble.clone().with_residuals(None);
+        let (ready, origin) = (base.prepare(), base.members()[0].stages.origin);
+        let mut places: Vec<Vec<[Real; 3]>> = self.processes.iter().map(|_| Vec::new()).collect();
+        let mut values: Vec<Vec<Real>> = vec![Vec::new(); places.len()];
+        for i in 0..data.len() {
+            let query = data.query(i);
+            let Some(Some(process)) = self.processes.get(query.receiver) else { continue };
+            let predicted = data.task().shown(ready.predict_timed(query).0);
+            let (observed, share) = (data.image(i), process.share as Real);
+            let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(|(y, f)| y - share * f).collect();
+            if left.iter().any(|v| !v.is_finite()) {
+                return Err(Error::Config(format!(
+                    "the prediction at {:?} is not finite; leave this link out",
+                    query.tx
+                )));
+            }
+            places[query.receiver].push(origin.local(query.tx));
+            values[query.receiver].extend(self.grid.sampled(&left));
+        }
+        data.observations.check()?;
+        let added = places.iter().map(Vec::len).sum();
+        let more = |(receiver, own): (usize, &Option<ResidualProcess>)| {
+            let ResidualProcess { share, correlation, variance, places: known, values: held, .. } = own.as_ref()?;
+            let mut held = held.clone();
+            held.extend(&values[receiver], self.grid.len());
+            let places = [&known[..], &places[receiver]].concat();
+            Some(ResidualProcess::new((*share, *variance, *correlation), places, held))
+        };
+        let processes = self.processes.iter().enumerate().map(more).collect();
+        Ok((Self { processes, ..self.clone() }, added))
+    }
+
+    /// Adds the expected residual of a link to the prediction `image` of the model. Returns the variance of a measurement
+    /// about the result, per value; `None` without a process.
+    pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) -> Option<f64> {
+        let process = self.processes.get(query.receiver)?.as_ref()?;
+        let mut sum = vec![0.0; self.grid.len()];
+        let variance = process.add_expected(origin.local(query.tx), self.neighbours, &mut sum);
+        let share = process.share as Real;
+        image.pixels.iter_mut().for_each(|pixel| *pixel *= share);
+        self.grid.add_to(&sum, &mut image.pixels);
+        Some(variance)
+    }
+}

@@ -1,0 +1,139 @@
+//! Residual processes in the model file: settings in the note, positions and residuals in tensors.
+
+use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals};
+use crate::tensors::Tensors;
+use pwrfgs_core::kriging::{Correlation, CorrelationKind};
+use pwrfgs_core::plugin::Check as _;
+use pwrfgs_core::{MAX_COORDINATE_M, MeasurementSetup, Real};
+use serde::{Deserialize, Serialize};
+
+/// Names of the tensors.
+const PLACES: &str = "residuals.places";
+const VALUES: &str = "residuals.values";
+const UNITS: &str = "residuals.units";
+
+/// Settings of residual processes.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct ResidualsNote {
+    stride: usize,
+    neighbours: usize,
+    /// Processes in the order of the receivers.
+    receivers: Vec<Option<ProcessNote>>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ProcessNote {
+    /// Number of known links: rows of the tensors.
+    links: usize,
+    share: f64,
+    variance: f64,
+    correlation: CorrelationKind,
+    /// Length scales of x, y and z, metres.
+    scales_m: [f64; 3],
+    /// Noise variance, relative to the process variance.
+    noise: f64,
+}
+
+impl ResidualsNote {
+    pub(crate) fn of(residuals: &Residuals) -> Self {
+        let process = |process: &ResidualProcess| {
+            let Correlation { kind, scales: [x, y, z, _], noise } = process.correlation;
+            let (links, share, variance) = (process.len(), process.share, process.variance);
+            ProcessNote { links, share, variance, correlation: kind, scales_m: [x, y, z], noise }
+        };
+        Self {
+            stride: residuals.grid.stride,
+            neighbours: residuals.neighbours,
+            receivers: residuals.processes.iter().map(|own| own.as_ref().map(process)).collect(),
+        }
+    }
+
+    /// Takes the residual processes of a model for `setup` out of its file.
+    ///
+    /// # Errors
+    /// The message names the mismatch.
+    pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
+        let Self { stride, neighbours, receivers } = self;
+        super::Kriged { stride, neighbours }.check().map_err(|why| format!("residuals: {why}"))?;
+        if !setup.task.has_pixels && stride != 1 {
+            return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
+        }
+        if receivers.len() != setup.receivers.len() {
+            let (have, need) = (receivers.len(), setup.receivers.len());
+            return Err(format!("residuals of {have} receivers for a model of {need}"));
+        }
+        let counts = receivers.iter().flatten().map(|note| note.links);
+        let links = counts.clone().try_fold(0, usize::checked_add).filter(|_| counts.clone().all(|n| n > 0));
+        let links = links.ok_or("residuals: each process needs a link or more")?;
+        let grid = CoarseGrid::new(&setup.plane, stride);
+        let of_each = grid.len();
+        let places = file.take(PLACES, &[links, 3])?;
+        if places.iter().any(|v| f64::from(v.abs() as f32) > MAX_COORDINATE_M) {
+            return Err(format!("tensor `{PLACES}` holds a position beyond {MAX_COORDINATE_M:e} m"));
+        }
+        let places: Vec<[Real; 3]> = places.as_chunks().0.to_vec();
+        let stored = if stride == 1 {
+            ResidualValues::Exact(file.take(VALUES, &[links, of_each])?)
+        } else {
+            ResidualValues::Short(file.take_short(VALUES, &[links, of_each])?, file.take(UNITS, &[links])?)
+        };
+        let mut first = 0;
+        let mut process = |note: Option<ProcessNote>| -> Result<Option<ResidualProcess>, String> {
+            let Some(note) = note else { return Ok(None) };
+            let own = first..first + note.links;
+            first = own.end;
+            let values = match &stored {
+                ResidualValues::Exact(all) => ResidualValues::Exact(all[own.start * of_each..own.end * of_each].into()),
+                ResidualValues::Short(all, units) => {
+                    ResidualValues::Short(all[own.start * of_each..own.end * of_each].into(), units[own.clone()].into())
+                }
+            };
+            Ok(Some(ResidualProcess::new(note.fitted()?, places[own].to_vec(), values)))
+        };
+        let processes = receivers.into_iter().map(&mut process).collect::<Result<_, _>>()?;
+        Ok(Residuals { grid, neighbours, processes })
+    }
+}
+
+impl ProcessNote {
+    /// Share, variance and correlation.
+    fn fitted(&self) -> Result<(f64, f64, Correlation), String> {
+        let Self { share, variance, correlation, scales_m, noise, .. } = *self;
+        let is_scale = |v: &f64| v.is_finite() && *v > 0.0;
+        if !((0.0..=1.0).contains(&share) && variance.is_finite() && variance >= 0.0) {
+            return Err(format!("residuals: a share of {share} and a variance of {variance}"));
+        }
+        if !(scales_m.iter().all(is_scale) && is_scale(&noise)) {
+            return Err(format!(
+                "residuals: length scales of {scales_m:?} m and noise of {noise}; all must be above 0"
+            ));
+        }
+        let [x, y, z] = scales_m;
+        Ok((share, variance, Correlation { kind: correlation, scales: [x, y, z, f64::INFINITY], noise }))
+    }
+}
+
+impl Residuals {
+    /// Adds the tensors.
+    pub(crate) fn put(&self, file: &mut Tensors) {
+        let (mut places, mut exact, mut short, mut units) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for process in self.processes.iter().flatten() {
+            places.extend_from_slice(process.places.as_flattened());
+            match &process.values {
+                ResidualValues::Exact(own) => exact.extend_from_slice(own),
+                ResidualValues::Short(own, of_own) => {
+                    short.extend_from_slice(own);
+                    units.extend_from_slice(of_own);
+                }
+            }
+        }
+        let (links, of_each) = (places.len() / 3, self.grid.len());
+        file.put(PLACES, vec![links, 3], places);
+        if self.grid.stride == 1 {
+            file.put(VALUES, vec![links, of_each], exact);
+        } else {
+            file.put_short(VALUES, vec![links, of_each], short);
+            file.put(UNITS, vec![links], units);
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! Fit of residual processes to known links.
+
+use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals, place};
+use crate::{Ensemble, Model};
+use pwrfgs_core::kriging::{CorrelationKind, HeldOutCases, SearchSpace, most_likely};
+use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::plugin::Check;
+use pwrfgs_core::{Dataset, Error, JsonSchema, Progress, Query, Real, Result, evenly};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Largest number of links per receiver that are predicted in the fit, and their neighbours.
+const CASES: usize = 160;
+const FROM: usize = 24;
+/// Shares of the prediction of the model that are compared.
+const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+/// Log-likelihood by which a smaller share must be better: differences below it are noise of the search.
+const CLEARLY: f64 = 0.5;
+/// Smoothness 3/2 and 1/2.
+const KINDS: [CorrelationKind; 2] = [CorrelationKind::Matern32, CorrelationKind::Exponential];
+/// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
+const LOST: f64 = 1e-3;
+const EXAMPLES: usize = 64;
+/// Number of links per prediction call.
+const CHUNK: usize = 64;
+
+/// Kriging of residuals: after training, a Gaussian process over the transmitter position predicts the difference between
+/// measurements and predictions, per receiver. The model file contains it.
+///
+/// The prediction is b times that of the model, plus a weighted sum of residuals of the nearest known links. The share b,
+/// the correlation (Matern 1/2 or 3/2, one length scale per axis for spectra and channels) and its variance maximise the
+/// likelihood of links that the model did not train on. A single run uses its validation set; it needs one. An experiment
+/// with `join: true` divides the training set into as many folds as there are models, and each model leaves one fold out.
+///
+/// Data need transmitter positions. A receiver without known links keeps the prediction of the model.
+///
+/// ```
+/// # use pwrfgs_core::{Checked, plugin::ron_options};
+/// # use pwrfgs_model::Kriged;
+/// let read = |text: &str| ron_options().from_str::<Checked<Kriged>>(text);
+/// assert_eq!(read("Kriged()").unwrap().stride, 4);
+/// assert!(read("Kriged(stride: 0)").is_err());
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Kriged {
+    /// Largest number of rows and columns per stored pixel, 1 to 64. With 1, residuals are exact; otherwise they have 8
+    /// bits, and cubic interpolation restores the other pixels. If that loses more than 0.1 % of the variance of the
+    /// spectra, the stride is halved until it does not.
+    pub stride: usize,
+    /// Number of known links per prediction, 2 to 512; time grows with its cube.
+    pub neighbours: usize,
+}
+
+impl Default for Kriged {
+    fn default() -> Self {
+        Self { stride: 4, neighbours: 48 }
+    }
+}
+
+impl Check for Kriged {
+    fn check(&self) -> Result<(), String> {
+        if !(1..=64).contains(&self.stride) {
+            return Err(format!("`stride` is {}; give a number from 1 (exact) to 64, such as 4", self.stride));
+        }
+        if !(2..=512).contains(&self.neighbours) {
+            return Err(format!("`neighbours` is {}; give a number from 2 to 512, such as 48", self.neighbours));
+        }
+        Ok(())
+    }
+}
+
+impl Kriged {
+    /// Checks that residuals of `data` can be predicted. `is_left_out` states whether a member did not train on some known
+    /// link.
+    ///
+    /// # Errors
+    /// [`Error::Config`]: the data have no positions, or all members trained on all links.
+    pub fn check_data(&self, data: &Dataset, is_left_out: bool) -> Result<()> {
+        if !data.placed || data.features.is_some() {
+            let what = "has no transmitter positions, which Kriging of residuals needs; remove `residuals`";
+            return Err(Error::Config(format!("{} {what}", data.title)));
+        }
+        if is_left_out {
+            return Ok(());
+        }
+        let what = "residuals: the model trains on all known links, so its residuals are too small; give the split a \
+                    `validation` share, or join several models in an experiment";
+        Err(Error::Config(what.into()))
+    }
+}
+
+/// Known links, and which of them a member did not train on.
+#[derive(Clone, Copy, Debug)]
+pub struct KnownLinks<'a> {
+    /// The data.
+    pub data: &'a Dataset,
+    /// All known links, ascending.
+    pub links: &'a [usize],
+    /// Index of the member that did not train on the link, in the same order; `None` if all members did.
+    pub left_out_by: &'a [Option<usize>],
+}
+
+impl Residuals {
+    /// Fits residual processes to the links that are `known`. `progress` counts predictions.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if data have no positions, or all members trained on all links; a spectrum that cannot be read;
+    /// [`Error::Stopped`] once `stop` is set.
+    pub fn fit(
+        settings: &Kriged,
+        ensemble: &Ensemble,
+        known: KnownLinks<'_>,
+        stop: &AtomicBool,
+        progress: Progress<'_>,
+    ) -> Result<Self> {
+        let data = known.data;
+        settings.check_data(data, known.left_out_by.iter().any(Option::is_some))?;
+        let mut grid = CoarseGrid::new(ensemble.plane(), if data.task().has_pixels { settings.stride } else { 1 });
+        let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
+        while grid.stride > 1 && grid.lost(&examples) > LOST {
+            grid = CoarseGrid::new(ensemble.plane(), grid.stride / 2);
+        }
+        let samples = Samples::new(ensemble, known, &grid, stop, progress)?;
+        data.observations.check()?;
+        let of_receiver = |receiver: usize| {
+            let own: Vec<usize> =
+                (0..known.links.len()).filter(|&k| data.links[known.links[k]].receiver == receiver).collect();
+            samples.process(&own)
+        };
+        let processes = (0..data.scene.receivers.len()).map(of_receiver).collect();
+        Ok(Self { grid, neighbours: settings.neighbours, processes })
+    }
+}
+
+/// Observations and predictions of all known links on the coarse grid.
+struct Samples<'a> {
+    known: KnownLinks<'a>,
+    places: Vec<[Real; 3]>,
+    /// Numbers per link.
+    of_each: usize,
+    /// Whether residuals are stored as exact numbers.
+    is_exact: bool,
+    /// Observations `[links, of_each]`.
+    observed: Vec<Real>,
+    /// Predictions `[links, of_each]` of each member.
+    predicted: Vec<Vec<Real>>,
+}
+
+impl<'a> Samples<'a> {
+    fn new(
+        ensemble: &Ensemble,
+        known: KnownLinks<'a>,
+        grid: &CoarseGrid,
+        stop: &AtomicBool,
+        progress: Progress<'_>,
+    ) -> Result<Self> {
+        let KnownLinks { data, links, .. } = known;
+        let observed = links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
+        let (mut predicted, total) = (Vec::new(), links.len() * ensemble.members().len());
+        for (member, model) in ensemble.members().iter().enumerate() {
+            let ready = model.prepare();
+            let mut own = Vec::with_capacity(links.len() * grid.len());
+            for (chunk, links) in links.chunks(CHUNK).enumerate() {
+                if stop.load(Ordering::Relaxed) {
+                    return Err(Error::Stopped);
+                }
+                let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
+                let shown = ready.predict_many(&queries).into_iter().map(|image| data.task().shown(image));
+                shown.for_each(|image| own.extend(grid.sampled(&image.pixels)));
+                progress(member * known.links.len() + chunk * CHUNK + links.len(), total);
+            }
+            predicted.push(own);
+        }
+        if let Some(member) = predicted.iter().position(|own: &Vec<Real>| own.iter().any(|v| !v.is_finite())) {
+            let what = "predicts numbers that are not finite; train it again with lower learning rates";
+            return Err(Error::Config(format!("residuals: model {} {what}", member + 1)));
+        }
+        let Model { stages, .. } = &ensemble.members()[0];
+        let places = links.iter().map(|&i| stages.origin.local(data.sample(i).tx)).collect();
+        Ok(Self { known, places, of_each: grid.len(), is_exact: grid.stride == 1, observed, predicted })
+    }
+
+    fn of(&self, all: &[Real], k: usize) -> Vec<Real> {
+        all[k * self.of_each..][..self.of_each].to_vec()
+    }
+
+    /// Residuals of known link `k` from `share` times a prediction.
+    fn residual(&self, k: usize, share: f64, predicted: &[Real]) -> Vec<Real> {
+        let share = share as Real;
+        self.of(&self.observed, k).iter().zip(predicted).map(|(y, f)| y - share * f).collect()
+    }
+
+    /// Mean prediction of all members for known link `k`.
+    fn mean(&self, k: usize) -> Vec<Real> {
+        let mut sum = vec![0.0; self.of_each];
+        for own in &self.predicted {
+            sum.iter_mut().zip(&own[k * self.of_each..]).for_each(|(sum, v)| *sum += v);
+        }
+        sum.iter_mut().for_each(|v| *v /= self.predicted.len() as Real);
+        sum
+    }
+
+    /// Links to predict, evenly from `own`, each with the nearest links that its member trained on.
+    fn cases(&self, own: &[usize]) -> Vec<(usize, Vec<usize>)> {
+        let left_out_by = self.known.left_out_by;
+        let mut trained: BTreeMap<usize, Nearest> = BTreeMap::new();
+        for member in own.iter().filter_map(|&k| left_out_by[k]) {
+            trained.entry(member).or_insert_with(|| {
+                let others = own.iter().copied().filter(|&k| left_out_by[k] != Some(member)).collect();
+                Nearest::new(others, 4, |k| place(self.places[k]))
+            });
+        }
+        let held_out: Vec<usize> = own.iter().copied().filter(|&k| left_out_by[k].is_some()).collect();
+        let case = |k: usize| {
+            let near = trained[&left_out_by[k]?].find(&place(self.places[k]), FROM).1;
+            (!near.is_empty()).then(|| (k, near.into_iter().map(|(_, j)| j).collect()))
+        };
+        evenly(&held_out, CASES).into_iter().filter_map(case).collect()
+    }
+
+    /// Most likely process of the known links `own` of a receiver; `None` if none of them was left out.
+    fn process(&self, own: &[usize]) -> Option<ResidualProcess> {
+        let cases = self.cases(own);
+        if cases.is_empty() {
+            return None;
+        }
+        let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
+        let fit = |share: f64| {
+            let values = |c: usize, k: usize| {
+                let member = self.known.left_out_by[cases[c].0].expect("a case was left out");
+                self.residual(k, share, &self.predicted[member][k * self.of_each..])
+            };
+            let held_out = HeldOutCases::new(&cases, |k| place(self.places[k]), values);
+            let (likelihood, correlation) = most_likely(&held_out, space);
+            (likelihood, share, held_out.variance(&correlation) / self.of_each as f64, correlation)
+        };
+        let better = |best: &f64, next: &f64| *next > *best + CLEARLY;
+        let found = SHARES.map(fit).into_iter().reduce(|best, next| if better(&best.0, &next.0) { next } else { best });
+        let (_, share, variance, correlation) = found.expect("shares are given");
+        let residuals: Vec<Real> = own.iter().flat_map(|&k| self.residual(k, share, &self.mean(k))).collect();
+        let values = if self.is_exact {
+            ResidualValues::Exact(residuals)
+        } else {
+            ResidualValues::rounded(&residuals, self.of_each)
+        };
+        let places = own.iter().map(|&k| self.places[k]).collect();
+        Some(ResidualProcess::new((share, variance, correlation), places, values))
+    }
+}

@@ -1,0 +1,196 @@
+//! Fits to a model that does not depend on the transmitter, and the file.
+
+use super::*;
+use crate::tensors::Tensors;
+use crate::{Ensemble, Model, Stages, file};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, MeasurementSetup, Method, Plugin, Pose, Sample, Spectra, rng};
+use pwrfgs_methods as _;
+use std::sync::atomic::AtomicBool;
+
+const SIZE: (usize, usize) = (64, 8);
+
+/// A few Gaussians without a network.
+fn model(shift: Real) -> Model {
+    let text = "Splatting(deformation: Fixed(), projector: Mercator(), rasterizer: AlphaBlending(), \
+                calibration: Physical, readout: Magnitude)";
+    let method = Plugin::<dyn Method>::parse(text).unwrap();
+    let plane = method.traits().projector.unwrap().plane(SIZE.0, SIZE.1);
+    let stages = Stages { method, setup: MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
+    let weights = vec![0.0; stages.network_weights()];
+    let mut cloud = GaussianCloud::zeros(2);
+    cloud.means = vec![[1.0 + shift, 0.5, 1.0], [-1.0, 1.0, 1.5]];
+    cloud.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
+    cloud.signals = vec![[0.5, 0.2]; 2];
+    Model { stages, cloud, weights, training_positions: None }
+}
+
+/// Transmitters at random positions in a cube of 1 m; `left` is what the prediction of `base` lacks at a position.
+fn data(base: &Ensemble, left: impl Fn(usize, [f64; 3]) -> Real) -> Dataset {
+    let mut random = rng::stream(5, "positions", 0);
+    let place = |_| [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32));
+    let places: Vec<[f64; 3]> = (0..240).map(place).collect();
+    let ready = base.prepare();
+    let image = |(i, tx): (usize, &[f64; 3])| -> Vec<f32> {
+        let known = base.plane().clone();
+        let pattern = |k: usize| (k % known.width) as Real * std::f64::consts::TAU as Real / known.width as Real;
+        let pixels = ready.predict_timed(*tx).0.clamped().pixels;
+        pixels.iter().enumerate().map(|(k, p)| (p + left(i, *tx) * pattern(k).cos()) as f32).collect()
+    };
+    let pixels: Vec<f32> = places.iter().enumerate().flat_map(image).collect();
+    let samples = places.iter().enumerate().map(|(i, tx)| Sample::new(i as u32, *tx)).collect();
+    Dataset::new("room", Pose::IDENTITY, vec![], samples, Spectra::float(SIZE, &pixels).unwrap()).unwrap()
+}
+
+/// Fit to the first 200 links, of which every fourth was left out.
+fn fit(settings: &Kriged, base: &Ensemble, data: &Dataset) -> pwrfgs_core::Result<Residuals> {
+    let links: Vec<usize> = (0..200).collect();
+    let left_out_by: Vec<Option<usize>> = links.iter().map(|i| i.is_multiple_of(4).then_some(0)).collect();
+    let known = KnownLinks { data, links: &links, left_out_by: &left_out_by };
+    Residuals::fit(settings, base, known, &AtomicBool::new(false), &|_, _| {})
+}
+
+fn smooth(_: usize, [x, y, _]: [f64; 3]) -> Real {
+    (0.3 * (3.0 * x).sin() * (2.0 * y).cos()) as Real
+}
+
+/// Root mean square error at the links that are unknown to the fit.
+fn error(predictor: &Ensemble, data: &Dataset) -> f64 {
+    let ready = predictor.prepare();
+    let squared = |i: usize| {
+        let (found, truth) = (ready.predict_timed(data.query(i)).0, data.image(i));
+        found.pixels.iter().zip(&truth.pixels).map(|(f, t)| (*f as f64 - *t as f64).powi(2)).sum::<f64>()
+    };
+    ((200..240).map(squared).sum::<f64>() / (40 * SIZE.0 * SIZE.1) as f64).sqrt()
+}
+
+#[test]
+fn kriged_residuals_predict_what_the_model_lacks() {
+    let base = Ensemble::new(vec![model(0.0), model(0.1)]).unwrap();
+    let data = data(&base, smooth);
+    let alone = error(&base, &data);
+    for stride in [1, 4] {
+        let settings = Kriged { stride, ..Kriged::default() };
+        let whole = base.clone().with_residuals(Some(fit(&settings, &base, &data).unwrap()));
+        let found = error(&whole, &data);
+        assert!(found < 0.15 * alone, "stride {stride}: {found} instead of {alone}");
+        let queries: Vec<Query<'_>> = (200..240).map(|i| data.query(i)).collect();
+        let ready = whole.prepare();
+        let mut numbers = vec![0.0; 40 * SIZE.0 * SIZE.1];
+        ready.predict_into(&queries, &mut numbers);
+        let one: Vec<Real> = queries.iter().flat_map(|query| ready.predict_timed(*query).0.pixels).collect();
+        assert!(numbers == one && ready.predict_with_deviation(queries[39]).0.pixels == one[39 * SIZE.0 * SIZE.1..]);
+    }
+}
+
+/// The model has memorised three quarters of the links: their residuals are zero. At the others it is wrong by 0.2 at
+/// random; a process fitted to the residuals of all links alike would be nearly certain.
+#[test]
+fn memorised_links_do_not_lower_the_variance() {
+    let base = Ensemble::of(model(0.0));
+    let amplitude = 0.2;
+    let noise = |i: usize, _: [f64; 3]| {
+        let sign = if rng::uniform(&mut rng::stream(1, "sign", i as u64)) < 0.5 { -1.0 } else { 1.0 };
+        if i.is_multiple_of(4) { sign * amplitude } else { 0.0 }
+    };
+    let data = data(&base, noise);
+    let fitted = fit(&Kriged::default(), &base, &data).unwrap();
+    // The pattern is a cosine, with mean square 1/2.
+    let truth = f64::from(amplitude as f32).powi(2) / 2.0;
+    for tx in [[0.5; 3], [0.2, 0.8, 0.4]] {
+        let mut image = base.prepare().predict_timed(tx).0;
+        let variance = fitted.correct(&mut image, tx.into(), Origin::ZERO).unwrap();
+        assert!((0.7 * truth..1.5 * truth).contains(&variance), "{variance} instead of {truth}");
+    }
+}
+
+/// New measurements where the field has changed replace what was known there, as a fit to all of them would.
+#[test]
+fn update_adds_new_links_without_a_fit() {
+    let base = Ensemble::of(model(0.0));
+    let (before, after) =
+        (data(&base, smooth), data(&base, |i, tx| smooth(i, tx) + if tx[0] > 0.5 { 0.2 } else { 0.0 }));
+    for stride in [1, 4] {
+        let known = fit(&Kriged { stride, ..Kriged::default() }, &base, &before).unwrap();
+        let whole = base.clone().with_residuals(Some(known));
+        let (updated, added) = whole.residuals().unwrap().updated(&whole, &after).unwrap();
+        assert_eq!((added, updated.processes()[0].as_ref().unwrap().len()), (240, 440));
+        let updated = base.clone().with_residuals(Some(updated));
+        let [old, new] = [&whole, &updated].map(|ensemble| error(ensemble, &after));
+        assert!(new < 0.7 * old, "stride {stride}: {new} after the update, {old} before");
+    }
+}
+
+#[test]
+fn fit_needs_left_out_links_and_positions_and_can_stop() {
+    let base = Ensemble::of(model(0.0));
+    let mut data = data(&base, smooth);
+    let links = [0, 1, 2];
+    let try_fit = |data: &Dataset, left_out_by: &[Option<usize>], stop| {
+        let known = KnownLinks { data, links: &links, left_out_by };
+        Residuals::fit(&Kriged::default(), &base, known, &AtomicBool::new(stop), &|_, _| {}).unwrap_err()
+    };
+    assert!(try_fit(&data, &[None; 3], false).to_string().contains("`validation` share"));
+    assert!(matches!(try_fit(&data, &[Some(0), None, None], true), Error::Stopped));
+    data.placed = false;
+    assert!(try_fit(&data, &[Some(0), None, None], false).to_string().contains("no transmitter positions"));
+}
+
+#[test]
+fn residuals_are_the_same_bytes_at_any_number_of_threads_and_from_the_file() {
+    let base = Ensemble::new(vec![model(0.0), model(0.1)]).unwrap();
+    let data = data(&base, smooth);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.safetensors");
+    for stride in [1, 4] {
+        let settings = Kriged { stride, ..Kriged::default() };
+        let on = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            base.clone().with_residuals(Some(pool.install(|| fit(&settings, &base, &data)).unwrap()))
+        };
+        let whole = on(1);
+        file::write_ensemble(&path, &whole).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(bytes == file::ensemble_to_bytes(&on(3)), "stride {stride}");
+        let again = file::read_ensemble(&path).unwrap();
+        assert!(bytes == file::ensemble_to_bytes(&again));
+        assert_eq!(error(&whole, &data).to_bits(), error(&again, &data).to_bits());
+        assert!(bytes.len() > again.residual_bytes());
+    }
+}
+
+#[test]
+fn invalid_residuals_of_a_file_are_refused() {
+    let base = Ensemble::of(model(0.0));
+    let data = data(&base, smooth);
+    let whole =
+        file::ensemble_to_bytes(&base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap())));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.safetensors");
+    let refused = |change: &dyn Fn(&mut Tensors)| {
+        let mut tensors = Tensors::from_bytes(&whole).unwrap();
+        change(&mut tensors);
+        std::fs::write(&path, tensors.to_bytes()).unwrap();
+        file::read_ensemble(&path).unwrap_err().to_string()
+    };
+    let edited = |from: &str, to: &str, word: &str| {
+        let message = refused(&|tensors| {
+            assert!(tensors.note.contains(from), "{}", tensors.note);
+            tensors.note = tensors.note.replacen(from, to, 1);
+        });
+        assert!(message.contains(word), "{to}: {message}");
+    };
+    edited("\"stride\":4", "\"stride\":0", "`stride` is 0");
+    edited("\"stride\":4", "\"stride\":3", "residuals.values");
+    edited("\"stride\":4", "\"stride\":1", "residuals.values");
+    edited("\"neighbours\":48", "\"neighbours\":100000", "`neighbours` is 100000");
+    edited("\"links\":200", "\"links\":0", "needs a link");
+    edited("\"links\":200", "\"links\":18446744073709551615", "expected [18446744073709551615, 3]");
+    edited("\"share\":", "\"share\":-", "a share of");
+    edited("\"noise\":", "\"noise\":-", "noise of");
+    edited("\"version\":3", "\"version\":2", "version 3");
+    edited("\"receivers\":[{\"links\"", "\"receivers\":[null,{\"links\"", "residuals of 2 receivers");
+    let message = refused(&|tensors| tensors.put("residuals.places", vec![200, 3], vec![Real::INFINITY; 600]));
+    assert!(message.contains("residuals.places"), "{message}");
+    let message = refused(&|tensors| tensors.put_short("residuals.values", vec![1], vec![0]));
+    assert!(message.contains("residuals.values"), "{message}");
+}
