@@ -62,7 +62,8 @@ fn kind(place: &str, it: &DocKind, seen: &mut BTreeSet<&'static str>, faults: &m
             for member in (family.members)().iter().filter(|m| !OF_TESTS.contains(&m.name)) {
                 match member.docs {
                     // Two plugins of different kinds may share a name.
-                    Some(docs) => look(docs, &mut BTreeSet::new(), faults),
+                    // A plugin may hold another of its kind.
+                    Some(docs) => look(docs, &mut BTreeSet::from([*name]), faults),
                     None => faults.push(format!("{name} {} has no defaults", member.name)),
                 }
             }

@@ -1,4 +1,4 @@
-//! Fit of residual processes to known links.
+//! Fit of residual processes to known links, and their update with new links.
 
 use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals, place};
 use crate::{Ensemble, Model};
@@ -131,6 +131,45 @@ impl Residuals {
         };
         let processes = (0..data.scene.receivers.len()).map(of_receiver).collect();
         Ok(Self { grid, neighbours: settings.neighbours, processes })
+    }
+
+    /// Returns the processes of `ensemble` with the links of new `data` added, and the number of added links. Share,
+    /// correlation and variance stay. A prediction uses the nearest known links only, so nothing else changes: links at
+    /// receivers without a process are skipped.
+    ///
+    /// # Errors
+    /// A spectrum that cannot be read, or [`Error::Config`] for a prediction that is not finite.
+    pub fn updated(&self, ensemble: &Ensemble, data: &Dataset) -> Result<(Self, usize)> {
+        let base = ensemble.clone().with_residuals(None);
+        let (ready, origin) = (base.prepare(), base.members()[0].stages.origin);
+        let mut places: Vec<Vec<[Real; 3]>> = self.processes.iter().map(|_| Vec::new()).collect();
+        let mut values: Vec<Vec<Real>> = vec![Vec::new(); places.len()];
+        for i in 0..data.len() {
+            let query = data.query(i);
+            let Some(Some(process)) = self.processes.get(query.receiver) else { continue };
+            let predicted = data.task().shown(ready.predict_timed(query).0);
+            let (observed, share) = (data.image(i), process.share as Real);
+            let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(|(y, f)| y - share * f).collect();
+            if left.iter().any(|v| !v.is_finite()) {
+                return Err(Error::Config(format!(
+                    "the prediction at {:?} is not finite; leave this link out",
+                    query.tx
+                )));
+            }
+            places[query.receiver].push(origin.local(query.tx));
+            values[query.receiver].extend(self.grid.sampled(&left));
+        }
+        data.observations.check()?;
+        let added = places.iter().map(Vec::len).sum();
+        let more = |(receiver, own): (usize, &Option<ResidualProcess>)| {
+            let ResidualProcess { share, correlation, variance, places: known, values: held, .. } = own.as_ref()?;
+            let mut held = held.clone();
+            held.extend(&values[receiver], self.grid.len());
+            let places = [&known[..], &places[receiver]].concat();
+            Some(ResidualProcess::new((*share, *variance, *correlation), places, held))
+        };
+        let processes = self.processes.iter().enumerate().map(more).collect();
+        Ok((Self { processes, ..self.clone() }, added))
     }
 }
 
