@@ -149,9 +149,16 @@ def factored(tensors, settings, means, told):
         t = relu(layer(tensors, f"tx.{k}")(t))
     t = np.concatenate([t, own])
     waves = encode(means, settings["position_encoding"], tensors.get("constants.position_encoding"))[:, 3:]
-    rows = layer(tensors, "branch")(waves * np.pi / (2 * waves.shape[1]))
-    real, imaginary = np.split(rows, 2, axis=1)
-    return {"signal": np.stack([g[:, :-1] @ t + g[:, -1] for g in (real, imaginary)], axis=1)}
+    waves = waves * np.pi / (2 * waves.shape[1])
+    real, imaginary = np.split(layer(tensors, "branch")(waves), 2, axis=1)
+    signal = np.stack([g[:, :-1] @ t + g[:, -1] for g in (real, imaginary)], axis=1)
+    if (near := settings["near"]) is not None:
+        distance = np.sqrt(np.sum((told - tensors["network.near.positions"]) ** 2, axis=1))
+        length = near["length_m"]
+        correlation = np.where(distance < 16 * length, 6 * np.exp(-distance / length), 0)
+        parts = np.split(tensors["network.near.weight"], 2)
+        signal += np.stack([waves @ (part.T @ correlation) for part in parts], axis=1)
+    return {"signal": signal}
 
 
 def wrfgs(tensors, settings, means, tx, position):

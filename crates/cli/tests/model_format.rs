@@ -176,7 +176,8 @@ fn numpy_predicts_from_documented_format() {
         pairs.extend([format!("{name}.safetensors"), name]);
     }
     // And one that was trained, as it is and with its network in 16 bits.
-    let waves = "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 6, reach: 20))";
+    let waves =
+        "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 6, reach: 20), near: (count: 9, length_m: 0.5))";
     write(&here.join("p.ron"), SMALL.replace("Mlp(depth: 2, width: 16, skip: None)", waves));
     succeed(here, &["run", "p.ron", "--out", "run", "-q", "--set", "rasterizer=ArrayResponse()"]);
     succeed(here, &["export", "run/model.safetensors", "--half", "half.safetensors"]);

@@ -1,6 +1,7 @@
 //! `Layout`: the weights of a network in one flat vector.
 
 use crate::{Real, rng, rng::Rng};
+use std::ops::Range;
 
 /// Tensors of a network: learned ones, in the order of the flat weight vector, and constants.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -16,6 +17,16 @@ impl Layout {
     /// Returns the length of the flat weight vector.
     pub fn numbers(&self) -> usize {
         self.weights.iter().map(WeightSpec::len).sum()
+    }
+
+    /// Returns the ranges of the flat weight vector that [do not learn](WeightSpec::fixed).
+    pub fn fixed(&self) -> Vec<Range<usize>> {
+        let mut first = 0;
+        let range = |spec: &WeightSpec| {
+            first += spec.len();
+            spec.fixed.then(|| first - spec.len()..first)
+        };
+        self.weights.iter().filter_map(range).collect()
     }
 
     /// Draws initial weights.
@@ -65,12 +76,14 @@ pub struct WeightSpec {
     /// Whether its rows are hidden units before a ReLU, to which [`Layout::dropout`] may apply. The bias of such a
     /// layer follows its weight directly.
     pub hidden: bool,
+    /// Whether its values follow from the training set and do not learn.
+    pub fixed: bool,
 }
 
 impl WeightSpec {
     /// Creates a tensor with initial values of zero.
     pub fn zeros(name: impl Into<String>, shape: Vec<usize>) -> Self {
-        Self { name: name.into(), shape, bound: None, hidden: false }
+        Self { name: name.into(), shape, bound: None, hidden: false, fixed: false }
     }
 
     /// Creates a tensor with initial values uniform within ±`bound`.

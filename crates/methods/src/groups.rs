@@ -195,13 +195,17 @@ pub(crate) fn untrained(
     method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request).numbers
 }
 
-/// Initialises those parameters of the deformation that depend on the features of the training set.
+/// Initialises those parameters of the deformation that depend on the features or positions of the training set.
 pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
     let inputs = deformation.traits().inputs;
     if inputs != 3 {
         let all: Vec<Real> = train.iter().flat_map(|&i| data.query(i).features).copied().collect();
-        deformation.start(Conditions::new(inputs, &all), network);
+        return deformation.start(Conditions::new(inputs, &all), network);
     }
+    let mut transmitters: Vec<usize> = train.iter().map(|&i| data.links[i].transmitter).collect();
+    transmitters.dedup(); // links are in the order of their transmitters
+    let position = |t: usize| data.scene.origin.local(data.transmitters[t].position);
+    deformation.start(Conditions::from(&transmitters.into_iter().map(position).collect::<Vec<_>>()), network);
 }
 
 /// Rejects several receivers if the network reads the receiver position.

@@ -3,6 +3,7 @@
 use crate::encoding::{Encoder, Encoding, Pseudo};
 use crate::factored_network::{Basis, FactoredLayers, WAVE_MEAN};
 use crate::linear::{LayoutBuilder, laid_out, planned};
+use crate::near::Near;
 use crate::trunk::check_stack;
 use pwrfgs_core::{
     Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout,
@@ -40,13 +41,16 @@ pub struct Factored {
     pub tx_encoding: Encoding,
     /// Encoding of the centre, without the bare coordinates, which would dominate the waves.
     pub position_encoding: Encoding,
+    /// Correlations with the training positions as further features, to which the factors are linear. They help if
+    /// training positions are dense. `None` for none.
+    pub near: Option<Near>,
 }
 
 const WAVES: Encoding = Encoding::Waves { count: 32, reach: 4.0, seed: 0 };
 
 impl Default for Factored {
     fn default() -> Self {
-        Self { depth: 4, width: 256, tx_encoding: Encoding::default(), position_encoding: WAVES }
+        Self { depth: 4, width: 256, tx_encoding: Encoding::default(), position_encoding: WAVES, near: None }
     }
 }
 
@@ -73,7 +77,8 @@ impl Factored {
         let features = width + direct;
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = self.position_encoding.encoder();
-        FactoredLayers { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
+        let near = self.near.as_ref().map(|near| near.layer(plan, waves));
+        FactoredLayers { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct, near }
     }
 }
 
@@ -122,6 +127,9 @@ impl Deformation for Factored {
 
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
         let (network, _) = planned(|plan| self.network(plan));
+        if let Some(near) = network.near {
+            near.place(training.positions(), weights);
+        }
         let (Some(white), Encoding::Features { gain, .. }) = (network.white, &self.tx_encoding) else { return };
         if let Some((matrix, bias)) = whitening(training, *gain) {
             weights[white.weight..][..matrix.len()].copy_from_slice(&matrix);
@@ -135,6 +143,12 @@ impl Deformation for Factored {
         self.position_encoding.check("position_encoding")?;
         if matches!(self.position_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {
             return Err("position_encoding: Gaussians have no features; give Waves(..) or Octaves(4)".into());
+        }
+        if let Some(near) = &self.near {
+            near.check()?;
+            if matches!(self.tx_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {
+                return Err("near: it needs transmitter positions, but tx_encoding reads features; remove it".into());
+            }
         }
         if self.position_encoding.width() == 3 {
             return Err("position_encoding has no waves; give Waves(count: 32, reach: 4.0) or Octaves(4)".into());

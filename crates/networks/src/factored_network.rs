@@ -3,6 +3,7 @@
 //! ```text
 //! (features of the data → tx.white →)
 //! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T → branchᵀ → v ─┐ (once a transmitter)
+//! (p → correlations with training positions → nearᵀ → + v) ─────┤
 //! φ(μ) ─────────────────────────────────────────────────────────┴→ s = v·φ + v₀ (once a Gaussian)
 //! ```
 //! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T). The product branchᵀ·T is computed once per
@@ -11,6 +12,7 @@
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{Encoder, Pseudo};
 use crate::linear::Linear;
+use crate::near::NearLayer;
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Lanes, LinearPart, Real, widest};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -36,6 +38,8 @@ pub(super) struct FactoredLayers {
     pub(super) features: usize,
     /// Number of direct features at the end of T, which are the inputs of the transmitter; 0 for positions.
     pub(super) direct: usize,
+    /// Layer on correlations with training positions, if requested.
+    pub(super) near: Option<NearLayer>,
 }
 
 /// Number of Gaussians that a kernel processes together.
@@ -112,7 +116,8 @@ impl FactoredLayers {
         (1.0 / (WAVE_MEAN * self.branch.inputs as f64)) as Real
     }
 
-    /// Returns γ(p) and the output of every layer, feature-major `[·, B]`; the last is T.
+    /// Returns γ(p) and the output of every layer, feature-major `[·, B]`; the last is T. The correlations of `near`
+    /// follow.
     fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
         match &self.pseudo {
@@ -135,6 +140,9 @@ impl FactoredLayers {
             let own = layers[0].clone();
             layers.last_mut().expect("a layer or more").extend(own);
         }
+        if let Some(near) = &self.near {
+            layers.push(near.correlations(weights, txs));
+        }
         layers
     }
 
@@ -143,8 +151,9 @@ impl FactoredLayers {
         c * (self.features + 1)..(c + 1) * (self.features + 1)
     }
 
-    /// Returns the coefficients of the waves from T `[F, B]`, the last of the layers.
-    fn mixed(&self, weights: &[Real], t: &[Real]) -> WaveMixture {
+    /// Returns the coefficients of the waves from T `[F, B]` and the correlations, at the end of `layers`.
+    fn mixed(&self, weights: &[Real], layers: &[Vec<Real>]) -> WaveMixture {
+        let t = &layers[self.stack.len()];
         let (waves, batch) = (self.branch.inputs, t.len() / self.features);
         let mut mixed = WaveMixture::zeros(waves, batch);
         let features = Matrix::new(t, self.features, batch);
@@ -160,6 +169,9 @@ impl FactoredLayers {
             product(MatrixMut::new(&mut mixed.waves[c], waves, batch), StoreMode::Add, factors, features);
             let biases = Matrix::new(biases, 1, self.features);
             product(MatrixMut::new(&mut mixed.base[c], 1, batch), StoreMode::Add, biases, features);
+            if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
+                near.add(weights, c, correlations, &mut mixed.waves[c]);
+            }
         }
         mixed
     }
@@ -173,7 +185,7 @@ impl FactoredLayers {
         }
         let one = |b: usize| {
             let layers = self.stack(weights, txs.rows(b..b + 1));
-            self.mixed(weights, &layers[self.stack.len()])
+            self.mixed(weights, &layers)
         };
         let mixed: Vec<WaveMixture> = (0..txs.len()).into_par_iter().map(one).collect();
         // Signals of every transmitter for the Gaussians of each task.
@@ -206,8 +218,7 @@ impl FactoredLayers {
             (0..txs.len()).step_by(GROUP).map(|first| first..(first + GROUP).min(txs.len())).collect();
         let layers: Vec<Vec<Vec<Real>>> =
             groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
-        let mixed: Vec<WaveMixture> =
-            layers.par_iter().map(|own| self.mixed(weights, &own[self.stack.len()])).collect();
+        let mixed: Vec<WaveMixture> = layers.par_iter().map(|own| self.mixed(weights, own)).collect();
         let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
         let group = |((some, layers), d_mixed): ((&Range<usize>, &Vec<Vec<Real>>), &WaveMixture)| {
             self.group_vjp(weights, txs.rows(some.clone()), layers, d_mixed)
@@ -311,6 +322,9 @@ impl FactoredLayers {
             let (d_biases, d_last) = self.branch.bias_mut(&mut d_weights)[self.rows(c)].split_at_mut(width);
             product(MatrixMut::new(d_biases, width, 1), StoreMode::Set, t, d_base.t());
             dense::add_bias_vjp(&d.base[c], d_last);
+            if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
+                near.vjp(c, correlations, &d.waves[c], &mut d_weights);
+            }
         }
         let mut d_own = d_h.split_off((width - self.direct) * batch);
         for (l, layer) in self.stack.iter().enumerate().rev() {

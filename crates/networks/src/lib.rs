@@ -12,6 +12,7 @@ mod factored;
 mod factored_network;
 pub mod linear;
 mod mlp;
+mod near;
 #[cfg(test)]
 mod oracle;
 #[cfg(test)]
@@ -24,6 +25,7 @@ mod wrfgs_network;
 pub use encoding::Encoding;
 pub use factored::Factored;
 pub use mlp::{Mlp, Outputs};
+pub use near::Near;
 pub use wrfgs::Wrfgs;
 
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Real};

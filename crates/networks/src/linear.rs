@@ -112,6 +112,21 @@ impl LayoutBuilder {
         start
     }
 
+    /// Adds a tensor of zeros.
+    pub fn zeros(&mut self, name: &str, shape: Vec<usize>) -> usize {
+        let spec = WeightSpec::zeros(name, shape);
+        self.len += spec.len();
+        self.tensors.push(spec);
+        self.len - self.tensors.last().map_or(0, WeightSpec::len)
+    }
+
+    /// Adds a tensor that follows from the training set and does not learn.
+    pub fn fixed(&mut self, name: &str, shape: Vec<usize>) -> usize {
+        let start = self.zeros(name, shape);
+        self.tensors.iter_mut().next_back().expect("just added").fixed = true;
+        start
+    }
+
     /// Adds a layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.
     pub fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
         self.heads(&[(name, outputs)], inputs, 1.0)

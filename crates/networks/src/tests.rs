@@ -1,7 +1,7 @@
 //! Tests of every deformation: derivatives, bit-identical results for any number of threads and any batch, correct
 //! sizes.
 
-use super::{Encoding, Factored, Fixed, Mlp, Outputs, Wrfgs};
+use super::{Encoding, Factored, Fixed, Mlp, Near, Outputs, Wrfgs};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
 
 const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
@@ -37,13 +37,17 @@ fn cotangent(like: &Deltas) -> Deltas {
 /// Compares with central differences along every weight, and along every centre if the deformation differentiates them.
 fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: usize, along_means: bool) {
     deformation.check().unwrap();
-    let weights = deformation.layout().init(&mut rng::stream(2, name, 0));
+    let mut weights = deformation.layout().init(&mut rng::stream(2, name, 0));
+    deformation.start((&points(5, "training")).into(), &mut weights);
+    let fixed = deformation.layout().fixed();
     let (means, txs) = (points(n, "means"), points(batch, "txs"));
     let moved = if along_means { means.as_flattened() } else { &[] };
     let x = [weights.as_slice(), moved].concat();
     let split = |x: &[Real]| {
         let (w, m) = x.split_at(weights.len());
-        (w.to_vec(), if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() })
+        let mut w = w.to_vec();
+        fixed.iter().for_each(|range| w[range.clone()].copy_from_slice(&weights[range.clone()]));
+        (w, if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() })
     };
     let f = |x: &[Real]| {
         let (w, means) = split(x);
@@ -97,7 +101,13 @@ fn wrfgs_derivatives_agree_with_central_differences() {
 }
 
 fn small_factored() -> Factored {
-    Factored { depth: 3, width: 9, tx_encoding: Encoding::Octaves(2), position_encoding: Encoding::Octaves(1) }
+    Factored {
+        depth: 3,
+        width: 9,
+        tx_encoding: Encoding::Octaves(2),
+        position_encoding: Encoding::Octaves(1),
+        near: None,
+    }
 }
 
 #[test]
@@ -107,6 +117,8 @@ fn factored_derivatives_agree_with_central_differences() {
     check_derivative("factored, two groups", &small_factored(), 2, 35, true);
     let bare = Factored { depth: 1, tx_encoding: Encoding::Octaves(0), ..small_factored() };
     check_derivative("factored, coordinates", &bare, 3, 1, true);
+    let near = Some(Near { count: 6, length_m: 0.8 });
+    check_derivative("factored, near", &Factored { near, ..small_factored() }, 4, 35, true);
     let waves = Encoding::Waves { count: 4, reach: 3.0, seed: 1 };
     check_derivative(
         "factored, waves",
@@ -150,7 +162,8 @@ fn initial_weights_are_uniform_and_scaled_by_inputs() {
 /// Returns deltas and weight derivative on a pool with this number of threads.
 fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: usize) -> (Deltas, Vec<Real>) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
+    let mut weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
+    deformation.start((&points(60, "training")).into(), &mut weights);
     let (means, txs) = (points(n, "means"), points(batch, "txs"));
     pool.install(|| {
         let inputs = DeformationInputs::new(&weights, &means, &txs, &POSE);
@@ -165,7 +178,7 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
 #[test]
 fn result_is_bit_identical_with_one_and_two_threads() {
     let mlp = Mlp { width: 64, ..Mlp::default() };
-    let factored = Factored::default();
+    let factored = Factored { near: Some(Near { count: 40, length_m: 0.5 }), ..Factored::default() };
     let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
     for (n, batch) in [(157, 3), (1500, 2), (16, 70)] {
         for deformation in deformations {
@@ -177,7 +190,7 @@ fn result_is_bit_identical_with_one_and_two_threads() {
 #[test]
 fn batch_is_bit_identical_to_single_calls() {
     let mlp = Mlp { width: 64, depth: 6, ..Mlp::default() };
-    let factored = Factored::default();
+    let factored = Factored { near: Some(Near { count: 40, length_m: 0.5 }), ..Factored::default() };
     let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
     let (means, txs) = (points(300, "means"), points(5, "txs"));
     for deformation in deformations {
@@ -245,6 +258,9 @@ fn rejects_invalid_settings_and_defaults_round_trip() {
         ("Factored(position_encoding: Octaves(0))", "has no waves"),
         ("Factored(tx_encoding: Octaves(17))", "from 0 to 16"),
         ("Factored(tx_encoding: Waves(count: 8, reach: 0))", "rad/m above 0"),
+        ("Factored(near: (count: 0, length_m: 0.03))", "from 1 to 65536"),
+        ("Factored(near: (count: 9, length_m: 0))", "metres above 0"),
+        ("Factored(near: (count: 9, length_m: 0.1), tx_encoding: Features(width: 4))", "needs transmitter positions"),
     ] {
         let refusal = Plugin::<dyn Deformation>::parse(text).unwrap_err();
         assert!(refusal.contains(words), "{text}: {refusal}");

@@ -124,11 +124,28 @@ class FactoredDeformation {
     const branch = new NetworkLayer(file, "branch");
     this.row = branch.outputs;
     this.rows = new Float64Array(this.n * this.row);
+    this.waves = [];
+    if (this.near) this.near = { ...this.near, positions: file.get("network.near.positions"), weight: file.get("network.near.weight") };
     for (let i = 0; i < this.n; i++) {
       const own = waves(Array.from(means.subarray(3 * i, 3 * i + 3))).slice(3);
       const scaled = Float64Array.from(own, (v) => (v * Math.PI) / (2 * own.length));
       branch.apply(scaled, false, this.rows, 0, i * this.row);
+      this.waves.push(scaled);
     }
+  }
+
+  /** Adds to the signals what follows from correlations with training positions. */
+  addNear(tx, signal) {
+    const { positions, weight, length_m, count } = this.near;
+    const waves = this.waves.length ? this.waves[0].length : 0;
+    const sums = [new Float64Array(waves), new Float64Array(waves)];
+    for (let m = 0; m < count; m++) {
+      const distance = Math.hypot(...tx.map((x, k) => x - positions[3 * m + k]));
+      if (distance >= 16 * length_m) continue;
+      const correlation = 6 * Math.exp(-distance / length_m);
+      sums.forEach((sum, c) => sum.forEach((_, b) => (sum[b] += correlation * weight[(c * count + m) * waves + b])));
+    }
+    this.waves.forEach((own, i) => sums.forEach((sum, c) => own.forEach((w, b) => (signal[2 * i + c] += w * sum[b]))));
   }
 
   add(tx) {
@@ -142,6 +159,7 @@ class FactoredDeformation {
       for (let j = 0; j < width - 1; j++) sum += this.rows[from + j] * t[j];
       signal[k] = sum;
     }
+    if (this.near) this.addNear(tx, signal);
     return { signal };
   }
 }

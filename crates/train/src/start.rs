@@ -97,7 +97,7 @@ impl<'a> Trainer<'a> {
         let mut stages = whole.clone();
         stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
         check_rays(plan.training.rays, &stages)?;
-        stages.method.layout(&stages.setup).map_err(Error::Config)?;
+        let fixed = stages.method.layout(&stages.setup).map_err(Error::Config)?.fixed();
         whole.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
         let blank = Self {
@@ -114,6 +114,7 @@ impl<'a> Trainer<'a> {
             plan,
             cloud,
             weights: Arc::default(),
+            fixed,
             done: 0,
             fingerprint: OnceLock::new(),
             training_positions: OnceLock::new(),

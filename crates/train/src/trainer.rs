@@ -11,6 +11,7 @@ use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Phase, Real, Result, StepContext, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 /// Results of one training step.
@@ -62,6 +63,8 @@ pub struct Trainer<'a> {
     pub(crate) specs: Vec<ColumnSpec>,
     pub(crate) cloud: GaussianCloud,
     pub(crate) weights: Arc<Vec<Real>>,
+    /// Ranges of the weights that do not learn.
+    pub(crate) fixed: Vec<Range<usize>>,
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) gaussian_ids: GaussianIds,
@@ -183,6 +186,7 @@ impl Trainer<'_> {
             found.d_weights = times(factors, &found.d_weights);
         }
         self.stats.add(&found.stats);
+        let fixed: Vec<Vec<Real>> = self.fixed.iter().map(|range| self.weights[range.clone()].to_vec()).collect();
         self.adam
             .step(
                 &self.plan.training,
@@ -192,6 +196,9 @@ impl Trainer<'_> {
                 (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
+        for (range, values) in self.fixed.iter().zip(fixed) {
+            Arc::make_mut(&mut self.weights)[range.clone()].copy_from_slice(&values);
+        }
         for (pruner, context) in pruners.iter().zip(contexts(&pruners, &context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }

@@ -1,0 +1,136 @@
+//! `Near`: correlations of the transmitter with training positions, as features of [`crate::Factored`].
+
+use crate::dense::{Matrix, MatrixMut, StoreMode, product};
+use crate::linear::LayoutBuilder;
+use pwrfgs_core::{Conditions, JsonSchema, Real, evenly};
+use serde::{Deserialize, Serialize};
+
+/// Correlations 6 exp(−|p − z| / length) of the transmitter p with training positions z.
+///
+/// The layers of the network learn what varies over the room. Correlations add what differs from one position to the
+/// next, as Kriging does, and are 0 far from all training positions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Near {
+    /// Maximum number of training positions; more are thinned evenly.
+    pub count: usize,
+    /// Distance at which a correlation is 1/e, metres; a few times the distance between training positions.
+    pub length_m: f64,
+}
+
+/// Largest number of positions.
+const MOST: usize = 65_536;
+/// Correlations end at this multiple of the length, where they are 1e-7.
+const END: Real = 16.0;
+/// Factor on the correlations: a step of Adam on their weights then moves a signal by more than one on the other layers,
+/// since few correlations act at a position.
+const GAIN: Real = 6.0;
+/// Coordinate of a position that is not used, metres; finite in 16 bits too.
+const UNUSED: Real = 1e4;
+
+impl Near {
+    pub(super) fn check(&self) -> Result<(), String> {
+        if !(1..=MOST).contains(&self.count) {
+            return Err(format!("near: count is {}; give a number from 1 to {MOST}", self.count));
+        }
+        if !(self.length_m > 0.0 && self.length_m.is_finite()) {
+            return Err(format!("near: length_m is {}; give metres above 0, such as 0.03", self.length_m));
+        }
+        Ok(())
+    }
+
+    /// Plans the positions `[count, 3]`, which do not learn, and the weights `[2 · count, waves]`, initially 0.
+    pub(super) fn layer(&self, plan: &mut LayoutBuilder, waves: usize) -> NearLayer {
+        let positions = plan.fixed("near.positions", vec![self.count, 3]);
+        let weight = plan.zeros("near.weight", vec![2 * self.count, waves]);
+        NearLayer { count: self.count, length: self.length_m as Real, positions, weight, waves }
+    }
+}
+
+/// Positions and weights in the flat weight vector.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NearLayer {
+    count: usize,
+    length: Real,
+    positions: usize,
+    weight: usize,
+    waves: usize,
+}
+
+impl NearLayer {
+    /// Sets the positions of the training set.
+    pub(super) fn place(&self, training: &[[Real; 3]], weights: &mut [Real]) {
+        let places = weights[self.positions..][..3 * self.count].as_chunks_mut::<3>().0;
+        places.fill([UNUSED; 3]);
+        places.iter_mut().zip(evenly(training, self.count)).for_each(|(place, z)| *place = z);
+    }
+
+    /// Returns the correlations `[count, B]`, times [`GAIN`].
+    pub(super) fn correlations(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
+        let rows = txs.len();
+        let mut all = vec![0.0; self.count * rows];
+        let places = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
+        for (row, z) in all.chunks_exact_mut(rows.max(1)).zip(places) {
+            for (value, p) in row.iter_mut().zip(txs.positions()) {
+                let square: Real = (0..3).map(|k| (p[k] - z[k]) * (p[k] - z[k])).sum();
+                if square < (END * self.length) * (END * self.length) {
+                    *value = GAIN * (-square.sqrt() / self.length).exp();
+                }
+            }
+        }
+        all
+    }
+
+    /// Adds the coefficients of the waves of channel `c`, `[waves, B]`, from the correlations.
+    pub(super) fn add(&self, weights: &[Real], c: usize, correlations: &[Real], out: &mut [Real]) {
+        let batch = correlations.len() / self.count;
+        let table = Matrix::new(&weights[self.of(c)..][..self.count * self.waves], self.count, self.waves);
+        let correlations = Matrix::new(correlations, self.count, batch);
+        product(MatrixMut::new(out, self.waves, batch), StoreMode::Add, table.t(), correlations);
+    }
+
+    /// Adds the derivative with respect to the weights of channel `c`; `d_waves` is `[waves, B]`.
+    pub(super) fn vjp(&self, c: usize, correlations: &[Real], d_waves: &[Real], d_weights: &mut [Real]) {
+        let batch = correlations.len() / self.count;
+        let d_table = &mut d_weights[self.of(c)..][..self.count * self.waves];
+        let d_waves = Matrix::new(d_waves, self.waves, batch);
+        let correlations = Matrix::new(correlations, self.count, batch);
+        product(MatrixMut::new(d_table, self.count, self.waves), StoreMode::Add, correlations, d_waves.t());
+    }
+
+    /// Returns the offset of the weights of channel `c`.
+    fn of(&self, c: usize) -> usize {
+        self.weight + c * self.count * self.waves
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::linear::planned;
+
+    #[test]
+    fn correlations_fall_with_distance_and_unused_positions_have_none() {
+        let (layer, plan) = planned(|plan| Near { count: 3, length_m: 0.1 }.layer(plan, 4));
+        let mut weights = vec![0.0; plan.numbers()];
+        layer.place(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], &mut weights);
+        let txs = [[0.0, 0.3, 0.4], [1.0, 0.0, 0.1], [9.0, 0.0, 0.0]];
+        let found = layer.correlations(&weights, Conditions::from(&txs[..]));
+        let expected = [(-5.0 as Real).exp(), (-(1.01 as Real).sqrt() / 0.1).exp(), 0.0];
+        for (found, expected) in found[..3].iter().zip(expected) {
+            assert!((found - GAIN * expected).abs() < 1e-6, "{found} instead of {GAIN} times {expected}");
+        }
+        assert!((found[4] - GAIN * (-1.0 as Real).exp()).abs() < 1e-5);
+        assert_eq!(found[6..], [0.0; 3]);
+        assert_eq!(plan.layout().fixed(), [0..9]);
+    }
+
+    #[test]
+    fn more_training_positions_are_thinned() {
+        let (layer, plan) = planned(|plan| Near { count: 2, length_m: 0.1 }.layer(plan, 1));
+        let mut weights = vec![0.0; plan.numbers()];
+        layer.place(&(0..10).map(|i| [i as Real, 0.0, 0.0]).collect::<Vec<_>>(), &mut weights);
+        assert!(weights[..6].iter().all(|x| *x < 10.0) && weights[0] != weights[3]);
+        assert_eq!(weights[6..], [0.0; 4]);
+    }
+}
