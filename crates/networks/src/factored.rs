@@ -1,10 +1,11 @@
 //! `Factored`: signals as products of transmitter features and Gaussian factors.
 
 use crate::encoding::{Encoder, Encoding, Pseudo};
-use crate::factored_network::{Basis, FactoredLayers, WAVE_MEAN};
+use crate::factored_network::{FactoredLayers, WAVE_MEAN};
 use crate::linear::{LayoutBuilder, laid_out, planned};
 use crate::near::Near;
 use crate::trunk::check_stack;
+use crate::wave_mixture::Basis;
 use pwrfgs_core::{
     Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout,
     LinearPart, Pose, Real, cached,

@@ -13,7 +13,8 @@ use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{Encoder, Pseudo};
 use crate::linear::Linear;
 use crate::near::NearLayer;
-use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Lanes, LinearPart, Real, widest};
+use crate::wave_mixture::{Basis, LANES, SignalKernel, WaveMixture};
+use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real, widest};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -42,41 +43,12 @@ pub(super) struct FactoredLayers {
     pub(super) near: Option<NearLayer>,
 }
 
-/// Number of Gaussians that a kernel processes together.
-const LANES: usize = 64;
-
 /// Number of tiles of [`LANES`] Gaussians per task. It is constant, so that results do not depend on the number of
 /// threads.
 const TILES: usize = 8;
 
-/// Encoded centres φ(μ), scaled (see [`FactoredLayers::wave_scale`]), in tiles of [`LANES`] Gaussians, `[tiles, waves]` rows
-/// of lanes. Unused lanes of the last tile are 0.
-pub(super) struct Basis {
-    lanes: Vec<[Real; LANES]>,
-    n: usize,
-}
-
 /// Index of the task, its tiles, and the derivatives of their centres if requested.
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
-
-/// Coefficients of the waves per transmitter: per channel `[waves, B]`, and the constant terms `[B]`.
-struct WaveMixture {
-    waves: [Vec<Real>; 2],
-    base: [Vec<Real>; 2],
-}
-
-impl WaveMixture {
-    fn zeros(waves: usize, batch: usize) -> Self {
-        Self { waves: [(); 2].map(|()| vec![0.0; waves * batch]), base: [(); 2].map(|()| vec![0.0; batch]) }
-    }
-
-    fn add(&mut self, other: &Self) {
-        for c in 0..2 {
-            dense::add(&mut self.waves[c], &other.waves[c]);
-            dense::add(&mut self.base[c], &other.base[c]);
-        }
-    }
-}
 
 impl FactoredLayers {
     pub(super) fn basis(&self, means: &[[Real; 3]]) -> Basis {
@@ -351,28 +323,5 @@ impl FactoredLayers {
             white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
         }
         d_weights
-    }
-}
-
-/// Signals of one transmitter for the Gaussians of some tiles: s = v·φ + v₀, each summed in the order of the waves.
-struct SignalKernel<'a> {
-    tiles: &'a [[Real; LANES]],
-    waves: usize,
-    mixed: &'a WaveMixture,
-    signals: &'a mut [[Real; 2]],
-}
-
-impl pulp::WithSimd for SignalKernel<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self { tiles, waves, mixed: WaveMixture { waves: [re, im], base }, signals } = self;
-        for (tile, signals) in tiles.chunks_exact(waves).zip(signals.chunks_mut(LANES)) {
-            let mut sums = [[0.0; LANES]; 2];
-            Real::two_sums(simd, &mut sums, [re, im], tile);
-            for (lane, signal) in signals.iter_mut().enumerate() {
-                *signal = [base[0][0] + sums[0][lane], base[1][0] + sums[1][lane]];
-            }
-        }
     }
 }

@@ -18,6 +18,7 @@ mod oracle;
 #[cfg(test)]
 mod tests;
 pub mod trunk;
+mod wave_mixture;
 mod wrfgs;
 mod wrfgs_branch;
 mod wrfgs_network;
