@@ -32,10 +32,10 @@ impl ShippedFile {
         all
     }
 
-    /// Returns the file of `folder` that is named `path`; `None` if `base` holds a file or folder of this name.
+    /// Returns the file of `folder` that is named `path`; `None` if `base` holds a file of this name.
     pub fn find(folder: &str, base: &Path, path: &Path) -> Option<&'static Self> {
         let found = inventory::iter::<Self>().find(|file| file.folder == folder && path.as_os_str() == file.name)?;
-        (!base.join(path).exists()).then_some(found)
+        (!base.join(path).is_file()).then_some(found)
     }
 
     /// Returns the text of the shipped file named `path`, or else of the file at `path`, of at most `limit` bytes.
@@ -101,7 +101,9 @@ mod tests {
     fn file_of_user_precedes_shipped_file() {
         let folder = tempfile::tempdir().unwrap();
         let find = || ShippedFile::find(ShippedFile::SCENES, folder.path(), Path::new("room"));
-        assert!(find().is_some());
+        std::fs::create_dir(folder.path().join("room")).unwrap();
+        assert!(find().is_some(), "a folder of this name does not hide it");
+        std::fs::remove_dir(folder.path().join("room")).unwrap();
         std::fs::write(folder.path().join("room"), "(name: \"mine\")").unwrap();
         assert!(find().is_none());
         let read = |path: &Path| ShippedFile::read(ShippedFile::SCENES, path, 100);

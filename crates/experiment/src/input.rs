@@ -30,7 +30,10 @@ pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline>
 
 /// Reads the pipeline in `path`, relative to `here`, or the shipped one of this name; unchanged, with absolute paths.
 pub(crate) fn read_base(here: &Path, path: &Path) -> Result<PipelineEdit> {
-    let path = ShippedFile::find(ShippedFile::PIPELINES, here, path).map_or_else(|| here.join(path), |_| path.into());
+    if let Some(file) = ShippedFile::find(ShippedFile::PIPELINES, here, path) {
+        return parse_base(&file.text(), path);
+    }
+    let path = here.join(path);
     parse_base(&pipeline_text(&path)?, &path)
 }
 

@@ -80,6 +80,10 @@ pub fn execute(
     session: &mut Session<'_>,
 ) -> Result<SweepEnd> {
     drop(plan.claim()?);
+    if let Some((pipeline, residuals)) = plan.joined.as_ref().and_then(|own| Some((own, own.residuals.as_ref()?))) {
+        // Members train without residuals, so none of them checks the data for it.
+        residuals.check_data(&load(pipeline, Path::new(""), session.observer)?.0, true)?;
+    }
     let jobs = jobs.clamp(1, runs.len().max(1));
     let pools = (0..jobs).map(|_| pool(jobs)).collect::<Result<Vec<_>>>()?;
     let (stop, page) = (session.stop, session.page);
@@ -174,11 +178,13 @@ impl Join<'_, '_> {
         let (mut ensemble, path) = (self.assemble()?, folder.file(MODEL_FILE));
         let bytes = file::ensemble_to_bytes(&ensemble);
         // Residual processes of the same members are kept.
-        let is_same = |kept: &Ensemble| file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes;
         if self.pipeline.residuals.is_some()
-            && let Some(kept) = file::read_ensemble(&path).ok().filter(is_same)
+            && let Ok(kept) = file::read_ensemble(&path)
         {
-            ensemble = kept;
+            let residuals = kept.residuals().cloned();
+            if file::ensemble_to_bytes(&kept.with_residuals(None)) == bytes {
+                ensemble = ensemble.with_residuals(residuals);
+            }
         }
         let bytes = file::ensemble_to_bytes(&ensemble);
         let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));

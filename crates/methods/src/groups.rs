@@ -197,10 +197,9 @@ pub(crate) fn untrained(
 
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.
 pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
-    let inputs = deformation.traits().inputs;
-    if inputs != 3 {
+    if data.features.is_some() {
         let all: Vec<Real> = train.iter().flat_map(|&i| data.query(i).features).copied().collect();
-        return deformation.start(Conditions::new(inputs, &all), network);
+        return deformation.start(Conditions::new(deformation.traits().inputs, &all), network);
     }
     let mut transmitters: Vec<usize> = train.iter().map(|&i| data.links[i].transmitter).collect();
     transmitters.dedup(); // links are in the order of their transmitters

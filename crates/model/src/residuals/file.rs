@@ -12,6 +12,9 @@ const PLACES: &str = "residuals.places";
 const VALUES: &str = "residuals.values";
 const UNITS: &str = "residuals.units";
 
+/// Smallest length scale (metres) and noise: distances relative to it stay finite.
+const LEAST: f64 = 1e-12;
+
 /// Settings of residual processes.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct ResidualsNote {
@@ -99,13 +102,13 @@ impl ProcessNote {
     /// Share, variance and correlation.
     fn fitted(&self) -> Result<(f64, f64, Correlation), String> {
         let Self { share, variance, correlation, scales_m, noise, .. } = *self;
-        let is_scale = |v: &f64| v.is_finite() && *v > 0.0;
+        let is_scale = |v: &f64| v.is_finite() && *v >= LEAST;
         if !((0.0..=1.0).contains(&share) && variance.is_finite() && variance >= 0.0) {
             return Err(format!("residuals: a share of {share} and a variance of {variance}"));
         }
         if !(scales_m.iter().all(is_scale) && is_scale(&noise)) {
             return Err(format!(
-                "residuals: length scales of {scales_m:?} m and noise of {noise}; all must be above 0"
+                "residuals: length scales of {scales_m:?} m and noise of {noise}, expected at least {LEAST:e}"
             ));
         }
         let [x, y, z] = scales_m;
