@@ -1,13 +1,10 @@
 //! `TimeBlock` and `Voxel`: hold out a block of the trajectory or whole cells of space.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part, transmitters};
+use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// Number of stretches of time in [`TimeBlock::units`].
-const STRETCHES: usize = 24;
 
 /// Split by time: the test set is a contiguous block of the sorted transmitter ids, with all links of each.
 ///
@@ -60,13 +57,6 @@ impl Split for TimeBlock {
         finish(data, train, validation, test.collect())
     }
 
-    /// Stretches of equal length.
-    fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
-        let transmitters = transmitters(data, links);
-        let length = transmitters.len().div_ceil(STRETCHES).max(1);
-        transmitters.chunks(length).map(|stretch| links_among(data, links, stretch)).collect()
-    }
-
     fn is_in_order(&self) -> bool {
         true
     }
@@ -87,11 +77,6 @@ impl Split for TimeBlock {
         }
         check_validation(self.validation)
     }
-}
-
-/// Those of `links` whose transmitter is in `stretch`; both are ascending.
-fn links_among(data: &Dataset, links: &[usize], stretch: &[usize]) -> Vec<usize> {
-    links.iter().copied().filter(|i| stretch.binary_search(&data.links[*i].transmitter).is_ok()).collect()
 }
 
 /// Split by space: whole cubic cells are drawn at random until the test share is reached. All links of a transmitter
