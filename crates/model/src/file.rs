@@ -186,7 +186,7 @@ fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     }
 }
 
-/// Reads a file with one model.
+/// Reads a file with one model, without its residual process.
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Input`] for a file that is incomplete, holds several models, or names plugins that are

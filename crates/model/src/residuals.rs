@@ -57,25 +57,25 @@ pub(crate) enum ResidualValues {
 }
 
 impl ResidualValues {
-    /// Rounds `[n, of_each]` numbers to 8 bits.
-    fn rounded(values: &[Real], of_each: usize) -> Self {
+    /// Rounds `[n, of_each]` numbers to 8 bits, with a unit per link.
+    fn rounded(values: &[Real], of_each: usize) -> (Vec<i8>, Vec<Real>) {
         let units: Vec<Real> = values.chunks_exact(of_each).map(|own| own.iter().fold(0.0, largest) / 127.0).collect();
         let short = |(own, unit): (&[Real], &Real)| -> Vec<i8> {
             let unit = if *unit > 0.0 { *unit } else { 1.0 };
             own.iter().map(|v| (v / unit).round().clamp(-127.0, 127.0) as i8).collect()
         };
-        Self::Short(values.chunks_exact(of_each).zip(&units).flat_map(short).collect(), units)
+        (values.chunks_exact(of_each).zip(&units).flat_map(short).collect(), units)
     }
 
     /// Appends numbers of the same kind.
     fn extend(&mut self, values: &[Real], of_each: usize) {
-        match (self, Self::rounded(values, of_each)) {
-            (Self::Exact(own), _) => own.extend_from_slice(values),
-            (Self::Short(own, of_own), Self::Short(more, units)) => {
+        match self {
+            Self::Exact(own) => own.extend_from_slice(values),
+            Self::Short(own, of_own) => {
+                let (more, units) = Self::rounded(values, of_each);
                 own.extend(more);
                 of_own.extend(units);
             }
-            (Self::Short(..), Self::Exact(_)) => unreachable!("rounded numbers are short"),
         }
     }
 

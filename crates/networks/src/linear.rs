@@ -104,27 +104,25 @@ pub struct LayoutBuilder {
 }
 
 impl LayoutBuilder {
-    fn push(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
+    fn add(&mut self, spec: WeightSpec) -> usize {
         let start = self.len;
-        let spec = WeightSpec::uniform(name, shape, bound);
         self.len += spec.len();
         self.tensors.push(spec);
         start
     }
 
-    /// Adds a tensor of zeros.
+    fn push(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
+        self.add(WeightSpec::uniform(name, shape, bound))
+    }
+
+    /// Adds a tensor of zeros. Returns its offset in the flat vector.
     pub fn zeros(&mut self, name: &str, shape: Vec<usize>) -> usize {
-        let spec = WeightSpec::zeros(name, shape);
-        self.len += spec.len();
-        self.tensors.push(spec);
-        self.len - self.tensors.last().map_or(0, WeightSpec::len)
+        self.add(WeightSpec::zeros(name, shape))
     }
 
-    /// Adds a tensor that follows from the training set and does not learn.
+    /// Adds a tensor that follows from the training set and does not learn. Returns its offset in the flat vector.
     pub fn fixed(&mut self, name: &str, shape: Vec<usize>) -> usize {
-        let start = self.zeros(name, shape);
-        self.tensors.iter_mut().next_back().expect("just added").fixed = true;
-        start
+        self.add(WeightSpec { fixed: true, ..WeightSpec::zeros(name, shape) })
     }
 
     /// Adds a layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.

@@ -143,10 +143,9 @@ impl LearnableMask {
         if context.target.is_none() {
             return self.threshold;
         }
-        let mut sorted = masks.to_vec();
-        sorted.sort_by(|a, b| b.total_cmp(a));
-        let last = context.next_quota(masks.len()).checked_sub(1).and_then(|last| sorted.get(last));
-        last.map_or(self.threshold, |last| last.min(self.threshold))
+        let Some(last) = context.next_quota(masks.len()).checked_sub(1) else { return self.threshold };
+        let lowest_kept = *masks.to_vec().select_nth_unstable_by(last, |a, b| b.total_cmp(a)).1;
+        lowest_kept.min(self.threshold)
     }
 
     /// Returns the factor on λ: 1 without a target; with one, the share still open of those that the next prune step

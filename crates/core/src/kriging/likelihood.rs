@@ -89,9 +89,9 @@ fn products(values: &[Vec<Real>]) -> Vec<f64> {
 impl HeldOutCase {
     /// Distance from the predicted sample to its median neighbour, metres.
     fn reach_m(&self) -> f64 {
-        let in_space = |[x, y, z, _]: Place| [x, y, z];
+        let position = |[x, y, z, _]: Place| [x, y, z];
         let middle = self.places.get(self.places.len() / 2);
-        middle.map_or(0.0, |place| neighbours::distance(in_space(*place), in_space(self.at)))
+        middle.map_or(0.0, |place| neighbours::distance(position(*place), position(self.at)))
     }
 
     /// Squared prediction error, summed over values, and the variance predicted by the process.

@@ -221,14 +221,10 @@ impl<'a> Samples<'a> {
         Ok(Self { known, places, of_each: grid.len(), is_exact: grid.stride == 1, observed, predicted })
     }
 
-    fn of(&self, all: &[Real], k: usize) -> Vec<Real> {
-        all[k * self.of_each..][..self.of_each].to_vec()
-    }
-
     /// Residuals of known link `k` from `share` times a prediction.
     fn residual(&self, k: usize, share: f64, predicted: &[Real]) -> Vec<Real> {
         let share = share as Real;
-        self.of(&self.observed, k).iter().zip(predicted).map(|(y, f)| y - share * f).collect()
+        self.observed[k * self.of_each..][..self.of_each].iter().zip(predicted).map(|(y, f)| y - share * f).collect()
     }
 
     /// Mean prediction of all members for known link `k`.
@@ -282,7 +278,8 @@ impl<'a> Samples<'a> {
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
-            ResidualValues::rounded(&residuals, self.of_each)
+            let (short, units) = ResidualValues::rounded(&residuals, self.of_each);
+            ResidualValues::Short(short, units)
         };
         let places = own.iter().map(|&k| self.places[k]).collect();
         Some(ResidualProcess::new((share, variance, correlation), places, values))
