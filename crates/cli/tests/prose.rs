@@ -29,6 +29,7 @@ const COMMANDS: &[&str] = &[
     "run",
     "simulate",
     "sweep",
+    "update",
     "view",
 ];
 

@@ -135,7 +135,7 @@ fn update_adds_measurements_and_refuses_other_data() {
 
     refuse(here, &update(model, "data", "new.safetensors"), 2, &["new.safetensors exists"]);
     refuse(here, &update("plain/model.safetensors", "data", "no"), 2, &["has no residual process", "Kriged()"]);
-    refuse(here, &update(model, "r", "no"), 2, &["not a data folder"]);
+    refuse(here, &update(model, "r", "no"), 2, &["no known layout of data"]);
     let pose = here.join("data/gateway_info.yml");
     let text = std::fs::read_to_string(&pose).unwrap();
     write(&pose, text.replace("position: [0.0,", "position: [0.5,"));

@@ -116,7 +116,7 @@ fn data_check_reports_layout_and_digests() {
     let check = |name: &str| stdout(&succeed(here, &["data", "check", shared.join(name).to_str().unwrap()]));
     for (name, files) in [("s23", 3), ("ble", 3), ("newrf", 2)] {
         let text = check(name);
-        assert!(text.contains(&format!("digests: {files} of {files} files equal those of")), "{text}");
+        assert!(text.contains(&format!("digests: {files} of {files} files equal the ")), "{text}");
     }
     // A changed file.
     for name in ["gateway_position.yml", "gateway_rssi.csv", "tx_pos.csv"] {
@@ -126,7 +126,7 @@ fn data_check_reports_layout_and_digests() {
     }
     let text = stdout(&succeed(here, &["data", "check", "ble"]));
     assert!(
-        text.contains("digests: 2 of 3 files equal those of BLE") && text.contains("tx_pos.csv            differs: "),
+        text.contains("digests: 2 of 3 files equal the BLE files") && text.contains("tx_pos.csv            differs: "),
         "{text}"
     );
 }

@@ -1,5 +1,6 @@
 //! `pwrfgs update`: adds new measurements to the residual process of a trained model.
 
+use super::init::unknown_folder;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
@@ -39,8 +40,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
         let what = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
         return Err(Error::input(&arguments.model, what));
     };
-    let source = recognise(&arguments.data)
-        .ok_or_else(|| Error::input(&arguments.data, "not a data folder; give a layout of docs/data.md"))?;
+    let source = recognise(&arguments.data).ok_or_else(|| unknown_folder(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
     let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
     let ready = model.prepare();

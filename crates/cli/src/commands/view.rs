@@ -25,9 +25,10 @@ ON THE PAGE
   room         drag to rotate, scroll to zoom
   slider       selects a snapshot of the training, from the start over each prune step to the end;
                new snapshots of a run in progress appear
-With --save, it writes a page that needs no server: for spectra, single models up to 1 MB predict in
-it, others show up to 50 stored predictions. Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
+Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
 in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
+With --save, it writes a page that needs no server. Single models of spectra up to 1 MB predict in
+it; for other models of spectra, it shows up to 50 stored predictions.
 
 EXAMPLES
   pwrfgs view runs/quickstart
@@ -70,7 +71,8 @@ fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
     let (page, predicts) = made?;
     write_atomically(file, page.as_bytes())?;
-    let content = if predicts { "the model predicts in the page" } else { "the page shows stored observations" };
+    let content =
+        if predicts { "the model predicts in the page" } else { "the page contains stored data and does not predict" };
     verbosity.note(&format!("{content}: {}", file.display()));
     Ok(())
 }

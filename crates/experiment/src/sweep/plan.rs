@@ -290,8 +290,8 @@ impl PlannedRun {
     }
 }
 
-/// Gives all `runs` the same split, or each a fold of it if `residuals` are predicted, and returns the pipeline that scores their joined model `name`. Only that model is
-/// compared with baselines.
+/// Gives all `runs` the same split, or each a fold of it if `residuals` are predicted, and returns the pipeline that
+/// scores their joined model `name`. Only that model is compared with baselines.
 ///
 /// # Errors
 /// Runs whose models cannot be joined.
