@@ -40,7 +40,7 @@ const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
         Readout::MinMax,
     ),
     (
-        "Factored(width: 12, position_encoding: Waves(count: 5, reach: 3))",
+        "Factored(width: 12, position_encoding: Waves(count: 5, reach: 3), near: (count: 7, length_m: 1.5))",
         "Mercator()",
         "ArrayResponse(rows: 3, columns: 2, spacing_wavelengths: 0.7, wavefront: Spherical(wavelength_m: 0.9))",
         Physical,
@@ -91,7 +91,7 @@ fn cloud() -> GaussianCloud {
     cloud
 }
 
-/// A model with the weights that training would start from.
+/// A model with the weights that training would start from; those of `near` are random, since they start from 0.
 fn model(
     (deformation, projector, rasterizer, calibration, readout): (&str, &str, &str, Calibration, Readout),
 ) -> Model {
@@ -105,7 +105,16 @@ fn model(
         readout,
     };
     let stages = Stages::new(splatting, setup);
-    let weights: Vec<Real> = stages.layout().init(&mut rng::stream(1, "weights", 0));
+    let (layout, mut random) = (stages.layout(), rng::stream(2, "near", 0));
+    let mut weights: Vec<Real> = layout.init(&mut rng::stream(1, "weights", 0));
+    let mut rest = weights.as_mut_slice();
+    for spec in &layout.weights {
+        let (own, others) = rest.split_at_mut(spec.len());
+        if spec.name.contains("near.") {
+            own.fill_with(|| rng::normal(&mut random));
+        }
+        rest = others;
+    }
     Model { stages, cloud: cloud(), weights, training_positions: None }
 }
 
