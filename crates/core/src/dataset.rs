@@ -143,6 +143,36 @@ impl Dataset {
         })
     }
 
+    /// Returns the data set of these links, in ascending order without repetition. Scene and bounds are those of all
+    /// links.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if there are no links, or they are not in ascending order; [`Error::Read`] of a spectrum.
+    pub fn subset(&self, links: &[usize]) -> Result<Self> {
+        if links.is_empty() || !links.is_sorted_by(|a, b| a < b) || links[links.len() - 1] >= self.len() {
+            let what = "links of a subset: give at least one, in ascending order without repetition";
+            return Err(Error::Config(what.into()));
+        }
+        let samples: Vec<Sample> = links.iter().map(|&i| self.sample(i)).collect();
+        let observations = self.observations.subset(links)?;
+        let receivers = self.scene.receivers.clone();
+        let features = self
+            .features
+            .as_ref()
+            .map(|own| Features { width: own.width, values: links.iter().flat_map(|&i| own.of(i)).copied().collect() });
+        let place = |all: &Vec<usize>| all.iter().filter_map(|i| links.binary_search(i).ok()).collect::<Vec<_>>();
+        let official = self.official.as_ref().map(|(train, test)| (place(train), place(test)));
+        Ok(Self {
+            scene: self.scene.clone(),
+            elevation: self.elevation,
+            features,
+            placed: self.placed,
+            official: official.filter(|(train, test)| !train.is_empty() && !test.is_empty()),
+            simulation: self.simulation.clone(),
+            ..Self::of_links(self.title.clone(), receivers, vec![], &samples, observations)?
+        })
+    }
+
     /// Returns the number of links L: one per transmitter for a single receiver.
     pub fn len(&self) -> usize {
         self.links.len()

@@ -264,6 +264,25 @@ impl Observations {
         }
     }
 
+    /// Returns the observations of `links`, in memory.
+    ///
+    /// # Errors
+    /// [`Error::Read`] of a spectrum.
+    pub(crate) fn subset(&self, links: &[usize]) -> Result<Self> {
+        Ok(match self {
+            Self::Pictures(all) => {
+                let bytes = links.iter().flat_map(|&i| all.raw(i).into_owned()).collect();
+                all.check()?;
+                Spectra::in_memory(self.size(), all.number(), bytes)?.into()
+            }
+            Self::Powers(all) => Self::Powers(links.iter().map(|&i| all[i]).collect()),
+            Self::Channels(all) => {
+                let gains = links.iter().flat_map(|&i| all.of(i)).copied().collect();
+                Channels { antennas: all.antennas, frequencies_hz: all.frequencies_hz.clone(), gains }.into()
+            }
+        })
+    }
+
     /// Returns the spectra; `None` for other types.
     pub fn spectra(&self) -> Option<&Spectra> {
         if let Self::Pictures(spectra) = self { Some(spectra) } else { None }
