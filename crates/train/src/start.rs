@@ -9,8 +9,8 @@ use crate::plan::{
 };
 use crate::trainer::Trainer;
 use pwrfgs_core::{
-    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Partition, Progress, Real, Result, rng,
-    rng::Rng,
+    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Partition, Phase, Progress, Real, Result,
+    rng, rng::Rng,
 };
 use pwrfgs_model::Stages;
 use std::sync::atomic::AtomicBool;
@@ -127,6 +127,48 @@ impl<'a> Trainer<'a> {
             ));
         }
         Ok(blank)
+    }
+
+    /// Replaces the Gaussians. Columns of pruners may be absent: with the same number of Gaussians, they keep their
+    /// values, otherwise they start anew. The same holds for moments, statistics and IDs.
+    ///
+    /// # Errors
+    /// [`Error::Config`] without Gaussians, for a number that is not finite, for an unknown column or another width, and
+    /// for fewer Gaussians than an exact target.
+    pub fn set_cloud(&mut self, mut cloud: GaussianCloud) -> Result<()> {
+        let (n, is_same) = (cloud.len(), cloud.len() == self.cloud.len());
+        let refuse = |what: String| Err(Error::Config(format!("cloud: {what}")));
+        if n == 0 || !self.stages.method.traits().has_gaussians() {
+            return refuse(
+                "0 Gaussians, or a method without Gaussians; give at least one Gaussian to a method with them".into(),
+            );
+        }
+        if let Some((name, ..)) = cloud.columns().find(|(_, _, values)| !values.iter().all(|v| v.is_finite())) {
+            return refuse(format!("column `{name}` has a number that is not finite; give finite numbers"));
+        }
+        if let Some(what) = too_many(&self.plan, n).filter(|_| self.phase(self.done + 1) != Phase::Finetune) {
+            return refuse(what);
+        }
+        for own in &cloud.extra {
+            if self.cloud.extra(&own.name).is_none_or(|known| known.width != own.width) {
+                return refuse(format!("unknown column `{}` of width {}; leave it out", own.name, own.width));
+            }
+        }
+        let initial = |name: &str| self.specs.iter().find(|spec| spec.name == name).map_or(0.0, |spec| spec.init);
+        let column = |known: &ExtraColumn| match cloud.extra(&known.name) {
+            Some(own) => own.clone(),
+            None if is_same => known.clone(),
+            None => ExtraColumn { values: vec![initial(&known.name); n * known.width], ..known.clone() },
+        };
+        cloud.extra = self.cloud.extra.iter().map(column).collect();
+        if !is_same {
+            self.adam.cloud = Adam::new(&cloud, &[]).cloud;
+            self.stats = CloudStats::zeros(n);
+            let next = self.gaussian_ids.next;
+            self.gaussian_ids = GaussianIds { of: (next..next + n as u32).collect(), next: next + n as u32 };
+        }
+        self.cloud = cloud;
+        Ok(())
     }
 
     /// Sets the initial parameters; weights come from the initialiser if it has some.

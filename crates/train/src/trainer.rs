@@ -8,7 +8,7 @@ use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::Objective;
 use crate::plan::{PruneTarget, TrainingPlan, contexts};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Phase, Real, Result, StepContext, rng,
+    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Real, Result, StepContext, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
 use std::ops::Range;
@@ -100,6 +100,11 @@ impl Trainer<'_> {
         &self.cloud
     }
 
+    /// Returns the origin of the positions of the Gaussians, in the user's frame.
+    pub fn origin(&self) -> Origin {
+        self.stages.origin
+    }
+
     /// Returns the persistent ID per Gaussian, `[N]`. A copy has a new ID.
     pub fn gaussian_ids(&self) -> &[u32] {
         &self.gaussian_ids.of
@@ -145,6 +150,11 @@ impl Trainer<'_> {
         }
         self.retain_rows(keep);
         Ok(())
+    }
+
+    /// Replaces the loss of the pipeline. Checkpoints do not contain it.
+    pub fn set_objective(&mut self, objective: Box<dyn Objective>) {
+        self.objective = objective;
     }
 
     /// Returns the phase of algorithm 1 at `step`.
