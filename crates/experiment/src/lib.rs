@@ -44,7 +44,7 @@ pub use paired::Paired;
 pub use record::Record;
 pub use repeatability::{Repeatability, repeatability};
 pub use run_folder::RunFolder;
-pub use runner::{RunOutcome, run};
+pub use runner::{RunOutcome, run, score_model};
 pub use samples::TestSamples;
 pub use scores::{CEILING, ScoreTable, Scores};
 pub use session::{LoadedRun, NoopObserver, Observer, PageBuilder, Session, Start, Validation, staged};

@@ -1,8 +1,8 @@
 //! `run`: trains, evaluates and reports a pipeline; resumes earlier starts.
 
-use crate::evaluate::{evaluate, validation_baselines};
+use crate::evaluate::{check_alike, evaluate, validation_baselines};
 use crate::facts::Facts;
-use crate::folder::MODEL_FILE;
+use crate::folder::{CURVE, MODEL_FILE};
 use crate::input::prepared;
 use crate::journal::Journal;
 use crate::load::load;
@@ -12,7 +12,7 @@ use crate::run_folder::{RunFolder, RunState};
 use crate::scores::ScoreTable;
 use crate::session::Session;
 use crate::training::{Training, trainer};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::Trainer;
@@ -51,6 +51,31 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
             return Ok(end);
         }
     }
+}
+
+/// Scores a `model` that no run has trained, as a run of `pipeline` in the new folder `out`: with scores and report, but
+/// without a training curve.
+///
+/// # Errors
+/// As [`run`]; a folder that holds another run.
+pub fn score_model(
+    model: &Ensemble,
+    pipeline: &Pipeline,
+    (base, out): (&Path, &Path),
+    session: &mut Session<'_>,
+) -> Result<RunOutcome> {
+    let resolved = prepared(pipeline, base)?;
+    check_alike(&model.prepare(), &load(&resolved, base, session.observer)?.0)?; // before files are written
+    let folder = RunFolder::claim(out, &resolved)?;
+    let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
+    let has_same = || files::if_found(&path, files::read(&path)).map(|held| held.is_some_and(|held| held == bytes));
+    if !folder.is_new() && !folder.settle(has_same())? {
+        let what = "holds another run; choose another folder or remove it";
+        return Err(Error::input(out, what));
+    }
+    folder.settle(files::write_atomically(&path, &bytes))?;
+    drop(folder);
+    run(pipeline, base, out, session)
 }
 
 /// Result of the run; `None` if another process has claimed it meanwhile, and the state must be read again.
@@ -132,12 +157,19 @@ fn complete<'a>(
     session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.task().counted[1]));
     let scored = evaluate(&model, pipeline, data, partition, session)
         .and_then(|found| Ok((found, validation_baselines(model.plane(), pipeline, data, partition, session)?)));
-    let (found, baselines) = match scored {
+    let (mut found, baselines) = match scored {
         Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
         scored => scored?,
     };
     facts.validation_baselines = baselines;
-    facts.steps = pipeline.training.steps;
+    if folder.file(CURVE).is_file() {
+        facts.steps = pipeline.training.steps;
+    } else {
+        // `score_model`: nothing is known of the training.
+        let table = &mut found.0.table;
+        (table.samples[0], table.trained_elsewhere) = (0, true);
+        table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
+    }
     facts.wall_seconds += begun.elapsed().as_secs_f64();
     if pipeline.tensorboard {
         Journal::open(folder, pipeline, data.task(), pipeline.training.steps)?.scores(&found.0.table)?;

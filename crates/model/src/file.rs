@@ -207,7 +207,11 @@ pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
     from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
 }
 
-fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
+/// Reads the bytes of a file.
+///
+/// # Errors
+/// The message names the fault.
+pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
     let Head { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
