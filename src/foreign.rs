@@ -1,22 +1,24 @@
 //! Strategies written in Python, as recorded in a pipeline: [`Python`].
 //!
 //! The Python package sets a [`Host`] that can run them. Programs without a host can read and report such a pipeline
-//! and predict with its model; training, and splits or scores by Python classes, are errors.
+//! and predict with its model; training, and splits or scores by Python classes, are errors. A network in Python is an
+//! exception: it is part of the model, so only the host can read its pipeline and its model.
 
 use pwrfgs_core::tape::{TraceScalar, TracedCloud};
 use pwrfgs_core::{
-    Baseline, CloudStats, Dataset, Error, Evaluation, FittingSet, Gate, GaussianCloud, ImagePlane, Initializer,
-    InitializerInput, JsonSchema, Measurement, Metric, Needs, Partition, Predict, Pruner, PrunerTraits, Real, Result,
-    Scene, Split, StepContext, Task, rng::Rng,
+    Baseline, Cache, CloudStats, Conditions, Dataset, Deformation, DeformationInputs, DeformationTraits, Deltas, Error,
+    Evaluation, FittingSet, Gate, GaussianCloud, ImagePlane, Initializer, InitializerInput, JsonSchema, Layout,
+    Measurement, Metric, Needs, Partition, Predict, Pruner, PrunerTraits, Real, Result, Scene, Split, StepContext,
+    Task, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
 
-/// Python class used by a run, as recorded in the run folder: a pruner, initializer, split, baseline or metric. The
-/// Python package writes this text for an object, and recreates the object from it when a run is resumed.
+/// Python class used by a run, as recorded in the run folder: a pruner, initializer, split, baseline, metric or network.
+/// The Python package writes this text for an object, and recreates the object from it when a run is resumed.
 ///
 /// Folders of such runs can be reported, and their models predict, in any program; only the Python package can train
-/// them.
+/// them, and predict with a network of this kind.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Pruner};
@@ -55,6 +57,9 @@ pub trait Host: Send + Sync {
     /// # Errors
     /// Same as [`Self::pruner`].
     fn metric(&self, which: &Python) -> Result<Arc<dyn Metric>>;
+    /// # Errors
+    /// Same as [`Self::pruner`].
+    fn deformation(&self, which: &Python) -> Result<Arc<dyn Deformation>>;
 }
 
 static HOST: OnceLock<Box<dyn Host>> = OnceLock::new();
@@ -78,6 +83,10 @@ impl Python {
 
     fn as_pruner(&self) -> Option<Arc<dyn Pruner>> {
         self.host().and_then(|host| host.pruner(self)).ok()
+    }
+
+    fn as_deformation(&self) -> Result<Arc<dyn Deformation>> {
+        self.host()?.deformation(self)
     }
 }
 
@@ -166,5 +175,45 @@ impl Metric for Python {
 
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         self.host()?.metric(self)?.evaluate(evaluation)
+    }
+}
+
+/// [`Deformation::check`] rejects a pipeline or model whose class is unavailable, so the network exists whenever it is
+/// used.
+#[typetag::serde]
+impl Deformation for Python {
+    fn traits(&self) -> DeformationTraits {
+        self.as_deformation().map(|own| own.traits()).unwrap_or_default()
+    }
+
+    fn layout(&self) -> Layout {
+        self.as_deformation().map(|own| own.layout()).unwrap_or_default()
+    }
+
+    fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
+        self.as_deformation().map(|own| own.forward(inputs, prepared)).unwrap_or_default()
+    }
+
+    fn vjp(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        d_means: Option<&mut [[Real; 3]]>,
+    ) {
+        if let Ok(own) = self.as_deformation() {
+            own.vjp(inputs, d, d_weights, d_means);
+        }
+    }
+
+    fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
+        if let Ok(own) = self.as_deformation() {
+            own.start(training, weights);
+        }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        // Without a module, the default value: no network.
+        if self.module.is_empty() { Ok(()) } else { self.as_deformation().map(drop).map_err(|why| why.to_string()) }
     }
 }

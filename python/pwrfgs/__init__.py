@@ -8,7 +8,7 @@ A prediction in three lines:
 
 Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lambda_=0.02)``; enums of settings are in
 ``pwrfgs.settings``, such as ``pwrfgs.settings.Rays.Same(400)``. Custom strategies derive from ``pwrfgs.Pruner``,
-``Initializer``, ``Split``, ``Baseline`` and ``Metric``.
+``Initializer``, ``Split``, ``Baseline``, ``Metric`` and ``Deformation``.
 """
 
 from __future__ import annotations
@@ -21,31 +21,33 @@ from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
 from ._pwrfgs import Dataset, Model, __version__
-from ._run import Run, SweepError, Trainer, report, run, simulate, sweep
-from ._strategies import Baseline, Initializer, Metric, Pruner, Split
-from ._types import Cloud, Column, Gaussians, Links, StepContext, Partition, Pose, Receiver, Room, Splats, Stats
+from ._run import Run, evaluate, report, run, simulate
+from ._strategies import Baseline, Deformation, Initializer, Metric, Pruner, Split
+from ._sweep import SweepError, sweep
+from ._trainer import Trainer
+from ._types import Cloud, Column, Gaussians, Links, Partition, Pose, Receiver, Room, Sample, Splats, Stats, StepContext
 from ._values import Value
 from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
-    "Baseline", "Cloud", "Column", "Dataset", "Error", "Gaussians", "Initializer", "InputError", "Links", "Metric", "Model",
-    "StepContext", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "SweepError", "Trainer",
-    "Value", "__version__", "baselines", "datasets", "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
-    "report", "run", "settings", "simulate", "sweep",
+    "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Gaussians", "Initializer", "InputError", "Links",
+    "Metric", "Model", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Sample", "Splats", "Split",
+    "Stats", "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "datasets", "evaluate", "metrics",
+    "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate", "sweep",
 ]
 __all__ += _plugins.__all__
 
 
 if TYPE_CHECKING:  # to checkers a module with `__getattr__` would have every name
-    from . import torch as torch
+    from . import sklearn as sklearn, torch as torch
 else:
 
     def __getattr__(name: str) -> Any:
-        if name == "torch":  # only where torch is
+        if name in ("sklearn", "torch"):  # only where they are
             import importlib
 
-            return importlib.import_module("pwrfgs.torch")
+            return importlib.import_module(f"pwrfgs.{name}")
         from ._values import CLASSES, unknown
 
         known = [*__all__, *map(str, CLASSES)]

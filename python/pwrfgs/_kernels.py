@@ -37,12 +37,13 @@ def project(
     projector : a projector such as ``pwrfgs.Mercator()``, or its name
     """
     splats: Splats = _pwrfgs.project(
-        means, quats, scales, opacities, _pose(pose), height, width, projector, elevation_deg
+        means, quats, scales, opacities, as_pose(pose), height, width, projector, elevation_deg
     )
     return splats
 
 
-def _pose(pose: Any) -> Any:
+def as_pose(pose: Any) -> Tuple[Tuple[float, ...], Tuple[float, ...]]:
+    """Position and orientation of a pose in any form."""
     if isinstance(pose, Receiver):
         pose = (pose.position, pose.orientation)
     try:
@@ -107,7 +108,7 @@ def rasterize_with_vjp(
     if waves:
         signals = np.stack([signals.real, signals.imag], axis=-1).astype(real)
     drawing = _pwrfgs.draw(
-        means, quats, scales, opacities, signals, _pose(pose), height, width, projector, rasterizer, elevation_deg
+        means, quats, scales, opacities, signals, as_pose(pose), height, width, projector, rasterizer, elevation_deg
     )
     picture: Array = drawing.image
     if waves:
@@ -123,3 +124,20 @@ def rasterize_with_vjp(
         return means_, quats_, scales_, opacities_, signals_
 
     return picture, vjp
+
+
+def pose_vjp(means: Array, quats: Array, pose: Any, d_means: Array, d_quats: Array) -> Tuple[Array, Array]:
+    """Gradients of position [3] and orientation [4] of the receiver, given those of the Gaussians.
+
+    An image depends only on the Gaussians in the frame of the receiver: to move the receiver is to move all Gaussians the
+    other way. A turn of the receiver by a small vector δ in world axes turns means about the receiver, and quats, by -δ;
+    the orientation q changes by ½ δ q, which gives the gradient across q. The length of q has no effect.
+    """
+    position, orientation = (np.asarray(part, np.float64) for part in pose)
+    means, quats, d_means, d_quats = (np.asarray(part, np.float64) for part in (means, quats, d_means, d_quats))
+    torque = -np.cross(means - position, d_means).sum(axis=0)
+    w, v, d_w, d_v = quats[:, :1], quats[:, 1:], d_quats[:, :1], d_quats[:, 1:]
+    torque -= 0.5 * (w * d_v - d_w * v + np.cross(v, d_v)).sum(axis=0)
+    v, w = orientation[:3], orientation[3]
+    d_orientation = 2.0 * np.append(w * torque + np.cross(torque, v), -torque @ v) / (orientation @ orientation)
+    return -d_means.sum(axis=0), d_orientation

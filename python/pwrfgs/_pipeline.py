@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, Dict, List, Mapping, Optional, Tuple, Union
 
 from . import _pwrfgs
 from ._errors import InputError
+from ._fields import PipelineFields
 from ._values import from_ron, own, to_ron, unknown
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
@@ -25,7 +26,7 @@ def without_comments(text: str) -> str:
     return re.sub(r"\A(?:\s+|//[^\n]*|/\*.*?\*/|#!\[[^\]]*\])*", "", text, flags=re.DOTALL)
 
 
-class Pipeline:
+class Pipeline(PipelineFields):
     """All settings of a run: data, split, initialiser, pruners, training, baselines and metrics.
 
     ``Pipeline("my.ron")`` reads a file, ``Pipeline("quickstart")`` a pipeline of the package (``pwrfgs pipelines`` lists them),
@@ -97,17 +98,19 @@ class Pipeline:
         """Base folder of relative paths."""
         return os.fspath(self._inner.folder)
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        value = from_ron(self._inner.text())
-        own(value, self, "")
-        return getattr(value, name)
+    if not TYPE_CHECKING:  # a checker would take every name for a field; `_fields.pyi` has those that are there
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name not in self._field_names():
-            raise AttributeError(unknown("Pipeline", name, self._field_names()))
-        self.set({name: value})
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("_"):
+                raise AttributeError(name)
+            value = from_ron(self._inner.text())
+            own(value, self, "")
+            return getattr(value, name)
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            if name not in self._field_names():
+                raise AttributeError(unknown("Pipeline", name, self._field_names()))
+            self.set({name: value})
 
     def _field_names(self) -> List[str]:
         fields: Dict[str, Any] = from_ron(self._inner.text())._fields

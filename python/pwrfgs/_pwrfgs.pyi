@@ -10,7 +10,9 @@ from typing import (
     Callable,
     Dict,
     Iterable,
+    Iterator,
     List,
+    Mapping,
     Literal,
     Optional,
     Sequence,
@@ -19,14 +21,15 @@ from typing import (
     Type,
     Union,
     final,
+    overload,
 )
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import TypeAlias
 
-from ._strategies import Baseline, Metric, Split
-from ._types import Cloud, Gaussians, Partition, Receiver, Splats, Stats
+from ._strategies import Baseline, Deformation, Metric, Split
+from ._types import Cloud, Gaussians, Partition, Receiver, Sample, Splats, Stats
 from ._values import Value
 
 _Path: TypeAlias = Union[str, os.PathLike[str]]
@@ -95,11 +98,44 @@ class Dataset:
     @property
     def _source(self) -> Optional[str]: ...
     def __len__(self) -> int: ...
+    @overload
+    def __getitem__(self, index: Union[int, np.integer[Any]], /) -> Sample: ...
+    @overload
+    def __getitem__(self, index: Union[slice, Sequence[int], NDArray[Any]], /) -> Dataset: ...
+    def __iter__(self) -> Iterator[Sample]: ...
+    def subset(self, links: Union[slice, ArrayLike]) -> Dataset: ...
+    @staticmethod
+    def _restore(state: Dict[str, Any]) -> Dataset: ...
+    def __reduce__(self) -> Tuple[Any, ...]: ...
+    def _repr_html_(self) -> str: ...
 
 @final
 class Model:
     @staticmethod
     def load(*paths: _Path) -> Model: ...
+    @staticmethod
+    def from_arrays(
+        means: ArrayLike,
+        quats: ArrayLike,
+        scales: ArrayLike,
+        opacities: ArrayLike,
+        signals: ArrayLike,
+        pose: Union[_Pose, Receiver],
+        height: int = 90,
+        width: int = 360,
+        *,
+        projector: Optional[_Plugin] = None,
+        rasterizer: Optional[_Plugin] = None,
+        readout: Optional[Union[Value, str]] = None,
+        deformation: Optional[Union[_Plugin, Deformation]] = None,
+        weights: Optional[Mapping[str, ArrayLike]] = None,
+        elevation_deg: Sequence[float] = (0.0, 90.0),
+        tx: Optional[ArrayLike] = None,
+    ) -> Model: ...
+    @staticmethod
+    def _from_bytes(bytes: bytes) -> Model: ...
+    def __reduce__(self) -> Tuple[Any, ...]: ...
+    def _repr_html_(self) -> str: ...
     # `Any` in what these two give: one power of one receiver is a float.
     def predict(
         self,
@@ -125,6 +161,8 @@ class Model:
     @property
     def bytes(self) -> int: ...
     @property
+    def training_positions(self) -> Optional[NDArray[np.float64]]: ...
+    @property
     def members(self) -> List[str]: ...
     @property
     def receivers(self) -> List[str]: ...
@@ -148,7 +186,15 @@ class Pipeline:
 
 @final
 class Trainer:
-    def __new__(cls, pipeline: Pipeline, dataset: Dataset) -> Trainer: ...
+    def __new__(
+        cls,
+        pipeline: Pipeline,
+        dataset: Dataset,
+        train: Optional[ArrayLike] = None,
+        loss: Optional[Callable[[Any, Any], Any]] = None,
+        checkpoint: Optional[_Path] = None,
+    ) -> Trainer: ...
+    def set_cloud(self, columns: Dict[str, NDArray[Any]], is_world: bool) -> None: ...
     def step(self) -> _Event: ...
     def prune(self, keep: ArrayLike) -> int: ...
     def model(self) -> Model: ...
@@ -170,6 +216,15 @@ class Drawing:
     @property
     def transmittance(self) -> Optional[NDArray[np.float32]]: ...
 
+def model_of(
+    cloud: Dict[str, NDArray[Any]],
+    method: str,
+    weights: Optional[Dict[str, NDArray[Any]]],
+    receiver: Tuple[str, Sequence[float], Sequence[float]],
+    size: Tuple[int, int],
+    elevation_deg: Sequence[float],
+    tx: Optional[NDArray[Any]],
+) -> Model: ...
 def project(
     means: ArrayLike,
     quats: ArrayLike,
@@ -197,6 +252,7 @@ def draw(
 def pipeline_text(path: _Path) -> str: ...
 def program(arguments: Sequence[str]) -> int: ...
 def run(pipeline: Pipeline, out: _Path, send_event: Callable[[_Event], Any]) -> bool: ...
+def score(model: Model, pipeline: Pipeline, out: _Path, send_event: Callable[[_Event], Any]) -> None: ...
 def facts(folder: _Path) -> Tuple[str, Optional[Dict[str, Dict[str, Any]]], Optional[str]]: ...
 def measure(
     metric: Union[_Plugin, Metric],

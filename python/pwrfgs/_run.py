@@ -1,9 +1,8 @@
-"""`run` and its result `Run`; `Trainer`, `simulate`, `sweep` and `report`."""
+"""`run` and its result `Run`; `evaluate`, `simulate` and `report`."""
 
 from __future__ import annotations
 
 import csv
-import html
 import json
 import os
 import sys
@@ -12,10 +11,11 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
-from . import _pwrfgs, _strategies
+from . import _html, _pwrfgs, _strategies
 from ._errors import InputError, missing
+from ._log import event as log_event
 from ._pipeline import Pipeline, is_text
-from ._types import Array, Cloud, Stats
+from ._types import Array
 from ._values import KINDS, from_ron, plugin_text, to_ron
 
 PathLike = Union[str, "os.PathLike[str]"]
@@ -118,7 +118,7 @@ class Run:
         return f"{self!r}\n{text}" if text else repr(self)
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
+        return _html.run(str(self), lambda: self.model, self.finished)
 
 
 def _rows(path: str) -> List[Dict[str, str]]:
@@ -284,6 +284,31 @@ def run(
     return Run(folder)
 
 
+def evaluate(
+    model: "_pwrfgs.Model",
+    pipeline: Any,
+    out: Optional[PathLike] = None,
+    callback: Optional[Callable[[Event], Any]] = None,
+    *,
+    progress: bool = True,
+) -> Run:
+    """Score a model that you trained or made yourself, such as ``trainer.model()`` or ``Model.from_arrays(..)``.
+
+    The new run folder ``out`` (default ``runs/NAME``) has model, scores and report, like that of ``run``, but no training
+    curve. Data, split, baselines and metrics are those of the pipeline; its training settings have no effect, and the
+    report says so. The same call with the same model opens the folder again.
+    """
+    chosen = Pipeline(pipeline)
+    _strategies.check(chosen)
+    folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
+    bar = _Progress(progress)
+    try:
+        _pwrfgs.score(model, chosen._inner, folder, _listener(bar, callback))
+    finally:
+        bar.close()
+    return Run(folder)
+
+
 def _named(field: str, strategy: Any) -> Any:
     """Convert a value for a field: names become values; a plugin must be of the kind of the field."""
     kind = _strategies.FIELDS[field]
@@ -311,62 +336,12 @@ def _refuse_twice(there: List[Any], more: List[Any]) -> None:
 
 def _listener(bar: _Progress, callback: Optional[Callable[[Event], Any]]) -> Callable[[Event], None]:
     def hear(event: Event) -> None:
+        log_event(event)
         bar.hear(event)
         if callback is not None:
             callback(event)
 
     return hear
-
-
-class Trainer:
-    """Custom training loop: call ``step()`` until ``finished``.
-
-    ``dataset`` defaults to the data of the pipeline. No files are written.
-    """
-
-    def __init__(self, pipeline: Any, dataset: Optional["_pwrfgs.Dataset"] = None) -> None:
-        self.pipeline = Pipeline(pipeline)
-        _strategies.check(self.pipeline)
-        self.dataset = self.pipeline.load_data() if dataset is None else dataset
-        self._inner = _pwrfgs.Trainer(self.pipeline._inner, self.dataset)
-
-    def step(self) -> Event:
-        """Perform one step: batch, gradients, Adam, then densification or pruning if due. Returns step, phase, loss, penalty
-        and gaussians (N after the step). After an exception, the trainer accepts no further step."""
-        return dict(self._inner.step())
-
-    @property
-    def done(self) -> int:
-        """Number of completed steps."""
-        return int(self._inner.done)
-
-    @property
-    def finished(self) -> bool:
-        """Whether all steps are completed."""
-        return bool(self._inner.finished)
-
-    @property
-    def cloud(self) -> Cloud:
-        """Current Gaussians, as a copy."""
-        cloud: Cloud = self._inner.cloud
-        return cloud
-
-    @property
-    def stats(self) -> Stats:
-        """Statistics of the Gaussians since the last densification, as a copy."""
-        stats: Stats = self._inner.stats
-        return stats
-
-    def prune(self, keep: Any) -> int:
-        """Remove the Gaussians with ``keep`` [N] false, with their moments and statistics; returns the remaining number."""
-        return int(self._inner.prune(keep))
-
-    def model(self) -> "_pwrfgs.Model":
-        """Current model."""
-        return self._inner.model()
-
-    def __repr__(self) -> str:
-        return f"<Trainer of {self.pipeline.name}: step {self.done} of {self.pipeline.training.steps}, N {len(self.cloud)}>"
 
 
 def simulate(
@@ -401,30 +376,6 @@ def simulate(
     inner = sorted(entry.path for entry in os.scandir(folder) if entry.is_dir() and entry.name != "spectrum")
     alone = any(os.path.isfile(os.path.join(folder, name)) for name in ("tx_pos.csv", "tx.npy"))
     return _pwrfgs.Dataset.load(folder if alone or not inner else inner[0])
-
-
-class SweepError(InputError):
-    """Failed runs of a sweep; ``reasons`` maps folders to messages."""
-
-    reasons: Dict[str, str] = {}
-
-
-def sweep(
-    experiment: PathLike, set: Optional[Mapping[str, Any]] = None, out: Optional[PathLike] = None, jobs: int = 1
-) -> List[Run]:
-    """Perform all unfinished runs of an experiment file and write its report. Returns the runs in order, followed by the
-    joined model if the file sets ``join: true``.
-
-    Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
-    """
-    folder, ends = _pwrfgs.sweep(experiment, _arguments(set), out, jobs)
-    failed = {os.fspath(run): reason for run, reason in ends if reason}
-    if failed:
-        first = next(iter(failed.items()))
-        error = SweepError(f"{len(failed)} of {len(ends)} runs failed, {first[0]}: {first[1]}")
-        error.reasons = failed
-        raise error
-    return [Run(run) for run, _ in ends]
 
 
 def report(runs: Any, out: Optional[PathLike] = None, reference: Optional[str] = None) -> str:

@@ -10,7 +10,7 @@ import json
 import linecache
 import sys
 import types
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, Union
 
 from ._errors import InputError
 from ._types import Array, Cloud, Column, Links, StepContext, Room, Stats
@@ -123,7 +123,36 @@ class Metric(Strategy):
         raise NotImplementedError
 
 
+class Deformation(Strategy):
+    """Base class of networks: the effect of the transmitter on the Gaussians, ``pipeline.deformation``.
+
+    ``forward`` and ``vjp`` must depend on their arguments alone. Positions are metres from the origin of the data, which is
+    zero for coordinates below 1 km. Model files name the class: only Python predicts with such a model, and loading it
+    imports the module of the class. ``pwrfgs.torch.Deformation`` derives all but the network by PyTorch.
+    """
+
+    replaces_signals: bool = False  # whether its signals replace those of the Gaussians, and are not added
+    varies_geometry: bool = False  # whether ``forward`` returns scales or quats
+
+    def weights(self) -> Dict[str, Array]:
+        """Initial weights by name. Draw random numbers from a generator with a seed in the settings."""
+        return {}
+
+    def forward(self, weights: Mapping[str, Array], means: Array, tx: Array) -> Dict[str, Array]:
+        """Terms for centres ``means`` [N, 3] and transmitters ``tx`` [B, 3]: "signals" [B, N, 2] (real and imaginary part),
+        and with ``varies_geometry`` "scales" [B, N, 3] in metres and "quats" [B, N, 4], added to those of the Gaussians."""
+        raise NotImplementedError
+
+    def vjp(
+        self, weights: Mapping[str, Array], means: Array, tx: Array, cotangents: Mapping[str, Array]
+    ) -> Tuple[Dict[str, Array], Optional[Array]]:
+        """Derivatives of Σ terms · ``cotangents`` with respect to every weight, by name, and to the centres [N, 3] (None for
+        zero). Only training calls it. Check it with a finite difference."""
+        raise NotImplementedError
+
+
 BASES: Dict[str, type] = {
+    "Deformation": Deformation,
     "Pruner": Pruner,
     "Initializer": Initializer,
     "Split": Split,
@@ -132,8 +161,9 @@ BASES: Dict[str, type] = {
 }
 FIELDS = {
     "pruners": "Pruner", "initializer": "Initializer", "split": "Split", "baselines": "Baseline", "metrics": "Metric",
+    "deformation": "Deformation",
 }  # fmt: skip
-REQUIRED = {"Pruner": "keep", "Initializer": "initialize", "Split": "split", "Baseline": "predict", "Metric": "evaluate"}
+REQUIRED = {"Deformation": "forward", "Pruner": "keep", "Initializer": "initialize", "Split": "split", "Baseline": "predict", "Metric": "evaluate"}
 FIT_MAY_GIVE_IT = "Baseline"
 
 

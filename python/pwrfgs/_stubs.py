@@ -1,7 +1,7 @@
-"""Writes ``_plugins.pyi`` and ``settings.pyi``: stubs for editors and type checkers, for the classes created from plugins and
-settings.
+"""Writes ``_plugins.pyi``, ``settings.pyi`` and ``_fields.pyi``: stubs for editors and type checkers, for the classes created
+from plugins and settings, and for the fields of a pipeline.
 
-``python -m pwrfgs._stubs`` writes both to this folder; a wheel is built with them (``backend.py``).
+``python -m pwrfgs._stubs`` writes them to this folder; a wheel is built with them (``backend.py``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ._values import CLASSES, python_name
 WIDTH = 120
 HEAD = "# Written by `python -m pwrfgs._stubs` from the doc comments of the program.\n\n"
 PATH = "_Path: TypeAlias = Union[str, os.PathLike[str]]\n"
-TYPING = ("Any", "ClassVar", "List", "Optional", "Sequence", "Tuple", "Union")
+TYPING = ("Any", "ClassVar", "List", "Mapping", "Optional", "Sequence", "Tuple", "Union")
 PLAIN = {
     "number": "float",
     "whole number": "int",
@@ -157,13 +157,45 @@ def settings() -> str:
     return HEAD + imports(text, ["Choice", "Value"]) + "\n" + text
 
 
-def imports(text: str, values: Sequence[str]) -> str:
+def fields() -> str:
+    """The text of ``_fields.pyi``: a class for each group of settings, and the base of ``Pipeline``."""
+    groups = {str(entry["name"]): entry for entry in _pwrfgs.types() if "fields" in entry}
+    text = (
+        '\nclass Settings:\n    """Settings of a pipeline, by name."""\n\n'
+        "    def replace(self, **fields: Any) -> Self: ...\n"
+    )
+    for name, entry in sorted(groups.items(), key=lambda group: (group[0] == "Pipeline", group[0])):
+        own, base = ("PipelineFields", "") if name == "Pipeline" else (name, "(Settings)")
+        text += f"\nclass {own}{base}:\n" + docstring(prose(entry["doc"] or name, WIDTH - 4, 3), "    ")
+        for field, words, comment, _ in entry["fields"]:
+            text += property_of(python_name(field), words, prose(comment, WIDTH - 8, 3), groups)
+    return HEAD + imports(PATH + text, ["Value"], "from typing_extensions import Self, TypeAlias") + "\n" + PATH + text
+
+
+def property_of(name: str, words: str, said: Sequence[str], groups: Dict[str, Any]) -> str:
+    """Property of a field: plugins and settings are values, and are set from more types than they are read as."""
+    bare = words[: -len(" or None")] if words.endswith(" or None") else words
+    held = annotation(words)
+    if bare in groups:
+        read, write = bare, f"Union[{bare}, Mapping[str, Any]]"
+    elif "Any" in held:
+        read, write = ("List[Any]", "Sequence[Any]") if bare.startswith("list of ") else ("Value", "Any")
+    else:
+        read = write = held
+    if bare != words and "Optional" not in read:
+        read, write = f"Optional[{read}]", write if write == "Any" else f"Optional[{write}]"
+    text = f"\n    @property\n    def {name}(self) -> {read}:{'' if said else ' ...'}\n"
+    text += docstring(said, "        ") if said else ""
+    return text + f"    @{name}.setter\n" + function(name, ["self", f"value: {write}"], "None", "    ", " ...")
+
+
+def imports(text: str, values: Sequence[str], extensions: str = "from typing_extensions import TypeAlias") -> str:
     """Imports that ``text`` needs from ``typing``, and ``values`` from this package."""
     code = re.sub(r'""".*?"""', "", text, flags=re.DOTALL)
     used = [name for name in TYPING if re.search(rf"\b{name}\b", code)]
     found = f"from typing import {', '.join(used)}\n\n"
     if PATH in text:
-        found = f"import os\n{found}from typing_extensions import TypeAlias\n\n"
+        found = f"import os\n{found}{extensions}\n\n"
     return found + f"from ._values import {', '.join(values)}\n"
 
 
@@ -176,7 +208,7 @@ def exports(names: Sequence[str]) -> str:
 def main() -> None:
     """Writes the stubs."""
     here = os.path.dirname(os.path.abspath(__file__))
-    for name, text in (("_plugins.pyi", plugins()), ("settings.pyi", settings())):
+    for name, text in (("_plugins.pyi", plugins()), ("settings.pyi", settings()), ("_fields.pyi", fields())):
         with open(os.path.join(here, name), "w", encoding="utf-8", newline="\n") as file:
             file.write(text)
 

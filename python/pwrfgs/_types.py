@@ -83,6 +83,35 @@ class Partition(NamedTuple):
     test: Array
 
 
+@_told
+class Sample(NamedTuple):
+    """Link of a data set with its observation.
+
+    tx : [3], metres.
+    observation : Spectrum [H, W], power in dBm, or channel [A, F].
+    receiver : Index of the receiver.
+    id : Transmitter id in the data set.
+    """
+
+    tx: Array
+    observation: Any
+    receiver: int
+    id: int
+
+
+def as_indices(links: Any, count: int) -> Array:
+    """Indices of a slice, a mask or a list of links; negative indices count from the end."""
+    if isinstance(links, slice):
+        return np.arange(count)[links]
+    found = np.asarray(links)
+    if found.dtype == bool and found.shape == (count,):
+        return np.flatnonzero(found)
+    if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
+        raise InputError(f"links: give indices, a slice, or a mask of {count} values")
+    found = found.astype(np.int64)
+    return np.where(found < 0, found + count, found)
+
+
 @_brief
 class Gaussians(NamedTuple):
     """Gaussians in space, with the field names of gsplat.

@@ -1,8 +1,9 @@
 //! `Dataset`: data sets in Python.
 
 mod inputs;
+mod rows;
 
-use crate::arrays::{array, numbers, observations, places, room};
+use crate::arrays::{array, observations, places, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
@@ -10,6 +11,7 @@ use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
     Simulation, Spectra, Split, recognise, rng,
 };
+use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
@@ -174,13 +176,49 @@ impl Dataset {
     }
 
     /// Data source as RON, from which it was loaded or to which it was saved.
-    #[getter]
-    fn _source(&self) -> Option<String> {
+    #[getter(_source)]
+    pub(crate) fn source(&self) -> Option<String> {
         self.source.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     fn __len__(&self) -> usize {
         self.data.len()
+    }
+
+    /// Link `index` as a named tuple (tx [3], observation, receiver, id); a slice, a list of links or a mask gives a
+    /// data set of these links, as `subset` does.
+    fn __getitem__<'py>(slf: &Bound<'py, Self>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let (py, own) = (slf.py(), slf.get());
+        match index.extract::<isize>() {
+            Ok(i) => own.row(py, i),
+            Err(_) => own.some(py, index)?.into_bound_py_any(py),
+        }
+    }
+
+    /// Iterate over the links.
+    fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        let builtins = slf.py().import("builtins")?;
+        let places = builtins.call_method1("range", (slf.len()?,))?;
+        builtins.call_method1("map", (slf.getattr("__getitem__")?, places))
+    }
+
+    /// Data set of these links: indices, or a mask [L]. The order is that of this data set. Receivers and bounds of the
+    /// room stay those of all links.
+    fn subset(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
+        self.some(py, links)
+    }
+
+    #[staticmethod]
+    fn _restore(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
+        Self::restored(py, state)
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyDict>,))> {
+        Ok((py.get_type::<Self>().getattr("_restore")?, (self.state(py)?,)))
+    }
+
+    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("pwrfgs._html")?.call_method1("dataset", (slf,))
     }
 
     fn __repr__(&self) -> String {
@@ -321,23 +359,6 @@ impl Dataset {
         let split = plugin::<dyn Split>(py, &text)?;
         let partition = free(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
         parts(py, &partition)
-    }
-}
-
-impl Dataset {
-    /// Reads valid link indices given by a user.
-    pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-        let count = self.data.len();
-        if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
-            return Ok((0..count).filter(|&i| mask[i]).collect());
-        }
-        let all = numbers::<i64>(what, links, &[None])?;
-        let fits = |i: i64| usize::try_from(i).ok().filter(|i| *i < count);
-        let indices: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
-        indices.ok_or_else(|| {
-            let bad = all.iter().find(|i| fits(**i).is_none()).copied().unwrap_or_default();
-            wrong(links.py(), &format!("{what}: invalid link index {bad} (expected 0 to below {count})"))
-        })
     }
 }
 

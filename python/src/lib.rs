@@ -33,7 +33,9 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]
-    use super::run::{facts, program, report, run, simulate, sweep};
+    use super::model::made::model_of;
+    #[pymodule_export]
+    use super::run::{facts, program, report, run, score, simulate, sweep};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]

@@ -5,15 +5,16 @@ use crate::border::{free, without_gil, wrong};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::Pipeline;
-use crate::strategies::{cloud_object, stats_object};
+use crate::strategies::{PythonLoss, cloud_object, cloud_of, stats_object};
 use pwrfgs::model::Ensemble;
 use pwrfgs::train::Trainer as Inner;
-use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Dataset as Data, Partition, Result};
+use pwrfgs_core::files::{self, check_file_place, write_atomically};
+use pwrfgs_core::{Dataset as Data, Error, Origin, Partition, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use self_cell::self_cell;
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, TryLockError};
 
@@ -51,17 +52,51 @@ impl Trainer {
 
 #[pymethods]
 impl Trainer {
+    /// `train` are the links of the training set, in place of the split of the pipeline, `loss` a function in place of its
+    /// loss, `checkpoint` the file to start from.
     #[new]
-    fn new(py: Python<'_>, pipeline: &Pipeline, dataset: &Dataset) -> PyResult<Self> {
+    #[pyo3(signature = (pipeline, dataset, train=None, loss=None, checkpoint=None))]
+    fn new(
+        py: Python<'_>,
+        pipeline: &Pipeline,
+        dataset: &Dataset,
+        train: Option<&Bound<'_, PyAny>>,
+        loss: Option<Py<PyAny>>,
+        checkpoint: Option<PathBuf>,
+    ) -> PyResult<Self> {
         let (inner, base) = (pipeline.now(), pipeline.base().to_owned());
         let data = Arc::clone(&dataset.data);
         crate::strategies::forget();
+        let train = train.map(|train| dataset.indices("train", train)).transpose()?;
+        let train = train.map(|links| links.into_iter().collect::<BTreeSet<_>>().into_iter().collect());
         let begin = move || -> Result<TrainerState> {
             let inner = pwrfgs::experiment::rebased(&inner, &base)?;
-            let partition: Partition = inner.partition(&data)?;
-            TrainerState::try_new(data, |data| inner.trainer(data, &partition))
+            let partition = match train {
+                Some(train) => Partition { train, ..Partition::default() },
+                None => inner.partition(&data)?,
+            };
+            let task = data.task();
+            let restored = |path: &PathBuf| files::read(path).map_err(|e| Error::read(path, e));
+            let bytes = checkpoint.as_ref().map(restored).transpose()?;
+            TrainerState::try_new(data, |data| {
+                let mut trainer = match bytes {
+                    Some(bytes) => Inner::restore(&inner.plan()?, data, &partition, &bytes)?,
+                    None => inner.trainer(data, &partition)?,
+                };
+                if let Some(function) = loss {
+                    trainer.set_objective(Box::new(PythonLoss { function, task }));
+                }
+                Ok(trainer)
+            })
         };
         Ok(Self { held: Mutex::new(free(py, begin)?), failed: AtomicBool::new(false) })
+    }
+
+    /// Replaces the Gaussians by `columns`, arrays by name; `is_world` for means in the world frame.
+    fn set_cloud(&self, py: Python<'_>, columns: &Bound<'_, PyDict>, is_world: bool) -> PyResult<()> {
+        let origin = self.with(py, |inner| Ok(inner.origin()))?;
+        let cloud = cloud_of(columns, if is_world { origin } else { Origin::ZERO })?;
+        self.with(py, |inner| inner.set_cloud(cloud))
     }
 
     fn step<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
@@ -114,7 +149,7 @@ impl Trainer {
     }
 
     /// Write a checkpoint file, complete or not at all.
-    fn save_checkpoint(&self, py: Python<'_>, path: std::path::PathBuf) -> PyResult<()> {
+    fn save_checkpoint(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         if path.as_path() == Path::new("") {
             return Err(wrong(py, "path is not a file path"));
         }

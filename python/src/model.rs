@@ -1,5 +1,7 @@
 //! `Model`: a trained model or an ensemble.
 
+pub(crate) mod made;
+
 use crate::arrays::{Gain, array, axes, numbers, observations, place, places, room};
 use crate::border::{LOOK, carried, free, wrong};
 use crate::data::angles;
@@ -9,7 +11,7 @@ use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
 use pwrfgs_core::{Activated, Error, MeasurementSetup, Query, Real, Result};
 use pyo3::prelude::*;
-use pyo3::types::{PyList, PyTuple};
+use pyo3::types::{PyBytes, PyList, PyTuple};
 use rayon::prelude::*;
 use self_cell::self_cell;
 use std::path::PathBuf;
@@ -33,7 +35,7 @@ self_cell!(
 /// Several models of one scene predict as an ensemble: the mean of their predictions. Prediction is thread-safe.
 #[pyclass(frozen, module = "pwrfgs")]
 pub(crate) struct Model {
-    ensemble: Arc<Ensemble>,
+    pub(crate) ensemble: Arc<Ensemble>,
     ready: OnceLock<PreparedEnsemble>,
 }
 
@@ -97,7 +99,7 @@ impl Model {
         };
         let mut lead = if one { vec![] } else { vec![txs.len()] };
         let receivers = match receiver {
-            Some(receiver) => vec![self.find(receiver)?],
+            Some(receiver) => vec![made::find(receiver, there)?],
             None if there.len() == 1 => vec![0],
             None => {
                 lead.push(there.len());
@@ -105,22 +107,6 @@ impl Model {
             }
         };
         Ok(Links { txs, features, receivers, lead })
-    }
-
-    /// Finds a receiver by name or index.
-    fn find(&self, receiver: &Bound<'_, PyAny>) -> PyResult<usize> {
-        let (py, there) = (receiver.py(), &self.stages().setup.receivers);
-        if let Ok(name) = receiver.extract::<String>() {
-            return there.iter().position(|own| own.name == name).ok_or_else(|| {
-                let hint = pwrfgs_core::did_you_mean(&name, there.iter().map(|own| own.name.as_str()));
-                wrong(py, &format!("unknown receiver `{name}`{hint}"))
-            });
-        }
-        let place: usize = receiver.extract()?;
-        if place < there.len() {
-            return Ok(place);
-        }
-        Err(wrong(py, &format!("invalid receiver index {place} (expected 0 to below {})", there.len())))
     }
 
     /// Array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in order.
@@ -176,35 +162,73 @@ impl Model {
     #[staticmethod]
     #[pyo3(signature = (*paths))]
     fn load(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Self> {
-        let read = || {
-            let file_in = |path: &PathBuf| {
-                if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() }
-            };
-            if let [path] = paths.as_slice() {
-                return file::read_ensemble(&file_in(path));
-            }
-            let mut members = Vec::new();
-            for path in &paths {
-                let ensemble = file::read_ensemble(&file_in(path))?;
-                if ensemble.residuals().is_some() {
-                    let what = "has a residual process, which predicts for this model alone; load it as the only model";
-                    return Err(Error::input(path, what));
-                }
-                let called = |(name, model): (&String, &pwrfgs::model::Model)| {
-                    let alone = ensemble.members().len() == 1;
-                    (
-                        if alone { path.display().to_string() } else { format!("{}/{name}", path.display()) },
-                        model.clone(),
-                    )
-                };
-                members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
-            }
-            Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
-        };
         if paths.is_empty() {
             return Err(wrong(py, "path is missing; pass a model file or a run folder"));
         }
-        free(py, read).map(Self::new)
+        free(py, || made::read(&paths)).map(Self::new)
+    }
+
+    /// Create a model of spectra at one receiver from arrays, with the names of `gaussians()`:
+    ///
+    /// * `means` [N, 3] and `scales` [N, 3] in metres, `quats` [N, 4] as w, x, y, z, `opacities` [N] below 1, and
+    ///   `signals` [N], complex or real;
+    /// * `pose`: a `Pose`, a `Receiver`, or (position [3], orientation x, y, z, w).
+    ///
+    /// `predict` then gives spectra [height, width]: `readout` ("Magnitude", "Power", "Real", "MinMax") of the image
+    /// that `pwrfgs.rasterize` renders. Without `deformation` the spectrum is equal for all transmitters; with a
+    /// network, such as an object of your class of `pwrfgs.Deformation`, it depends on the transmitter. `weights` are
+    /// the weights of the network by name; default: its initial values. `tx` [M, 3] are the transmitter positions of
+    /// the training set, by which predictions are marked as extrapolations.
+    #[staticmethod]
+    #[pyo3(signature = (means, quats, scales, opacities, signals, pose, height=90, width=360, *, projector=None,
+        rasterizer=None, readout=None, deformation=None, weights=None, elevation_deg=(0.0, 90.0), tx=None))]
+    #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
+    fn from_arrays<'py>(
+        py: Python<'py>,
+        means: Bound<'py, PyAny>,
+        quats: Bound<'py, PyAny>,
+        scales: Bound<'py, PyAny>,
+        opacities: Bound<'py, PyAny>,
+        signals: Bound<'py, PyAny>,
+        pose: Bound<'py, PyAny>,
+        height: usize,
+        width: usize,
+        projector: Option<Bound<'py, PyAny>>,
+        rasterizer: Option<Bound<'py, PyAny>>,
+        readout: Option<Bound<'py, PyAny>>,
+        deformation: Option<Bound<'py, PyAny>>,
+        weights: Option<Bound<'py, PyAny>>,
+        elevation_deg: (f64, f64),
+        tx: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let gaussians = (means, quats, scales, opacities, signals);
+        let stages = (projector, rasterizer, readout, deformation);
+        let view = (pose, (height, width), elevation_deg);
+        py.import("pwrfgs._arrays")?.call_method1("model", (gaussians, stages, view, weights, tx))
+    }
+
+    /// Model from the bytes of a model file.
+    #[staticmethod]
+    fn _from_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
+        free(py, || file::from_bytes(bytes).map_err(Error::Config)).map(Self::new)
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        let bytes = free(py, || Ok(file::ensemble_to_bytes(&self.ensemble)))?;
+        Ok((py.get_type::<Self>().getattr("_from_bytes")?, (PyBytes::new(py, &bytes),)))
+    }
+
+    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("pwrfgs._html")?.call_method1("model", (slf,))
+    }
+
+    /// Positions of the training set, thinned, [K, 3] in metres; None if they are unknown.
+    #[getter]
+    fn training_positions<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
+        let model = &self.ensemble.members()[0];
+        let Some(known) = &model.training_positions else { return Ok(None) };
+        let all: Vec<f64> = known.positions().iter().flat_map(|tx| model.stages.origin.world(*tx)).collect();
+        array(py, all, &[known.positions().len(), 3]).map(Some)
     }
 
     /// Predict the observations for transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not

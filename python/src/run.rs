@@ -1,9 +1,10 @@
 //! `run`, `simulate`, `sweep` and `report`, as on the command line; events of a run are passed to Python.
 
 use crate::border::{raised, waited, wrong};
+use crate::model::Model;
 use crate::settings::Pipeline;
 use pwrfgs::experiment::sweep::{JOINED, SweepEnd, SweepPlan, check, execute};
-use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation};
+use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation, score_model};
 use pwrfgs::prelude::{NoopObserver, StepReport};
 use pwrfgs::raytrace::output::{self as folder, OutputLayout};
 use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
@@ -113,6 +114,28 @@ pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, send_event:
         waited(py, |events, stop| pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop), send_event)?;
     match outcome {
         RunOutcome::Finished { already, .. } => Ok(!already),
+        RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(raised(py, Error::Stopped)),
+    }
+}
+
+/// Scores a model that no run has trained, as `run` does after training.
+#[pyfunction]
+pub(crate) fn score(
+    py: Python<'_>,
+    model: &Model,
+    pipeline: &Pipeline,
+    out: PathBuf,
+    send_event: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    crate::strategies::forget();
+    let (inner, base) = (pipeline.now(), pipeline.base().to_owned());
+    let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
+    let work = |events, stop: &AtomicBool| {
+        let mut session = Session { observer: &mut EventSender(events), stop, page: pwrfgs::PAGE };
+        score_model(&model.ensemble, &inner, (&base, &out), &mut session)
+    };
+    match waited(py, work, send_event)? {
+        RunOutcome::Finished { .. } => Ok(()),
         RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(raised(py, Error::Stopped)),
     }
 }

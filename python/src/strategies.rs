@@ -14,16 +14,19 @@ macro_rules! named_python {
     };
 }
 
+mod deformation;
 mod evaluation;
 mod initializer;
 mod objects;
 mod pruner;
 
 use crate::border::{call_strategy, carried, in_strategy_call, throw, wrong};
-pub(crate) use objects::{cloud_object, stats_object};
+pub(crate) use deformation::PythonLoss;
+pub(crate) use objects::{cloud_object, cloud_of, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
 use pwrfgs_core::{
-    Baseline, ColumnSpec, GaussianCloud, Initializer, JsonSchema, Metric, Pruner, Real, Result, Split, schemars,
+    Baseline, ColumnSpec, Deformation, GaussianCloud, Initializer, JsonSchema, Metric, Pruner, Real, Result, Split,
+    WeightSpec, schemars,
 };
 use pyo3::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,6 +61,8 @@ struct Object {
     has: BTreeSet<String>,
     /// Columns that a pruner requests.
     columns: Vec<ColumnSpec>,
+    /// Tensors of a network, and their initial values.
+    weights: Vec<(WeightSpec, Vec<Real>)>,
 }
 
 /// Object of a strategy in the current run, created if needed.
@@ -89,6 +94,10 @@ impl Host for Interpreter {
         Ok(Arc::new(Strategy { object: object("Baseline", which)?, named: which.clone() }))
     }
 
+    fn deformation(&self, which: &Named) -> Result<Arc<dyn Deformation>> {
+        Ok(Arc::new(Strategy { object: object("Deformation", which)?, named: which.clone() }))
+    }
+
     fn metric(&self, which: &Named) -> Result<Arc<dyn Metric>> {
         Ok(Arc::new(Strategy { object: object("Metric", which)?, named: which.clone() }))
     }
@@ -101,7 +110,8 @@ impl Object {
         let own = helpers.getattr("made")?.call1((kind, module, class, settings, source))?;
         let has: BTreeSet<String> = helpers.getattr("overrides")?.call1((kind, &own))?.extract()?;
         let columns = if has.contains("columns") { columns(&own.call_method0("columns")?)? } else { Vec::new() };
-        Ok(Self { own: own.unbind(), has, columns })
+        let weights = if kind == "Deformation" { deformation::initial(&own)? } else { Vec::new() };
+        Ok(Self { own: own.unbind(), has, columns, weights })
     }
 
     fn has(&self, method: &str) -> bool {

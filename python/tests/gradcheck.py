@@ -1,6 +1,10 @@
 """`pwrfgs.torch`: types in both builds, and in the one of double precision against central differences, by PyTorch's own check.
 Runs without pytest, for the Python that has torch may be another than the one of the other tests."""
 
+import pathlib
+import sys
+import tempfile
+
 import numpy as np
 import torch
 
@@ -81,12 +85,169 @@ def derivatives_are_central_differences():
         assert torch.autograd.gradcheck(picture, given, eps=1e-7, atol=1e-4, rtol=1e-3, nondet_tol=0)
 
 
+def pose_tensors(count=None):
+    """Position and orientation of a receiver, or of several, which want gradients."""
+    turn = np.array([0.2, -0.3, 0.5, 0.8]) + (0.1 * np.arange(4) * np.arange(count or 1)[:, None] if count else 0)
+    place = np.array([0.1, -0.2, 0.05]) + (0.1 * np.arange(count)[:, None] if count else 0)
+    turn = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
+    return tuple(torch.tensor(part).to(REAL).requires_grad_() for part in (place, turn))
+
+
+def batches_are_their_images_one_by_one():
+    for waves in (False, True):
+        given = tensors(3, waves)
+        signals = torch.stack([given["signals"].detach() * k for k in (1.0, 2.0, 3.0)]).requires_grad_()
+        poses = [POSE, pwrfgs.Pose((0.3, 0.0, 0.1)), pwrfgs.Receiver(position=(0.0, 0.1, -0.1))]
+        means = (given["means"].detach() + torch.arange(3)[:, None, None] * 0.1).requires_grad_()
+        alone = {**given, "signals": signals[1]}
+        for batch, one in (
+            (dict(signals=signals, pose=POSE), dict(alone, pose=POSE)),
+            (dict(signals=signals, pose=poses), dict(alone, pose=poses[1])),
+            (dict(signals=given["signals"], pose=poses), dict(given, pose=poses[1])),
+            (dict(signals=signals, means=means, pose=POSE), dict(alone, means=means[1], pose=POSE)),
+        ):
+            images = pwrfgs.torch.rasterize(**{**given, **batch}, height=12, width=48)
+            want = pwrfgs.torch.rasterize(**one, height=12, width=48)
+            assert images.shape == (3, *want.shape) and torch.allclose(images[1], want, atol=1e-6), (waves, batch.keys())
+            found = torch.autograd.grad(images[1].abs().sum(), [given["scales"], batch["signals"]])
+            slopes = torch.autograd.grad(want.abs().sum(), [given["scales"], batch["signals"]])
+            assert all(torch.allclose(a, b, rtol=1e-3, atol=1e-5) for a, b in zip(found, slopes)), batch.keys()
+    for change, words in (
+        (dict(signals=signals[:2], pose=poses), "different batches: signals [2"),
+        (dict(pose=(torch.zeros(2), torch.zeros(4))), "position has shape [2], expected [3] or [B, 3]"),
+        (dict(pose=(torch.zeros(3), torch.zeros(4))), "the quaternion is zero"),
+        (dict(pose=(torch.zeros(3), torch.zeros(4).half())), "orientation: unsupported type"),
+    ):
+        try:
+            pwrfgs.torch.rasterize(**{**given, **change}, height=12, width=48)
+        except pwrfgs.InputError as error:
+            assert words in str(error), error
+        else:
+            raise AssertionError(f"{words}: not refused")
+
+
+def receiver_is_found_by_its_gradient():
+    """A step along the gradient of the pose brings the image closer."""
+    given = {name: x.detach() for name, x in tensors(3).items()}
+    truth = pwrfgs.torch.rasterize(**given, pose=POSE, height=12, width=48)
+    position = torch.tensor([0.25, -0.1, 0.1]).to(REAL).requires_grad_()
+    turn = torch.tensor([0.05, 0.05, 0.45, 0.88]).to(REAL).requires_grad_()
+    optimizer, losses = torch.optim.Adam([position, turn], lr=0.01), []
+    for _ in range(60):
+        optimizer.zero_grad()
+        loss = (pwrfgs.torch.rasterize(**given, pose=(position, turn), height=12, width=48) - truth).square().mean()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.1 * losses[0], losses
+    assert np.abs(position.detach().numpy() - POSE.position).max() < 0.08
+
+
+class Net(pwrfgs.torch.Deformation):
+    """A small network in PyTorch."""
+
+    def __init__(self, width=8, seed=0):
+        self.width, self.seed = width, seed
+
+    def module(self):
+        return Pairs(self.width)
+
+
+class Pairs(torch.nn.Module):
+    def __init__(self, width):
+        super().__init__()
+        self.hidden, self.last = torch.nn.Linear(6, width), torch.nn.Linear(width, 2)
+
+    def forward(self, means, tx):
+        pairs = torch.cat([means.expand(len(tx), -1, -1), tx[:, None].expand(-1, len(means), -1)], dim=2)
+        return self.last(torch.tanh(self.hidden(pairs)))
+
+
+def networks_and_losses_of_torch_are_trained():
+    def loss(predictions, truths):
+        return (predictions - truths).square().mean()
+
+    data = pwrfgs.Teacher(gaussians=5, samples=60, width=48, height=12)
+    training = dict(steps=8, batch=4, densify_until=0, prune_until=0, validate_every=0)
+    pipeline = pwrfgs.Pipeline(name="net", data=data, initializer=pwrfgs.Random(count=30, std=2.0), training=training)
+    pipeline.deformation = Net(seed=3)
+    data = pipeline.load_data()
+    trainer = pwrfgs.Trainer(pipeline, data, loss=pwrfgs.torch.loss(loss))
+    losses = [trainer.step()["loss"] for _ in range(8)]
+    assert np.isfinite(losses).all() and min(losses[4:]) < losses[0]
+    model = trainer.model()
+    assert not np.allclose(*model.predict([[0.0, 0, 1], [1.0, 1, 1]]))
+    own = Net(seed=3)
+    weights, rng = own.weights(), np.random.default_rng(0)
+    means, tx = rng.normal(size=(4, 3)), rng.normal(size=(2, 3))
+    d = {"signals": rng.normal(size=(2, 4, 2))}
+    slopes, d_means = own.vjp(weights, means, tx, d)
+    step, change = 1e-2, rng.normal(size=means.shape)
+    value = [(own.forward(weights, means + sign * step * change, tx)["signals"] * d["signals"]).sum() for sign in (1, -1)]
+    assert np.isclose((value[0] - value[1]) / (2 * step), (d_means * change).sum(), rtol=1e-2)
+    assert set(slopes) == set(weights) == {"hidden.weight", "hidden.bias", "last.weight", "last.bias"}
+
+
+def loop_of_the_readme_ends_in_a_report():
+    root = pathlib.Path(__file__).resolve().parents[2]
+    example, readme = root / "python/examples/own_loop.py", root / "python/README.md"
+    assert f"```python\n{example.read_text(encoding='utf-8')}```" in readme.read_text(encoding="utf-8")
+    sys.path.insert(0, str(example.parent))
+    import own_loop
+
+    data = "Teacher(gaussians: 5, samples: 60, width: 48, height: 12)"
+    text = f"Pipeline(name: \"own\", data: {data}, initializer: Random(count: 20), baselines: [MeanSpectrum()], metrics: [Ssim()])"
+    read = pwrfgs.Pipeline
+    own_loop.pwrfgs.Pipeline = lambda name: read(text)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            run = own_loop.main(steps=6, out=f"{folder}/own")
+            assert run.finished and "ssim" in run.scores["model"] and run.model.n == 20
+            assert not np.allclose(*run.model.predict([[0.0, 0, 1], [1.0, 1, 1]]))
+    finally:
+        own_loop.pwrfgs.Pipeline = read
+
+
+def loader_gives_batches_by_workers():
+    spectra = np.random.default_rng(1).random((12, 9, 36)).astype(np.float32)
+    data = pwrfgs.Dataset.from_arrays(np.random.default_rng(0).normal(size=(12, 3)), spectra)
+    for workers in (0, 2):
+        batches = list(torch.utils.data.DataLoader(data, batch_size=5, num_workers=workers))
+        assert [tuple(batch.observation.shape) for batch in batches] == [(5, 9, 36), (5, 9, 36), (2, 9, 36)]
+        assert np.array_equal(torch.cat([batch.observation for batch in batches]).numpy(), spectra)
+
+
+def poses_have_central_differences():
+    for waves, projector, rasterizer in [
+        (False, "Mercator", "AlphaBlending"), (True, "Mercator", "ArrayResponse"), (False, "WrfgsCompat", "AlphaBlending"),
+    ]:  # fmt: skip
+        given = [x.detach() for x in tensors(3, waves).values()]
+
+        def picture(position, turn, given=given, projector=projector, rasterizer=rasterizer):
+            return pwrfgs.torch.rasterize(*given, (position, turn), 12, 48, projector=projector, rasterizer=rasterizer)
+
+        assert torch.autograd.gradcheck(picture, pose_tensors(), eps=1e-7, atol=1e-4, rtol=1e-3, nondet_tol=0)
+    given = [x.detach() for x in tensors(3).values()]
+    given[4] = torch.stack([given[4], 2 * given[4]])
+
+    def pictures(position, turn):
+        return pwrfgs.torch.rasterize(*given, (position, turn), 12, 48)
+
+    assert torch.autograd.gradcheck(pictures, pose_tensors(2), eps=1e-7, atol=1e-4, rtol=1e-3, nondet_tol=0)
+
+
 def main() -> None:
     complex_signals_are_those_of_numpy()
     gradients_have_the_types_of_their_tensors()
     what_cannot_be_computed_is_refused()
+    batches_are_their_images_one_by_one()
+    receiver_is_found_by_its_gradient()
+    networks_and_losses_of_torch_are_trained()
+    loader_gives_batches_by_workers()
+    loop_of_the_readme_ends_in_a_report()
     if REAL == torch.float64:
         derivatives_are_central_differences()
+        poses_have_central_differences()
 
 
 if __name__ == "__main__":

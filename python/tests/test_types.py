@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import pwrfgs
+from conftest import ROOT
 from pwrfgs import _stubs
 
 SETTINGS = str(Path(__file__).resolve().parent.parent / "pyproject.toml")
@@ -82,6 +83,13 @@ Rays.Same("400")  # error
 
 pipeline = pwrfgs.Pipeline(name="first", data=pwrfgs.Teacher(), initializer=pwrfgs.Random())
 pipeline.training.steps = 20
+pipeline.training.stps = 20  # error
+pipeline.training.steps = "20"  # error
+pipeline.training.optimizer.network = Schedule.Cosine(first=1e-3, last=1e-5)
+pipeline.training = dict(steps=20)
+decay: float = pipeline.training.optimizer.network_decay
+pipeline.trainig  # error
+pipeline.pruners = [mask, Thin()]
 dataset = pipeline.load_data()
 dataset = pwrfgs.Dataset.load(Path("data"))
 dataset = pwrfgs.Dataset.load(pwrfgs.Arrays(root="data"))
@@ -106,6 +114,18 @@ while not trainer.finished:
     loss: float = trainer.step()["loss"]
 kept: int = trainer.prune(trainer.cloud.opacities > 0.1)
 trainer.modle()  # error
+trainer.set_cloud(pwrfgs.Gaussians(*model.gaussians()))
+trainer.save_checkpoint("c.safetensors")
+trainer = pwrfgs.Trainer.load("c.safetensors", pipeline, train=links)
+place: NDArray[Any] = dataset[0].tx
+part_of_it: pwrfgs.Dataset = dataset[:10]
+dataset["a"]  # error
+for link in dataset.subset(links):
+    print(link.receiver + link.id)
+own = pwrfgs.Model.from_arrays(*model.gaussians(), pwrfgs.Pose(), 15, 60, readout=Readout.Power)
+own = pwrfgs.Model.from_arrays(*model.gaussians())  # error
+run = pwrfgs.evaluate(own, pipeline)
+runs: List[pwrfgs.Run] = pwrfgs.sweep(pipeline, axes={"training.steps": [1, 2]}, seeds=range(2))
 picture, vjp = pwrfgs.rasterize_with_vjp(*model.gaussians(), pwrfgs.Pose())
 d_means = vjp(np.ones_like(picture))[0]
 """
@@ -133,7 +153,7 @@ def mypy(cache: Path, *arguments: str) -> str:
 
 
 def test_the_installed_package_contains_its_stubs() -> None:
-    for name, text in (("_plugins.pyi", _stubs.plugins()), ("settings.pyi", _stubs.settings())):
+    for name, text in (("_plugins.pyi", _stubs.plugins()), ("settings.pyi", _stubs.settings()), ("_fields.pyi", _stubs.fields())):
         assert (INSTALLED / "pwrfgs" / name).read_text(encoding="utf-8") == text
 
 
@@ -167,6 +187,88 @@ def test_mistakes_of_users_are_found(tmp_path: Path) -> None:
     done = python(tmp_path, "basedpyright", "--outputjson", "--pythonpath", sys.executable)
     found = [fault["range"]["start"]["line"] for fault in json.loads(done.stdout)["generalDiagnostics"]]
     assert found == wanted, done.stdout
+
+
+# Types of the part of PyTorch that the examples use: its own have gaps, and it need not be installed.
+TORCH = {
+    "__init__.pyi": """
+from typing import Any
+from . import nn as nn, optim as optim
+float32: Any
+def tensor(data: Any, *, dtype: Any = ...) -> Any: ...
+def cat(tensors: Any, dim: int = ...) -> Any: ...
+def broadcast_tensors(*tensors: Any) -> Any: ...
+def view_as_complex(x: Any) -> Any: ...
+def sin(x: Any) -> Any: ...
+def cos(x: Any) -> Any: ...
+def relu(x: Any) -> Any: ...
+""",
+    "nn.pyi": """
+from typing import Any
+class Module:
+    def __call__(self, *inputs: Any) -> Any: ...
+    def parameters(self) -> Any: ...
+    def named_parameters(self) -> Any: ...
+class Sequential(Module):
+    def __init__(self, *modules: Module) -> None: ...
+class Linear(Module):
+    def __init__(self, inputs: int, outputs: int) -> None: ...
+class ReLU(Module): ...
+""",
+    "optim.pyi": """
+from typing import Any
+class Adam:
+    def __init__(self, parameters: Any, lr: float = ...) -> None: ...
+    def step(self) -> None: ...
+    def zero_grad(self) -> None: ...
+""",
+}
+# What the snippets of the README take for given.
+GIVES = "import numpy as np\nimport pwrfgs\nfrom given import *\n"
+GIVEN = """
+from typing import Any
+import numpy as np
+from numpy.typing import NDArray
+import pwrfgs
+pipeline: pwrfgs.Pipeline
+run: pwrfgs.Run
+data: pwrfgs.Dataset
+tx: NDArray[Any]
+spectra: NDArray[Any]
+rssi: NDArray[Any]
+gateways: NDArray[Any]
+csi: NDArray[Any]
+hz: NDArray[Any]
+antennas: Any
+"""
+
+
+@needs_pyright
+@pytest.mark.parametrize("mode", ["strict", "standard"])
+def test_examples_are_clean_in_strict_mode_and_the_readme_in_standard_mode(mode: str, tmp_path: Path) -> None:
+    rules = {
+        "typeCheckingMode": mode, "extraPaths": [str(INSTALLED)], "stubPath": "stubs", "reportMissingModuleSource": "none",
+        "reportUnusedExpression": "none",
+    }  # fmt: skip
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(rules), encoding="utf-8")
+    (tmp_path / "stubs/torch").mkdir(parents=True)
+    for name, text in TORCH.items():
+        (tmp_path / "stubs/torch" / name).write_text(text, encoding="utf-8")
+    if mode == "strict":
+        texts = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "python/examples").glob("*.py")}
+    else:
+        (tmp_path / "given.pyi").write_text(GIVEN, encoding="utf-8")
+        readme = (ROOT / "python/README.md").read_text(encoding="utf-8")
+        blocks = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
+        named = {"thin" if "class Thin" in block else f"snippet{k}": block for k, block in enumerate(blocks)}
+        texts = {name: block if name == "thin" else f"{GIVES}{block}" for name, block in named.items()}
+    assert texts
+    for name, text in texts.items():
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    done = python(tmp_path, "basedpyright", "--outputjson", "--pythonpath", sys.executable)
+    faults = json.loads(done.stdout)["generalDiagnostics"]
+    found = [f"{Path(f['file']).name}:{f['range']['start']['line'] + 1}: {f['message']}" for f in faults]
+    assert found == [], "\n".join(found)
 
 
 @needs_mypy

@@ -3,7 +3,7 @@
 use crate::arrays::{array, axes, input_array};
 use crate::border::wrong;
 use pwrfgs_core::tape::TracedCloud;
-use pwrfgs_core::{CloudStats, Dataset, GaussianCloud, Real, StepContext, rng};
+use pwrfgs_core::{COLUMN_NAMES, CloudStats, Dataset, ExtraColumn, GaussianCloud, Origin, Real, StepContext, rng};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -37,6 +37,27 @@ pub(super) fn columns_object<'py, 'a>(
         object.set_item(name, column)?;
     }
     py.import("pwrfgs._types")?.getattr("Cloud")?.call1((object,))
+}
+
+/// Gaussians from unconstrained columns by name; `means` are relative to `origin` afterwards.
+pub(crate) fn cloud_of(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResult<GaussianCloud> {
+    let need = |name: &str| columns.as_any().get_item(name);
+    let means = crate::arrays::places("means", &need("means")?)?;
+    let n = means.len();
+    let mut cloud = GaussianCloud::zeros(n);
+    cloud.means = means.iter().map(|mean| origin.local(*mean)).collect();
+    for (name, width, values) in cloud.columns_mut().skip(1) {
+        values.copy_from_slice(&given_flat(name, &need(name)?, n * width)?);
+    }
+    for (name, values) in columns {
+        let name: String = name.extract()?;
+        if !COLUMN_NAMES.contains(&name.as_str()) {
+            let width = values.getattr("size")?.extract::<usize>()? / n.max(1);
+            let values = given_flat(&name, &values, n * width)?;
+            cloud.extra.push(ExtraColumn { name, width, values });
+        }
+    }
+    Ok(cloud)
 }
 
 /// Statistics of the Gaussians, as the Python class `Stats`.

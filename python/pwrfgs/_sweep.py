@@ -1,0 +1,136 @@
+"""`sweep`: many runs from an experiment file, or from a pipeline and lists of values."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from . import _pwrfgs, _strategies
+from ._errors import InputError
+from ._pipeline import Pipeline
+from ._run import PathLike, Run, _arguments
+from ._values import Value, quoted, ron_name, to_ron
+
+# Values of one path: a list, or a dict that gives each value a label.
+Values = Union[Sequence[Any], Mapping[str, Any]]
+
+
+class SweepError(InputError):
+    """Failed runs of a sweep; ``reasons`` maps folders to messages."""
+
+    reasons: Dict[str, str] = {}
+
+
+def sweep(
+    experiment: Any,
+    set: Optional[Mapping[str, Any]] = None,
+    out: Optional[PathLike] = None,
+    jobs: int = 1,
+    *,
+    axes: Optional[Mapping[str, Values]] = None,
+    seeds: Iterable[int] = (0,),
+    name: Optional[str] = None,
+    join: bool = False,
+) -> List[Run]:
+    """Perform all unfinished runs of a sweep and write its report. Returns the runs in order, followed by the joined model if
+    ``join`` is set.
+
+    ``experiment`` is an experiment file, or with ``axes`` the base pipeline::
+
+        sweep("quickstart", axes={"training.steps": [500, 2000], "split": {"voxel": pwrfgs.Voxel()}}, seeds=range(3))
+
+    Each axis is the path of a setting with its values: every combination runs with each of the ``seeds``. A dict gives the
+    values labels for folders, tables and figures; the label of a plugin in a list is its name with the settings that differ.
+    ``out`` is the sweep folder, default ``runs/NAME``; ``name`` is by default the name of the base and of the axes.
+
+    Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
+    """
+    if axes is None:
+        return _performed(experiment, set, out, jobs)
+    base = Pipeline(experiment)
+    names = _axis_names(list(axes))
+    chosen = name or "-".join([base.name, *names])
+    with tempfile.TemporaryDirectory(prefix="pwrfgs-sweep-") as folder:
+        base.save(os.path.join(folder, "base.ron"))
+        lines = [_axis(short, path, axes[path]) for short, path in zip(names, axes)]
+        text = f"Experiment(name: {quoted(chosen)}, base: \"base.ron\", seeds: {to_ron([int(s) for s in seeds])}, "
+        text += f"join: {to_ron(join)}, axes: [{', '.join(lines)}])"
+        path = os.path.join(folder, f"{os.path.basename(chosen) or 'sweep'}.ron")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(text)
+        return _performed(path, set, out, jobs)
+
+
+def _performed(experiment: PathLike, set: Optional[Mapping[str, Any]], out: Optional[PathLike], jobs: int) -> List[Run]:
+    folder, ends = _pwrfgs.sweep(experiment, _arguments(set), out, jobs)
+    failed = {os.fspath(run): reason for run, reason in ends if reason}
+    if failed:
+        first = next(iter(failed.items()))
+        error = SweepError(f"{len(failed)} of {len(ends)} runs failed, {first[0]}: {first[1]}")
+        error.reasons = failed
+        raise error
+    return [Run(run) for run, _ in ends]
+
+
+def _axis_names(paths: List[str]) -> List[str]:
+    """Last part of each path, or the whole path if two parts are equal."""
+    last = [path.rsplit(".", 1)[-1] for path in paths]
+    return [short if last.count(short) == 1 else path for short, path in zip(last, paths)]
+
+
+def _axis(name: str, path: str, values: Values) -> str:
+    """RON text of an axis."""
+    if isinstance(values, (str, bytes, Value)) or not hasattr(values, "__len__"):
+        raise InputError(f"axes: {path} is {values!r}; give a list of values, or a dict of values by label")
+    listed: List[Tuple[str, Any]]
+    if isinstance(values, Mapping):
+        listed = [(str(label), value) for label, value in values.items()]
+    else:
+        listed = list(zip(_labels(list(values)), values))
+    # A path of Python may have the name of a keyword, such as `lambda_`.
+    path = ".".join(map(ron_name, path.split(".")))
+    variants = [f"(label: {quoted(label)}, set: {{{quoted(path)}: {to_ron(value)}}})" for label, value in listed]
+    return f"Axis(name: {quoted(name)}, variants: [{', '.join(variants)}])"
+
+
+def _labels(values: List[Any]) -> List[str]:
+    """Short and distinct labels of values."""
+    for label in (_name, _differing(values), to_ron):
+        labels = [label(value) for value in values]
+        if len({label.lower() for label in labels}) == len(labels):
+            break
+    return labels
+
+
+def _name(value: Any) -> str:
+    if isinstance(value, Value):
+        return value._name or "values"
+    if isinstance(value, _strategies.Strategy):
+        return type(value).__name__
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_name, value)) or "none"
+    return value if isinstance(value, str) else str(value.item() if isinstance(value, np.generic) else value)
+
+
+def _differing(values: List[Any]) -> Any:
+    """Label with those settings that differ between values of one name; for a list, those of its items."""
+
+    def flat(value: Any) -> List[Any]:
+        return list(value) if isinstance(value, (list, tuple)) else [value]
+
+    def fields(value: Any) -> Dict[str, Any]:
+        if isinstance(value, Value):
+            return dict(value._fields)
+        return _strategies.settings_of(value) if isinstance(value, _strategies.Strategy) else {}
+
+    others = [fields(item) for value in values for item in flat(value)]
+
+    def one(item: Any) -> str:
+        own = fields(item)
+        differ = {name: field for name, field in own.items() if any(name in o and o[name] != field for o in others)}
+        return " ".join([_name(item), *(f"{name}={_name(field)}" for name, field in differ.items())])
+
+    return lambda value: ", ".join(map(one, flat(value))) or "none"

@@ -1,0 +1,161 @@
+//! Single links, subsets and pickling of a data set.
+
+use super::{Dataset, inputs};
+use crate::arrays::{array, numbers, observations, places};
+use crate::border::{free, raised, wrong};
+use pwrfgs_core::{Dataset as Data, Elevation, Features, Number, Observations, Real, Sample, Simulation, Spectra};
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+
+/// Formats of spectra by name, as in NumPy.
+const FORMATS: [(&str, Number); 4] =
+    [("u1", Number::U8), ("u2", Number::U16), ("f4", Number::F32), ("f8", Number::F64)];
+
+impl Dataset {
+    /// Reads valid link indices given by a user.
+    pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+        let count = self.data.len();
+        if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
+            return Ok((0..count).filter(|&i| mask[i]).collect());
+        }
+        let all = numbers::<i64>(what, links, &[None])?;
+        let fits = |i: i64| usize::try_from(i).ok().filter(|i| *i < count);
+        let indices: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
+        indices.ok_or_else(|| {
+            let bad = all.iter().find(|i| fits(**i).is_none()).copied().unwrap_or_default();
+            wrong(links.py(), &format!("{what}: invalid link index {bad} (expected 0 to below {count})"))
+        })
+    }
+
+    /// Link `i` as the Python class `Sample`. Uses no thread pool, so it also works in a forked process.
+    pub(super) fn row<'py>(&self, py: Python<'py>, i: isize) -> PyResult<Bound<'py, PyAny>> {
+        let data = &self.data;
+        let place = if i < 0 { i + data.len() as isize } else { i };
+        let Some(place) = usize::try_from(place).ok().filter(|place| *place < data.len()) else {
+            let message =
+                format!("invalid link index {i} (expected {} to below {})", -(data.len() as isize), data.len());
+            return Err(PyIndexError::new_err(message));
+        };
+        let Sample { id, tx, receiver } = data.sample(place);
+        let pixels = data.image(place).pixels;
+        data.observations.check().map_err(|error| raised(py, error))?;
+        let observation = if data.task().is_scalar {
+            pixels[0].into_pyobject(py)?.into_any()
+        } else {
+            observations(py, data.task(), (data.width, data.height), &[], pixels)?
+        };
+        let fields = (array(py, tx.to_vec(), &[3])?, observation, receiver, id);
+        py.import("pwrfgs._types")?.getattr("Sample")?.call1(fields)
+    }
+
+    /// Links of a list, a mask or a slice, in ascending order.
+    pub(super) fn some(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let links = py.import("pwrfgs._types")?.call_method1("as_indices", (links, self.data.len()))?;
+        let mut links = self.indices("links", &links)?;
+        links.sort_unstable();
+        if let Some([twice, _]) = links.array_windows().find(|[a, b]| a == b) {
+            return Err(wrong(py, &format!("link {twice} is listed twice; list it once")));
+        }
+        free(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
+    }
+
+    /// State for `restored`: the source of data that stay in their file, otherwise all columns.
+    pub(super) fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (data, state) = (&self.data, PyDict::new(py));
+        let is_in_file = data.observations.bytes_in_memory() == 0;
+        if let Some(source) = self.source().filter(|_| is_in_file) {
+            state.set_item("source", source)?;
+            return Ok(state);
+        }
+        state.set_item("origin", self.source())?;
+        state.set_item("title", &data.title)?;
+        state.set_item("receivers", self.receivers(py)?)?;
+        state.set_item("points", self.points(py)?)?;
+        state.set_item("tx", self.tx(py)?)?;
+        state.set_item("ids", data.samples().map(|s| s.id).collect::<Vec<_>>())?;
+        state.set_item("receiver", data.samples().map(|s| s.receiver).collect::<Vec<_>>())?;
+        state.set_item("bounds", data.scene.bounds)?;
+        state.set_item("elevation", (data.elevation.first, data.elevation.last))?;
+        state.set_item("placed", data.placed)?;
+        state.set_item("official", data.official.clone())?;
+        state.set_item("simulation", data.simulation.as_ref().map(|own| (own.scene.clone(),)))?;
+        state.set_item("features", self.features(py)?)?;
+        let number = data.observations.number();
+        match &data.observations {
+            Observations::Pictures(spectra) => {
+                let bytes = free(py, || {
+                    let bytes: Vec<u8> = (0..data.len()).flat_map(|i| spectra.raw(i).into_owned()).collect();
+                    spectra.check().map(|()| bytes)
+                })?;
+                let format = FORMATS.iter().find(|(_, format)| *format == number).map_or("f4", |(name, _)| name);
+                state.set_item("spectra", (PyBytes::new(py, &bytes), format, data.width, data.height))?;
+            }
+            Observations::Powers(_) => state.set_item("rssi", self.rssi(py)?)?,
+            Observations::Channels(_) => {
+                state.set_item("csi", self.csi(py)?)?;
+                state.set_item("frequencies_hz", self.frequencies_hz(py)?)?;
+            }
+        }
+        Ok(state)
+    }
+
+    /// Restores a pickled data set.
+    pub(super) fn restored(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
+        if let Some(source) = state.get_item("source")? {
+            let text: String = source.extract()?;
+            let reader = crate::border::plugin::<dyn pwrfgs_core::DataSource>(py, &text)?;
+            let data = free(py, || reader.load(std::path::Path::new(""), &|_, _| {}))?;
+            return Ok(Self::new(data, Some(text)));
+        }
+        let get = |name: &str| state.as_any().get_item(name);
+        let (ids, receiver): (Vec<u32>, Vec<usize>) = (get("ids")?.extract()?, get("receiver")?.extract()?);
+        let txs = places("tx", &get("tx")?)?;
+        let samples: Vec<Sample> =
+            ids.iter().zip(txs).zip(receiver).map(|((id, tx), receiver)| Sample { id: *id, tx, receiver }).collect();
+        let receivers = inputs::receivers_of(py, Some(&get("receivers")?))?;
+        let points = places("points", &get("points")?)?;
+        let (first, last) = get("elevation")?.extract()?;
+        let simulation: Option<(Option<String>,)> = get("simulation")?.extract()?;
+        let features = get("features")?;
+        let features = if features.is_none() {
+            None
+        } else {
+            let values = numbers::<Real>("features", &features, &[Some(samples.len()), None])?;
+            Some(Features { width: values.len() / samples.len().max(1), values })
+        };
+        let observations = observed(state).map_err(|error| {
+            if error.is_instance_of::<pyo3::exceptions::PyKeyError>(py) { wrong(py, "damaged data set") } else { error }
+        })?;
+        let title: String = get("title")?.extract()?;
+        let made = free(py, || Data::of_links(title, receivers, points, &samples, observations))?;
+        let mut scene = made.scene.clone();
+        scene.bounds = get("bounds")?.extract()?;
+        let data = Data {
+            scene,
+            elevation: Elevation { first, last },
+            features,
+            placed: get("placed")?.extract()?,
+            official: get("official")?.extract()?,
+            simulation: simulation.map(|(scene,)| Simulation { scene }),
+            ..made
+        };
+        Ok(Self::new(data, get("origin")?.extract()?))
+    }
+}
+
+/// Observations of a pickled data set.
+fn observed(state: &Bound<'_, PyDict>) -> PyResult<Observations> {
+    let py = state.py();
+    if let Some(spectra) = state.get_item("spectra")? {
+        let (bytes, format, width, height): (Vec<u8>, String, usize, usize) = spectra.extract()?;
+        let number = FORMATS.iter().find(|(name, _)| *name == format).map_or(Number::F32, |(_, number)| *number);
+        return Ok(Spectra::in_memory((width, height), number, bytes).map_err(|error| raised(py, error))?.into());
+    }
+    if let Some(powers) = state.get_item("rssi")? {
+        return Ok(Observations::Powers(numbers::<Real>("rssi", &powers, &[None])?));
+    }
+    let csi = state.as_any().get_item("csi")?;
+    let count = csi.len()?;
+    inputs::gains(&csi, count, Some(&state.as_any().get_item("frequencies_hz")?))
+}

@@ -1,0 +1,138 @@
+//! Models from files and from arrays.
+
+use super::Model;
+use crate::arrays::{numbers, places};
+use crate::border::{free, plugin, wrong};
+use crate::strategies::cloud_of;
+use pwrfgs::model::{Ensemble, Stages, TrainingPositions, file};
+use pwrfgs_core::{
+    Conditions, Dataset as Data, Elevation, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Result,
+    Sample, Spectra, rng,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+
+/// Largest number of pixels of a spectrum, as in model files.
+const MOST_PIXELS: usize = 1 << 24;
+
+/// Model files or run folders; several form an ensemble.
+pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
+    let file_in = |path: &PathBuf| {
+        if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() }
+    };
+    if let [path] = paths {
+        return file::read_ensemble(&file_in(path));
+    }
+    let mut members = Vec::new();
+    for path in paths {
+        let ensemble = file::read_ensemble(&file_in(path))?;
+        if ensemble.residuals().is_some() {
+            let what = "has a residual process, which predicts for this model alone; load it as the only model";
+            return Err(Error::input(path, what));
+        }
+        let called = |(name, model): (&String, &pwrfgs::model::Model)| {
+            let alone = ensemble.members().len() == 1;
+            let path = path.display();
+            let named = if alone { path.to_string() } else { format!("{path}/{name}") };
+            (member_name(&named), model.clone())
+        };
+        members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
+    }
+    Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
+}
+
+/// Finds a receiver by name or index.
+pub(super) fn find(receiver: &Bound<'_, PyAny>, there: &[Receiver]) -> PyResult<usize> {
+    let py = receiver.py();
+    if let Ok(name) = receiver.extract::<String>() {
+        return there.iter().position(|own| own.name == name).ok_or_else(|| {
+            let hint = pwrfgs_core::did_you_mean(&name, there.iter().map(|own| own.name.as_str()));
+            wrong(py, &format!("unknown receiver `{name}`{hint}"))
+        });
+    }
+    let place: usize = receiver.extract()?;
+    if place < there.len() {
+        return Ok(place);
+    }
+    Err(wrong(py, &format!("invalid receiver index {place} (expected 0 to below {})", there.len())))
+}
+
+/// Name of an ensemble member in a model file, from the path of its model.
+fn member_name(path: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
+    let name: String = path.trim_matches('/').chars().map(plain).collect();
+    let start = name.len().saturating_sub(200); // the end tells members apart
+    name[start..].to_owned()
+}
+
+/// Weights in the layout of the method: initial values, or those of `given` by name.
+fn weights_of(stages: &Stages, given: Option<&Bound<'_, PyDict>>, py: Python<'_>) -> PyResult<Vec<Real>> {
+    let layout = stages.layout();
+    let mut all = layout.init(&mut rng::stream(0, "network", 0));
+    if let Some(deformation) = stages.deformation() {
+        deformation.start(Conditions::new(3, &[]), &mut all);
+    }
+    let Some(given) = given else { return Ok(all) };
+    let mut rest = all.as_mut_slice();
+    for spec in &layout.weights {
+        let (own, tail) = rest.split_at_mut(spec.len());
+        if let Some(values) = given.get_item(&spec.name)? {
+            let shape: Vec<Option<usize>> = spec.shape.iter().copied().map(Some).collect();
+            own.copy_from_slice(&numbers::<Real>(&format!("weights: `{}`", spec.name), &values, &shape)?);
+        }
+        rest = tail;
+    }
+    for name in given.keys() {
+        let name: String = name.extract()?;
+        if layout.weights.iter().all(|spec| spec.name != name) {
+            let hint = pwrfgs_core::did_you_mean(&name, layout.weights.iter().map(|spec| spec.name.as_str()));
+            return Err(wrong(py, &format!("weights: the network has no tensor `{name}`{hint}")));
+        }
+    }
+    Ok(all)
+}
+
+/// Model of `Model.from_arrays`, from converted arguments: `cloud` are columns as in `Trainer.set_cloud`,
+/// `method` is RON text, `weights` are arrays by name.
+#[pyfunction]
+#[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
+pub(crate) fn model_of(
+    py: Python<'_>,
+    cloud: &Bound<'_, PyDict>,
+    method: &str,
+    weights: Option<&Bound<'_, PyDict>>,
+    receiver: (String, [f64; 3], [f64; 4]),
+    size: (usize, usize),
+    elevation_deg: [f64; 2],
+    tx: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Model> {
+    let method = plugin::<dyn Method>(py, method)?;
+    let (height, width) = size;
+    let (name, position, orientation) = receiver;
+    let trained = tx.map_or(Ok(Vec::new()), |tx| places("tx", tx))?;
+    let known = trained.iter().copied().chain(places("means", &cloud.as_any().get_item("means")?)?);
+    let origin = Origin::of(position, known);
+    let cloud = cloud_of(cloud, origin)?;
+    let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
+    if let Some(fault) = elevation.fault() {
+        return Err(wrong(py, &format!("elevation_deg {fault}")));
+    }
+    if !(1..=MOST_PIXELS).contains(&height.saturating_mul(width)) {
+        return Err(wrong(py, &format!("an image of {height} by {width} pixels cannot be rendered")));
+    }
+    let stages = free(py, || {
+        let receiver = Receiver::new(name, Pose { position, orientation });
+        let spectra = Spectra::grey((width, height), vec![0; width * height])?;
+        let data = Data::of_links("arrays", vec![receiver], vec![], &[Sample::new(1, position)], spectra.into())?;
+        let stages = Stages::of(method, &Data { elevation, ..data })?;
+        let pose = origin.local_pose(Pose { position, orientation });
+        let receivers = vec![Receiver { pose, ..stages.setup.receivers[0].clone() }];
+        let stages = Stages { setup: MeasurementSetup { origin, receivers, ..stages.setup }, ..stages };
+        stages.check().map_err(Error::Config).map(|()| stages)
+    })?;
+    let weights = weights_of(&stages, weights, py)?;
+    let positions: Vec<[Real; 3]> = trained.iter().map(|tx| origin.local(*tx)).collect();
+    let training_positions = TrainingPositions::thinned(&positions);
+    Ok(Model::new(Ensemble::of(pwrfgs::model::Model { stages, cloud, weights, training_positions })))
+}

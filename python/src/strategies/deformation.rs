@@ -1,0 +1,174 @@
+//! Python classes as networks, and Python functions as losses.
+
+use super::Strategy;
+use super::objects::given_flat;
+use crate::arrays::{Gain, array, numbers, observations};
+use crate::border::{call_strategy, throw, wrong};
+use pwrfgs::train::Objective;
+use pwrfgs_core::{
+    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, Layout, Real, Task, WeightSpec,
+    rows_of,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+/// Names and widths of the terms of a network.
+const TERMS: [(&str, usize); 3] = [("scales", 3), ("quats", 4), ("signals", 2)];
+
+impl Strategy {
+    /// Arguments of `forward`: weights by name, centres, inputs of the transmitters.
+    fn arguments<'py>(&self, py: Python<'py>, inputs: &DeformationInputs<'_>) -> PyResult<[Bound<'py, PyAny>; 3]> {
+        let weights = PyDict::new(py);
+        let mut rest = inputs.weights;
+        for (spec, _) in &self.object.weights {
+            let (own, tail) = rest.split_at(spec.len());
+            weights.set_item(&spec.name, array(py, own.to_vec(), &spec.shape)?)?;
+            rest = tail;
+        }
+        let means = array(py, inputs.means.as_flattened().to_vec(), &[inputs.means.len(), 3])?;
+        let txs = array(py, inputs.txs.values().to_vec(), &[inputs.txs.len(), inputs.txs.width()])?;
+        Ok([weights.into_any(), means.into_any(), txs.into_any()])
+    }
+
+    fn is(&self, attribute: &str) -> bool {
+        self.with(|_, own| own.getattr(attribute).map_or(Ok(false), |own| own.extract()))
+    }
+}
+
+/// Tensors of a network and their initial values, from its object.
+pub(super) fn initial(own: &Bound<'_, PyAny>) -> PyResult<Vec<(WeightSpec, Vec<Real>)>> {
+    let py = own.py();
+    let Ok(found) = own.call_method0("weights")?.cast_into::<PyDict>() else {
+        return Err(wrong(py, "weights returned no dict; give a dict of arrays by name"));
+    };
+    let one = |(name, values): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
+        let name: String = name.extract()?;
+        let shape: Vec<usize> = py.import("numpy")?.call_method1("shape", (&values,))?.extract()?;
+        let values = given_flat(&format!("weights: `{name}`"), &values, shape.iter().product())?;
+        Ok((WeightSpec::zeros(name, shape), values))
+    };
+    found.iter().map(one).collect()
+}
+
+impl Deformation for Strategy {
+    named_python!();
+
+    fn traits(&self) -> DeformationTraits {
+        DeformationTraits {
+            varies_geometry: self.is("varies_geometry"),
+            replaces_signals: self.is("replaces_signals"),
+            ..DeformationTraits::default()
+        }
+    }
+
+    fn layout(&self) -> Layout {
+        Layout { weights: self.object.weights.iter().map(|(spec, _)| spec.clone()).collect(), constants: Vec::new() }
+    }
+
+    fn start(&self, _: Conditions<'_>, weights: &mut [Real]) {
+        let mut rest = weights;
+        for (_, values) in &self.object.weights {
+            let (own, tail) = rest.split_at_mut(values.len());
+            own.copy_from_slice(values);
+            rest = tail;
+        }
+    }
+
+    fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
+        let rows = inputs.txs.len() * inputs.means.len();
+        self.with(|py, own| {
+            let [weights, means, txs] = self.arguments(py, inputs)?;
+            let found = own.call_method1("forward", (weights, means, txs))?;
+            let Ok(found) = found.cast_into::<PyDict>() else {
+                return Err(wrong(py, "forward returned no dict; give a dict with `signals` [B, N, 2]"));
+            };
+            let mut deltas = Deltas::default();
+            for (name, values) in found.iter() {
+                let name: String = name.extract()?;
+                let Some((_, width)) = TERMS.iter().find(|(term, _)| *term == name) else {
+                    let hint = pwrfgs_core::did_you_mean(&name, TERMS.map(|(term, _)| term));
+                    return Err(wrong(py, &format!("forward: unknown term `{name}`{hint}")));
+                };
+                let values = given_flat(&format!("forward: `{name}`"), &values, rows * width)?;
+                match name.as_str() {
+                    "scales" => deltas.scales = values.as_chunks().0.to_vec(),
+                    "quats" => deltas.quats = values.as_chunks().0.to_vec(),
+                    _ => deltas.signals = values.as_chunks().0.to_vec(),
+                }
+            }
+            let geometry = !deltas.scales.is_empty() || !deltas.quats.is_empty();
+            if geometry && !self.is("varies_geometry") {
+                return Err(wrong(py, "forward returned scales or quats; set varies_geometry = True in the class"));
+            }
+            Ok(deltas)
+        })
+    }
+
+    fn vjp(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        d_means: Option<&mut [[Real; 3]]>,
+    ) {
+        self.with(|py, own| {
+            let [weights, means, txs] = self.arguments(py, inputs)?;
+            let cotangents = PyDict::new(py);
+            for ((name, width), column) in TERMS.iter().zip(d.columns()) {
+                if !column.is_empty() {
+                    let shape = [inputs.txs.len(), inputs.means.len(), *width];
+                    cotangents.set_item(name, array(py, column.to_vec(), &shape)?)?;
+                }
+            }
+            let found = own.call_method1("vjp", (weights, means, txs, cotangents))?;
+            let form = "vjp: expected ({name: derivative}, derivative in the centres [N, 3] or None)";
+            let Ok(parts) = found.cast::<PyTuple>() else { return Err(wrong(py, form)) };
+            let (Ok(of_weights), Ok(of_means)) = (parts.get_item(0), parts.get_item(1)) else {
+                return Err(wrong(py, form));
+            };
+            let mut rest = d_weights;
+            for (spec, _) in &self.object.weights {
+                let (sum, tail) = rest.split_at_mut(spec.len());
+                let what = format!("vjp: `{}`", spec.name);
+                let own = given_flat(&what, &of_weights.get_item(&spec.name)?, spec.len())?;
+                sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+                rest = tail;
+            }
+            if let Some(sums) = d_means.filter(|_| !of_means.is_none()) {
+                let own = given_flat("vjp: the derivative in the centres", &of_means, 3 * sums.len())?;
+                sums.as_flattened_mut().iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+            }
+            Ok(())
+        });
+    }
+}
+
+/// Python function as a loss.
+#[derive(Debug)]
+pub(crate) struct PythonLoss {
+    pub(crate) function: Py<PyAny>,
+    pub(crate) task: Task,
+}
+
+impl Objective for PythonLoss {
+    fn evaluate(&self, predictions: &[Real], truths: &[Real], (width, height): (usize, usize)) -> (Real, Vec<Real>) {
+        let links = predictions.len() / (width * height).max(1);
+        let call = |py: Python<'_>| {
+            let given = |numbers: &[Real]| observations(py, self.task, (width, height), &[links], numbers.to_vec());
+            let found = self.function.bind(py).call1((given(predictions)?, given(truths)?))?;
+            let form = "loss: expected (number, derivative in the predictions)";
+            let Ok((value, slope)) = found.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() else {
+                return Err(wrong(py, form));
+            };
+            let d = if self.task.is_complex {
+                let shape = [links, height / 2, width].map(Some);
+                let slope = numbers::<Gain>("loss: the derivative", &slope, &shape)?;
+                rows_of(&slope.iter().map(|d| [d.re, d.im]).collect::<Vec<_>>(), width)
+            } else {
+                given_flat("loss: the derivative", &slope, predictions.len())?
+            };
+            Ok((given_flat("loss: the value", &value, 1)?[0], d))
+        };
+        call_strategy(|| Python::attach(call)).unwrap_or_else(|error: PyErr| throw(error))
+    }
+}
