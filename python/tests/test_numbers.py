@@ -120,6 +120,31 @@ def test_derivatives_by_central_differences(rasterizer):
         assert close.mean() > 0.95, (name, found, want)
 
 
+PROJECTORS = sorted(name for name, kinds in pwrfgs._values.KINDS.items() if "Projector" in kinds)
+
+
+@pytest.mark.skipif(pwrfgs._pwrfgs.real_bytes == 4, reason="single precision; the test command runs it in double too")
+@pytest.mark.parametrize("projector", PROJECTORS)
+@pytest.mark.parametrize("rasterizer", ["AlphaBlending", "ArrayResponse"])
+def test_derivatives_in_the_pose_by_central_differences(projector, rasterizer):
+    given, weights = gaussians(1), np.random.default_rng(2).normal(size=(2, 24, 96))
+    settings = dict(height=24, width=96, projector=projector, rasterizer=rasterizer)
+    pose = [np.array(part) for part in POSE]
+
+    def loss(place, turn):
+        image = pwrfgs.rasterize(**given, pose=(place, turn / np.linalg.norm(turn)), **settings)
+        return (image * weights).sum()
+
+    _, vjp = pwrfgs.rasterize_with_vjp(**given, pose=POSE, **settings)
+    d_means, d_quats = vjp(weights)[:2]
+    found = np.concatenate(pwrfgs._kernels.pose_vjp(given["means"], given["quats"], pose, d_means, d_quats))
+    want, step = np.zeros(7), 1e-6
+    for k in range(7):
+        ends = [loss(*np.split(np.concatenate(pose) + sign * step * (np.arange(7) == k), [3])) for sign in (1, -1)]
+        want[k] = (ends[0] - ends[1]) / (2 * step)
+    assert np.allclose(found, want, rtol=1e-4, atol=1e-6 * np.abs(want).max()), (found, want)
+
+
 def test_torch():
     pytest.importorskip("torch")
     import gradcheck

@@ -119,7 +119,7 @@ trainer.save_checkpoint("c.safetensors")
 trainer = pwrfgs.Trainer.load("c.safetensors", pipeline, train=links)
 place: NDArray[Any] = dataset[0].tx
 part_of_it: pwrfgs.Dataset = dataset[:10]
-dataset["a"]  # error
+dataset[0].place  # error
 for link in dataset.subset(links):
     print(link.receiver + link.id)
 own = pwrfgs.Model.from_arrays(*model.gaussians(), pwrfgs.Pose(), 15, 60, readout=Readout.Power)
