@@ -227,6 +227,9 @@ fn models(folder: &Path) -> Result<()> {
     let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;
     let half = path("half.safetensors");
     fs::write(&half, file::to_bytes_half(&trained)?).map_err(|e| Error::write(&half, e))?;
+    let small = path("compressed.safetensors");
+    let bytes = file::to_bytes_compressed(&trained.members()[0], file::Bits::Eight)?;
+    fs::write(&small, bytes).map_err(|e| Error::write(&small, e))?;
     let pair = Ensemble::new([trained.members(), trained.members()].concat()).map_err(Error::Config)?;
     file::write_ensemble(&path("pair.safetensors"), &pair)?;
     file::write_ensemble(&path("model.safetensors"), &trained)

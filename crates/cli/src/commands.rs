@@ -2,6 +2,7 @@
 
 mod check;
 mod completions;
+mod compress;
 mod data;
 mod evaluate;
 mod export;
@@ -54,6 +55,8 @@ pub(crate) enum Command {
     Report(report::Report),
     /// Add new measurements to a model with a residual process, without training
     Update(update::Update),
+    /// Write a smaller model file, with 8 or 16 bits per number
+    Compress(compress::Compress),
     /// Convert a trained model for splat viewers or Python
     Export(export::Export),
     /// Import your own spectra from NumPy arrays or PNG images
@@ -98,6 +101,7 @@ impl Command {
             #[cfg(feature = "report")]
             Self::Report(report) => report::report(report, verbosity),
             Self::Update(update) => update::update(update, verbosity),
+            Self::Compress(compress) => compress::compress(compress, verbosity),
             Self::Export(export) => export::export(export, verbosity),
             Self::Import(import) => import::import(import, verbosity),
             Self::Pipelines(pipelines) => pipelines::pipelines(pipelines),

@@ -1,6 +1,7 @@
 //! Several models are an ensemble; a model in 16-bit numbers is the same model, nearly.
 use crate::common::{SMALL, npy, refuse, stdout, succeed, write};
 use pwrfgs::model::file;
+use pwrfgs_core::Real;
 use std::path::Path;
 
 #[test]
@@ -80,6 +81,39 @@ fn half_precision_model_halves_file_and_keeps_predictions() {
     let (a, b) = (whole.predict(tx), half.predict(tx));
     assert!(a.pixels.iter().zip(&b.pixels).all(|(a, b)| (a - b).abs() < 0.01));
     refuse(here, &["export", "r/model.safetensors", "--half", "half.safetensors"], 2, &["half.safetensors exists"]);
+}
+
+#[test]
+fn compressed_model_is_a_quarter_as_large_and_predicts_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), SMALL);
+    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--scale", "0.05"]);
+    let whole = file::read(&here.join("r/model.safetensors")).unwrap();
+    let size = |name: &str| std::fs::metadata(here.join(name)).unwrap().len() as usize;
+    for (bits, bytes_per_weight, close) in [("8", 1, 0.01), ("16", 2, 0.005)] {
+        let name = format!("{bits}.safetensors");
+        let output = succeed(here, &["compress", "r/model.safetensors", "--out", &name, "--bits", bits]);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(text.contains("whole file") && text.contains("mean difference of predictions at"), "{text}");
+        let small = file::read(&here.join(&name)).unwrap();
+        assert_eq!(small.stages.layout().weights, whole.stages.layout().weights);
+        // Scales, biases, Gaussians and the header take the rest.
+        assert!(size(&name) < bytes_per_weight * whole.weights.len() + 12_000, "{bits}: {}", size(&name));
+        assert!(size(&name) < size("r/model.safetensors") * (bytes_per_weight + 1) / 4);
+        let (a, b) = (whole.predict([0.2, 0.1, 0.8]), small.predict([0.2, 0.1, 0.8]));
+        let mean = a.pixels.iter().zip(&b.pixels).map(|(a, b)| (a - b).abs()).sum::<Real>() / a.pixels.len() as Real;
+        assert!(mean > 0.0 && mean < close, "{bits}: {mean}");
+        // The same numbers again: nothing is lost by a second compression.
+        succeed(here, &["compress", &name, "--out", "again.safetensors", "--bits", bits]);
+        let again = file::read(&here.join("again.safetensors")).unwrap();
+        assert!(again.weights.iter().zip(&small.weights).all(|(a, b)| (a - b).abs() <= 1e-6 * b.abs()));
+        std::fs::remove_file(here.join("again.safetensors")).unwrap();
+    }
+    refuse(here, &["compress", "r/model.safetensors", "--out", "8.safetensors"], 2, &["8.safetensors exists"]);
+    refuse(here, &["compress", "p.ron", "--out", "no"], 2, &["p.ron", "give the model.safetensors of a finished run"]);
+    refuse(here, &["compress", "r/model.safetensors", "--out", "no", "--bits", "4"], 2, &["8, 16"]);
+    assert!(!here.join("no").exists());
 }
 
 /// Two kinds of model with two seeds, on a split that follows the seed.
@@ -171,6 +205,7 @@ fn joined_sweep_is_scored_and_saved_as_one_model() {
 /// PLY, NPZ and 16-bit numbers hold both members.
 fn is_exported_whole(here: &Path, model: &str) {
     succeed(here, &["export", model, "--ply", "a.ply", "--npz", "a.npz", "--half", "half.safetensors"]);
+    refuse(here, &["compress", model, "--out", "no"], 2, &["an ensemble of 2 models", "the file of each member"]);
     let ensemble = file::read_ensemble(&here.join(model)).unwrap();
     assert_eq!(ensemble.names(), ["small-0", "wide-0"]);
     let ply = std::fs::read(here.join("a.ply")).unwrap();

@@ -49,7 +49,7 @@ fn folders(here: &Path) {
 const NO_POSITION: (&str, &str) = ("uplinks", "instead of a transmitter");
 
 /// Commands in the order of a user, KIND for the kind of data; who cannot do them, and the words that say so.
-const COMMANDS: [(&str, &[(&str, &str)]); 13] = [
+const COMMANDS: [(&str, &[(&str, &str)]); 15] = [
     ("inspect KIND", &[]),
     ("init KIND --out KIND.ron", &[]),
     ("check KIND.ron", &[]),
@@ -63,6 +63,8 @@ const COMMANDS: [(&str, &[(&str, &str)]); 13] = [
     ),
     ("map run/KIND/model.safetensors --plane z=1.2 --step 0.5 --bounds 1,3,0,2 --out map/KIND", &[NO_POSITION]),
     ("export run/KIND/model.safetensors --npz KIND.npz --ply KIND.ply --half KIND.half", &[]),
+    ("compress run/KIND/model.safetensors --out KIND.small", &[]),
+    ("evaluate KIND.small --pipeline run/KIND/pipeline.ron", &[]),
     ("export run/KIND/model.safetensors --tx 1.5,1,1.2 --npz KIND-at.npz", &[NO_POSITION]),
     ("report run/KIND --out report/KIND", &[]),
     (

@@ -34,12 +34,14 @@ def read_safetensors(path):
     start = 8 + int.from_bytes(data[:8], "little")
     header = json.loads(data[8:start])
     note = json.loads(header.pop("__metadata__")["pwrfgs"])
-    types = {"F16": "<f2", "F32": "<f4", "F64": "<f8"}
+    types = {"I8": "<i1", "F16": "<f2", "F32": "<f4", "F64": "<f8"}
     tensors = {}
     for name, entry in header.items():
         first, end = entry["data_offsets"]
         values = np.frombuffer(data[start + first : start + end], types[entry["dtype"]])
         tensors[name] = values.reshape(entry["shape"]).astype(float)
+    for name in [name for name in tensors if f"{name}.scales" in tensors]:
+        tensors[name] *= tensors.pop(f"{name}.scales")[:, None]
     if "members" not in note:
         return [(tensors, local(note))]
     members = []

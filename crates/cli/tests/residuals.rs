@@ -34,6 +34,7 @@ fn every_command_reads_a_model_with_residuals() {
     assert!(page.contains("are Kriged ("), "the page shows stored spectra and the note");
     let two = ["predict", model, "half.safetensors", "--tx", "0,0,1", "--out", "no"];
     refuse(here, &two, 2, &["has a residual process", "give it as the only model"]);
+    refuse(here, &["compress", model, "--out", "no"], 2, &["has a residual process"]);
 
     // Stopped between training and the fit: the model of the training alone is on disk.
     let plain = file::read_ensemble(&here.join(model)).unwrap().with_residuals(None);

@@ -239,9 +239,11 @@ fn page_predictions_equal_program_predictions() {
     page.wait("document.querySelector('[data-ready]')");
     let mut seen = 0;
     for model in models() {
-        let bytes = file::to_bytes(&model);
-        let text: Vec<String> = bytes.iter().map(u8::to_string).collect();
-        for tx in [[1.0, 0.5, 0.2], [-2.0, 1.5, 0.9]] {
+        let small = file::to_bytes_compressed(&model, file::Bits::Eight).unwrap();
+        let restored = file::of_bytes(&small).unwrap();
+        let files = [(file::to_bytes(&model), model, [1.0, 0.5, 0.2]), (small, restored, [-2.0, 1.5, 0.9])];
+        for (bytes, model, tx) in files {
+            let text: Vec<String> = bytes.iter().map(u8::to_string).collect();
             let script = format!(
                 "(async () => {{ const [t, p] = [await import('./tensors.js'), await import('./predict.js')]; \
                  const file = t.readTensors(Uint8Array.from([{}])); const why = p.Predictor.refuses(file); \
@@ -261,7 +263,7 @@ fn page_predictions_equal_program_predictions() {
             assert!(many * 1000 <= errors.len(), "{many} pixels of {} differ: {:?}", errors.len(), model.stages.method);
         }
     }
-    assert_eq!(seen, 18, "nine models of eleven, two places each");
+    assert_eq!(seen, 18, "nine models of eleven, whole and compressed");
 }
 
 /// Drags the transmitter on a page without a server: the prediction is the program's.

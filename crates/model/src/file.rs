@@ -1,7 +1,7 @@
 //! Model file; `docs/model-format.md` describes it.
 
 use crate::residuals::ResidualsNote;
-use crate::tensors::Tensors;
+use crate::tensors::{Stored, Tensors};
 use crate::{Ensemble, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
@@ -117,7 +117,40 @@ pub fn ensemble_to_bytes(ensemble: &Ensemble) -> Vec<u8> {
 /// # Errors
 /// A network weight exceeds the range of 16 bits.
 pub fn to_bytes_half(ensemble: &Ensemble) -> Result<Vec<u8>> {
-    ensemble_tensors(ensemble).to_bytes_half(NETWORK).map_err(Error::Config)
+    let inner = format!(".{NETWORK}");
+    let network = |name: &str| name.starts_with(NETWORK) || name.contains(&inner);
+    let stored = |name: &str| if network(name) { Stored::Half } else { Stored::Whole };
+    ensemble_tensors(ensemble).to_bytes_as(stored).map_err(Error::Config)
+}
+
+/// Returns the bytes of a model file with 8 or 16 bits per number; every reader of model files reads it.
+///
+/// Weights `[out, in]` of the network are I8 with a scale per row, or F16. Biases, Gaussians and training positions are
+/// F16. Tensors that the network does not learn stay as they are.
+///
+/// # Errors
+/// A number exceeds the range of 16 bits.
+pub fn to_bytes_compressed(model: &Model, bits: Bits) -> Result<Vec<u8>> {
+    let layout = model.stages.layout();
+    let stored = |name: &str| {
+        let spec = name.strip_prefix(NETWORK).and_then(|name| layout.weights.iter().find(|spec| spec.name == name));
+        match spec {
+            _ if name.starts_with(CONSTANTS) => Stored::Whole,
+            Some(spec) if spec.fixed => Stored::Whole,
+            Some(spec) if spec.shape.len() == 2 && bits == Bits::Eight => Stored::Byte,
+            _ => Stored::Half,
+        }
+    };
+    tensors(model).to_bytes_as(stored).map_err(Error::Config)
+}
+
+/// Bits per network weight in a compressed file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bits {
+    /// Integers with a scale per row.
+    Eight,
+    /// Half precision.
+    Sixteen,
 }
 
 fn tensors(model: &Model) -> Tensors {

@@ -7,6 +7,20 @@ use std::collections::{BTreeMap, HashMap};
 /// The only metadata key: a second one would make the order of bytes depend on a hash.
 const NOTE: &str = "pwrfgs";
 
+/// End of the name of the scales of an 8-bit tensor.
+const SCALES: &str = ".scales";
+
+/// Storage of the numbers of a tensor in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stored {
+    /// As they are: F32, or F64 in double precision.
+    Whole,
+    /// F16.
+    Half,
+    /// I8, with an F32 tensor `NAME.scales` `[rows]`: one factor per row.
+    Byte,
+}
+
 /// Tensors by name, with shapes, and a JSON note.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tensors {
@@ -94,40 +108,50 @@ impl Tensors {
 
     /// Returns the bytes of the file; equal tensors give equal bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
-        self.encode(|_| false)
+        self.encode(|_| Stored::Whole)
     }
 
-    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name begins with
-    /// `prefix` or has it after a dot.
+    /// Returns the bytes of the file with the numbers of each tensor stored as `stored` says.
     ///
     /// # Errors
-    /// The message names a tensor with a number beyond ±65504, the largest of F16.
-    pub fn to_bytes_half(&self, prefix: &str) -> Result<Vec<u8>, String> {
-        let inner = format!(".{prefix}");
-        let short = |name: &str| name.starts_with(prefix) || name.contains(&inner);
+    /// The message names a tensor of [`Stored::Half`] with a number beyond ±65504, the largest of F16.
+    pub fn to_bytes_as(&self, stored: impl Fn(&str) -> Stored) -> Result<Vec<u8>, String> {
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
-        match self.long.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
+        let beyond = |name: &str, values: &[Real]| stored(name) == Stored::Half && values.iter().any(too_large);
+        match self.long.iter().find(|(name, (_, values))| beyond(name, values)) {
             Some((name, _)) => Err(format!("tensor `{name}` has a value too large for 16 bits")),
-            None => Ok(self.encode(short)),
+            None => Ok(self.encode(stored)),
         }
     }
 
-    fn encode(&self, half: impl Fn(&str) -> bool) -> Vec<u8> {
-        let whole = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
-        let encoded = |name: &str, values: &[Real]| -> (Dtype, Vec<u8>) {
-            if half(name) {
-                let short = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
-                (Dtype::F16, values.iter().flat_map(short).collect())
-            } else {
-                (whole, values.iter().flat_map(|v| v.to_le_bytes()).collect())
+    fn encode(&self, stored: impl Fn(&str) -> Stored) -> Vec<u8> {
+        let mut all: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
+        for (name, (shape, values)) in &self.long {
+            match stored(name) {
+                Stored::Whole => {
+                    let dtype = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
+                    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                    all.push((name.clone(), dtype, shape.clone(), bytes));
+                }
+                Stored::Half => {
+                    let short = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
+                    all.push((name.clone(), Dtype::F16, shape.clone(), values.iter().flat_map(short).collect()));
+                }
+                Stored::Byte => {
+                    let (integers, scales) = quantise(values, shape[0]);
+                    let scales = scales.iter().flat_map(|v| v.to_le_bytes()).collect();
+                    all.push((format!("{name}{SCALES}"), Dtype::F32, vec![shape[0]], scales));
+                    let integers = integers.iter().flat_map(|v| v.to_le_bytes()).collect();
+                    all.push((name.clone(), Dtype::I8, shape.clone(), integers));
+                }
             }
-        };
-        let reals = self.long.iter().map(|(name, (shape, values))| (name, shape, encoded(name, values)));
-        let bytes = |values: &[i8]| values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let bytes_of = self.short.iter().map(|(name, (shape, values))| (name, shape, (Dtype::I8, bytes(values))));
-        let all: Vec<_> = reals.chain(bytes_of).collect();
-        let views = all.iter().map(|(name, shape, (dtype, data))| {
-            (name.as_str(), TensorView::new(*dtype, (*shape).clone(), data).expect("a tensor fills its shape"))
+        }
+        for (name, (shape, values)) in &self.short {
+            let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+            all.push((name.clone(), Dtype::I8, shape.clone(), bytes));
+        }
+        let views = all.iter().map(|(name, dtype, shape, data)| {
+            (name.as_str(), TensorView::new(*dtype, shape.clone(), data).expect("a tensor fills its shape"))
         });
         let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
         safetensors::serialize(views, Some(note)).expect("shapes fit their data")
@@ -168,6 +192,37 @@ impl Tensors {
             };
             long.insert(name, (view.shape().to_vec(), values));
         }
-        Ok(Self { note, long, short })
+        let mut read = Self { note, long, short };
+        read.restore()?;
+        Ok(read)
     }
+
+    /// Replaces 8-bit tensors that have scales by their values.
+    fn restore(&mut self) -> Result<(), String> {
+        let scaled = |name: &&String| self.long.contains_key(&format!("{name}{SCALES}"));
+        let names: Vec<String> = self.short.keys().filter(scaled).cloned().collect();
+        for name in names {
+            let (shape, integers) = self.short.remove(&name).expect("a key of the map");
+            let rows = shape.first().copied().unwrap_or(1);
+            let scales = self.take(&format!("{name}{SCALES}"), &[rows])?;
+            let columns = integers.len() / rows.max(1);
+            let values = integers.iter().enumerate().map(|(i, q)| scales[i / columns.max(1)] * Real::from(*q)).collect();
+            self.long.insert(name, (shape, values));
+        }
+        Ok(())
+    }
+}
+
+/// Returns integers from −127 to 127 and a scale per row, whose products are the values to half a scale. A row of zeros
+/// has scale 0.
+fn quantise(values: &[Real], rows: usize) -> (Vec<i8>, Vec<f32>) {
+    let mut integers = Vec::with_capacity(values.len());
+    let scale = |row: &[Real]| {
+        let largest = row.iter().fold(0.0, |most: Real, v| most.max(v.abs()));
+        let scale = (largest / 127.0) as f32;
+        integers.extend(row.iter().map(|v| if scale > 0.0 { (f64::from(*v) / f64::from(scale)).round() as i8 } else { 0 }));
+        scale
+    };
+    let scales = values.chunks(values.len().div_ceil(rows.max(1)).max(1)).map(scale).collect();
+    (integers, scales)
 }

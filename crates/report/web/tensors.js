@@ -1,6 +1,7 @@
 /**
  * Reads a safetensors file: a model, or data from the server. Returns `note`, the JSON under "pwrfgs" in the header, and
- * `get(name)`, `shape(name)`, `has(name)`, `names()`. 16-bit numbers are converted to 32 bits.
+ * `get(name)`, `shape(name)`, `has(name)`, `names()`. Numbers of 16 bits, and of 8 bits with scales per row, are converted
+ * to 32 bits.
  */
 export function readTensors(file) {
   const bytes = file instanceof Uint8Array ? file : new Uint8Array(file);
@@ -11,11 +12,16 @@ export function readTensors(file) {
   const note = JSON.parse(header.__metadata__?.pwrfgs ?? "null");
   delete header.__metadata__;
   const data = bytes.subarray(8 + length);
-  const get = (name) => tensorOf(header[name], data, name);
+  const get = (name) => {
+    const values = tensorOf(header[name], data, name);
+    const scales = header[`${name}.scales`] && tensorOf(header[`${name}.scales`], data, name);
+    const columns = scales && values.length / scales.length;
+    return scales ? Float32Array.from(values, (value, i) => value * scales[Math.floor(i / columns)]) : values;
+  };
   return { note, get, shape: (name) => header[name].shape, has: (name) => name in header, names: () => Object.keys(header) };
 }
 
-const TENSOR_TYPES = { F32: Float32Array, F64: Float64Array, U8: Uint8Array, F16: Uint16Array };
+const TENSOR_TYPES = { F32: Float32Array, F64: Float64Array, U8: Uint8Array, I8: Int8Array, F16: Uint16Array };
 
 function tensorOf(entry, data, name) {
   if (!entry) throw new Error(`no tensor ${name}`);

@@ -21,6 +21,8 @@ const GAUSSIANS: usize = 20_000;
 const LINKS: usize = 5_000;
 /// Maximum size of a model that predicts in the page, bytes.
 const MODEL_BYTES: usize = 1 << 20;
+/// Largest file of a model in 8 bits, which the page holds if the model is larger than [`MODEL_BYTES`].
+const COMPRESSED_BYTES: usize = 3 << 19;
 /// Deformations that `web/predict.js` supports.
 const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 /// Last statement of the script.
@@ -69,14 +71,19 @@ fn shows(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
 
-/// Model file, if it is one model that the page can predict.
+/// Model file, whole or in 8 bits, if it is one model that the page can predict.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let ([only], None) = (run.model.members(), run.model.residuals()) else { return None };
     let name = name_of(only.stages.deformation()?);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
     let drawn = only.stages.setup.receivers.len() == 1 && run.data.task().has_pixels;
-    let small = only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES;
-    (known && drawn && small).then(|| file::to_bytes(only))
+    if !(known && drawn) {
+        return None;
+    }
+    if only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES {
+        return Some(file::to_bytes(only));
+    }
+    file::to_bytes_compressed(only, file::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
 /// Test links whose spectra are in the page: evenly from best to worst, as many as fit.
