@@ -100,10 +100,10 @@ impl std::fmt::Debug for Evaluation<'_> {
 pub struct ModelFacts<'a> {
     /// Centres `[N,3]`, metres.
     pub means: &'a [[Real; 3]],
-    /// Size of the Gaussians in the model file, bytes.
+    /// Size of the Gaussians, bytes.
     pub gaussian_bytes: usize,
-    /// Size of the network and of residual processes in the model file, bytes.
-    pub network_bytes: usize,
+    /// Size of the whole model file, bytes.
+    pub file_bytes: usize,
 }
 
 /// Time of one prediction per stage, seconds.

@@ -48,7 +48,7 @@ pub fn evaluate(
         let facts = ModelFacts {
             means: &ensemble.means_from(data.scene.origin),
             gaussian_bytes: ensemble.gaussian_bytes(),
-            network_bytes: ensemble.network_bytes() + ensemble.residual_bytes(),
+            file_bytes: ensemble.file_bytes(),
         };
         test.model(name, ready, Some(facts), &pipeline.metrics, session)
     };

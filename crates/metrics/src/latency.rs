@@ -130,7 +130,7 @@ mod tests {
                 total: 1e3 / k,
             }
         };
-        let model = ModelFacts { means: &[], gaussian_bytes: 0, network_bytes: 0 };
+        let model = ModelFacts { means: &[], gaussian_bytes: 0, file_bytes: 0 };
         let found = of_timed(&Latency { repeats: 4, warm_up: 3 }, Some(model), &scene(&[]), Some(&predict));
         assert_eq!(calls.get(), 7);
         let keys: Vec<&str> = found.iter().map(|m| m.key.as_str()).collect();

@@ -1,6 +1,6 @@
 //! `Ensemble`: several models of one scene that predict together.
 
-use crate::{Model, Prepared, Residuals, TrainingDistances};
+use crate::{Model, Prepared, Residuals, TrainingDistances, file};
 use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
@@ -11,12 +11,14 @@ pub struct Ensemble {
     names: Vec<String>,
     members: Vec<Model>,
     residuals: Option<Residuals>,
+    /// Size of the file that was read, bytes.
+    read_bytes: Option<usize>,
 }
 
 impl Ensemble {
     /// Creates an ensemble of one model.
     pub fn of(model: Model) -> Self {
-        Self { names: vec!["1".into()], members: vec![model], residuals: None }
+        Self { names: vec!["1".into()], members: vec![model], residuals: None, read_bytes: None }
     }
 
     /// Creates an ensemble of one or more models with one pixel grid, named by their numbers from 1.
@@ -42,7 +44,7 @@ impl Ensemble {
             ));
         }
         let (names, members) = members.into_iter().unzip();
-        Ok(Self { names, members, residuals: None })
+        Ok(Self { names, members, residuals: None, read_bytes: None })
     }
 
     /// Returns the ensemble if all models differ: equal models have no deviation and count twice in the mean.
@@ -69,7 +71,7 @@ impl Ensemble {
     /// Returns the ensemble with residual processes that correct its prediction, or without.
     #[must_use]
     pub fn with_residuals(self, residuals: Option<Residuals>) -> Self {
-        Self { residuals, ..self }
+        Self { residuals, read_bytes: None, ..self }
     }
 
     /// Returns the residual processes, if any.
@@ -117,9 +119,13 @@ impl Ensemble {
         self.members.iter().map(Model::network_bytes).sum()
     }
 
-    /// Returns the size of the residual processes in the file, bytes; 0 without.
-    pub fn residual_bytes(&self) -> usize {
-        self.residuals.as_ref().map_or(0, Residuals::bytes)
+    /// Returns the size of the model file that was read, or that would be written, bytes.
+    pub fn file_bytes(&self) -> usize {
+        self.read_bytes.unwrap_or_else(|| file::ensemble_to_bytes(self).len())
+    }
+
+    pub(crate) fn read_from(self, bytes: usize) -> Self {
+        Self { read_bytes: Some(bytes), ..self }
     }
 
     /// Returns the centres of all members, metres from `origin`.

@@ -237,7 +237,10 @@ pub fn read(path: &Path) -> Result<Model> {
 /// As [`read`].
 pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
     let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
-    from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
+    match from_bytes(&bytes) {
+        Ok(ensemble) => Ok(ensemble.read_from(bytes.len())),
+        Err(why) => Err(Error::input(path, format!("{why}; give the model.safetensors of a finished run"))),
+    }
 }
 
 /// Reads the bytes of a file.

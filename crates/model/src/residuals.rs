@@ -142,15 +142,6 @@ impl Residuals {
         &self.processes
     }
 
-    /// Returns the size of residuals and positions in the model file, bytes.
-    pub fn bytes(&self) -> usize {
-        let of = |process: &ResidualProcess| match &process.values {
-            ResidualValues::Exact(values) => size_of_val(values.as_slice()),
-            ResidualValues::Short(values, units) => values.len() + size_of_val(units.as_slice()),
-        };
-        self.processes.iter().flatten().map(|own| size_of_val(own.places.as_slice()) + of(own)).sum()
-    }
-
     /// Returns the distance between stored pixels, in pixels; 1 for exact residuals.
     pub fn stride(&self) -> usize {
         self.grid.stride

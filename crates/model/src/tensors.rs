@@ -206,7 +206,8 @@ impl Tensors {
             let rows = shape.first().copied().unwrap_or(1);
             let scales = self.take(&format!("{name}{SCALES}"), &[rows])?;
             let columns = integers.len() / rows.max(1);
-            let values = integers.iter().enumerate().map(|(i, q)| scales[i / columns.max(1)] * Real::from(*q)).collect();
+            let values =
+                integers.iter().enumerate().map(|(i, q)| scales[i / columns.max(1)] * Real::from(*q)).collect();
             self.long.insert(name, (shape, values));
         }
         Ok(())
@@ -220,7 +221,8 @@ fn quantise(values: &[Real], rows: usize) -> (Vec<i8>, Vec<f32>) {
     let scale = |row: &[Real]| {
         let largest = row.iter().fold(0.0, |most: Real, v| most.max(v.abs()));
         let scale = (largest / 127.0) as f32;
-        integers.extend(row.iter().map(|v| if scale > 0.0 { (f64::from(*v) / f64::from(scale)).round() as i8 } else { 0 }));
+        integers
+            .extend(row.iter().map(|v| if scale > 0.0 { (f64::from(*v) / f64::from(scale)).round() as i8 } else { 0 }));
         scale
     };
     let scales = values.chunks(values.len().div_ceil(rows.max(1)).max(1)).map(scale).collect();

@@ -78,6 +78,11 @@ fn difference(model: &Model, small: &Model) -> Option<String> {
     let queries: Vec<Query<'_>> = places.iter().map(|place| (*place).into()).collect();
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
-    let (sum, count) = pairs.fold((0.0, 0usize), |(sum, count), (a, b)| (sum + f64::from((a - b).abs() as f32), count + 1));
-    Some(format!("mean difference of predictions at {} training positions: {:.2e}", places.len(), sum / count.max(1) as f64))
+    let (sum, count) =
+        pairs.fold((0.0, 0usize), |(sum, count), (a, b)| (sum + f64::from((a - b).abs() as f32), count + 1));
+    Some(format!(
+        "mean difference of predictions at {} training positions: {:.2e}",
+        places.len(),
+        sum / count.max(1) as f64
+    ))
 }

@@ -193,7 +193,7 @@ fn draw_points(canvas: &mut Canvas, view: &RoomView, data: &Dataset) {
 /// Chamfer distance to the point cloud, as the metric of that name, m²; `None` if not applicable.
 fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     let metric = Plugin::<dyn Metric>::parse("Chamfer()").ok()?;
-    let model = Some(ModelFacts { means, gaussian_bytes: 0, network_bytes: 0 });
+    let model = Some(ModelFacts { means, gaussian_bytes: 0, file_bytes: 0 });
     let measured = metric.evaluate(&Evaluation { model, ..Evaluation::of(data, &data.plane()) });
     match measured.ok()?.pop()?.values {
         Values::Whole(distance) => Some(distance),

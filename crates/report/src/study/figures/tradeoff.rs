@@ -7,7 +7,7 @@ use minijinja::context;
 use pwrfgs_core::Headline;
 use pwrfgs_experiment::paired::is_rate_ratio;
 use pwrfgs_experiment::{
-    ParetoComparison, Record, Setting, StudyVariant, VariantFamily, scores::MODEL, statistics::Spread,
+    CEILING, ParetoComparison, Record, Setting, StudyVariant, VariantFamily, scores::MODEL, statistics::Spread,
 };
 
 /// Published SSIM by N: Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field
@@ -63,6 +63,8 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     let published = is_s23(setting) && !score.published.is_empty();
     lines.extend(published.then(|| reference(score)));
     lines.extend(baselines(setting, score.key));
+    let ceiling = |own| ChartLine::level(height(score.key, own), Style::baseline(setting.baselines().len()));
+    lines.extend(setting.baseline(CEILING, score.key).map(|own| ceiling(own).named_at_end("ceiling")));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
     let y = ChartAxis { name: score.axis.clone(), log: is_rate_ratio(score.key), ends: None };
     let chart = Chart { x, y, lines, ..Chart::default() };
