@@ -136,6 +136,8 @@ fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> 
                 None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
             }
             let (start, batch) = if survey.nearest < CLOSE_M {
+                // Correlations reach a few training positions.
+                set.push(format!("deformation.near.length_m={:.3}", (3.0 * survey.nearest).max(0.01)));
                 (FINE_SPECTRA, 32)
             } else {
                 set.extend(MOVING_LOBES.map(str::to_owned));
