@@ -298,6 +298,9 @@ impl<'a> VariantFamily<'a> {
                 None => families.push(Self { name, variants: vec![variant], places: Vec::new() }),
             }
         }
+        if families.len() > 1 {
+            shorten(&mut families);
+        }
         families
     }
 
@@ -344,7 +347,6 @@ impl<'a> ParetoComparison<'a> {
             }
         }
         families.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
-        shorten(&mut families);
         Some(Self { numbers, families })
     }
 }

@@ -61,10 +61,9 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();
-    lines.extend(published.then(|| reference(score)));
+    lines.extend(published.then(|| reference(score.key, score.published)));
     lines.extend(baselines(setting, score.key));
-    let ceiling = |own| ChartLine::level(height(score.key, own), Style::baseline(setting.baselines().len()));
-    lines.extend(setting.baseline(CEILING, score.key).map(|own| ceiling(own).named_at_end("ceiling")));
+    lines.extend(ceiling(setting, score.key));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
     let y = ChartAxis { name: score.axis.clone(), log: is_rate_ratio(score.key), ends: None };
     let chart = Chart { x, y, lines, ..Chart::default() };
@@ -91,6 +90,13 @@ pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     setting.baselines().into_iter().enumerate().filter_map(line).collect()
 }
 
+/// Horizontal line of the noise ceiling, if it was estimated.
+fn ceiling(setting: &Setting, key: &str) -> Option<ChartLine> {
+    let line =
+        ChartLine::level(height(key, setting.baseline(CEILING, key)?), Style::baseline(setting.baselines().len()));
+    Some(line.named_at_end("ceiling"))
+}
+
 /// Whether these are the measured spectra of the published numbers, by the name of the data:
 /// the name that NeRF2 uses.
 fn is_s23(setting: &Setting) -> bool {
@@ -99,9 +105,9 @@ fn is_s23(setting: &Setting) -> bool {
 }
 
 /// Published values.
-fn reference(score: &Score) -> ChartLine {
+fn reference(key: &str, published: &[(f64, f64)]) -> ChartLine {
     let mut line = ChartLine::new(Vec::new(), Style::published()).named("published, s23");
-    line.marks = score.published.iter().map(|(n, own)| (*n, height(score.key, *own))).collect();
+    line.marks = published.iter().map(|(n, own)| (*n, height(key, *own))).collect();
     line
 }
 
@@ -156,12 +162,15 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     }
     lines.append(&mut shown);
     lines.append(&mut others);
+    let published = K == N && headline.key == "ssim" && is_s23(setting);
+    lines.extend(published.then(|| reference(headline.key, &PUBLISHED_SSIM)));
     lines.extend(baselines(setting, headline.key));
+    lines.extend(ceiling(setting, headline.key));
     let axis = format!("mean {}", headline.name);
     let x = ChartAxis { name: cost.axis.into(), log: true, ends: None };
     let chart = Chart { x, y: ChartAxis { name: axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
     let (families, shown) = (pareto.families.len(), SHOWN.min(last));
-    Figure::chart(cost.name, setting, context! { axis, families, shown, left_out, cost => cost.axis }, chart)
+    Figure::chart(cost.name, setting, context! { axis, families, shown, left_out, published, cost => cost.axis }, chart)
 }
 
 /// Mean score of the worst baseline.
