@@ -110,7 +110,7 @@ fn numpy_predicts_from_model_of_every_shipped_pipeline() {
         let ensemble = match file::to_bytes_compressed(&ensemble.members()[0], file::Bits::Eight) {
             Ok(small) if pairs.len() % 4 == 0 => {
                 write(&here.join(&saved), &small);
-                Ensemble::of(file::of_bytes(&small).unwrap())
+                file::from_bytes(&small).unwrap()
             }
             _ => {
                 file::write_ensemble(&here.join(&saved), &ensemble).unwrap();

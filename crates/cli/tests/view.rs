@@ -240,7 +240,7 @@ fn page_predictions_equal_program_predictions() {
     let mut seen = 0;
     for model in models() {
         let small = file::to_bytes_compressed(&model, file::Bits::Eight).unwrap();
-        let restored = file::of_bytes(&small).unwrap();
+        let restored = file::from_bytes(&small).unwrap().into_only().unwrap();
         let files = [(file::to_bytes(&model), model, [1.0, 0.5, 0.2]), (small, restored, [-2.0, 1.5, 0.9])];
         for (bytes, model, tx) in files {
             let text: Vec<String> = bytes.iter().map(u8::to_string).collect();

@@ -55,7 +55,7 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
         Bits::Sixteen => file::Bits::Sixteen,
     };
     let (before, after) = (file::to_bytes(&model), file::to_bytes_compressed(&model, bits)?);
-    let small = file::of_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
+    let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
     write_atomically(&arguments.out, &after)?;
     let kilobytes = |bytes: usize| grouped(bytes.div_ceil(1000) as i64);
     verbosity.note(&format!(
@@ -64,7 +64,7 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
         kilobytes(before.len()),
         arguments.out.display()
     ));
-    if let Some(difference) = difference(&model, &small) {
+    if let Some(difference) = difference(&model, &small.members()[0]) {
         verbosity.note(&difference);
     }
     Ok(())
