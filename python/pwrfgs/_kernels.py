@@ -127,7 +127,7 @@ def rasterize_with_vjp(
 
 
 def pose_vjp(means: Array, quats: Array, pose: Any, d_means: Array, d_quats: Array) -> Tuple[Array, Array]:
-    """Gradients of position [3] and orientation [4] of the receiver, given those of the Gaussians.
+    """Gradients of position [3] and orientation [4] of the receiver, given those of the Gaussians, for the projector Mercator.
 
     An image depends only on the Gaussians in the frame of the receiver: to move the receiver is to move all Gaussians the
     other way. A turn of the receiver by a small vector δ in world axes turns means about the receiver, and quats, by -δ;

@@ -6,6 +6,7 @@ import os
 from typing import Any, Callable, Dict, Mapping, Optional, Tuple, Union
 
 from . import _arrays, _pwrfgs, _strategies
+from ._errors import InputError
 from ._log import STEPS, log
 from ._pipeline import Pipeline
 from ._types import Array, Cloud, Gaussians, Stats
@@ -51,6 +52,8 @@ class Trainer:
         loss: Optional[Loss],
         checkpoint: Optional[PathLike],
     ) -> None:
+        if loss is not None and not callable(loss):
+            raise InputError(f"loss is {loss!r}; give a function of predictions and truths")
         self.pipeline = Pipeline(pipeline)
         _strategies.check(self.pipeline)
         self.dataset = self.pipeline.load_data() if dataset is None else dataset

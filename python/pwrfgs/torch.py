@@ -12,6 +12,7 @@ from . import _pwrfgs, _strategies
 from ._errors import InputError, missing
 from ._kernels import as_pose, pose_vjp, rasterize_with_vjp
 from ._types import Array, Receiver
+from ._values import plugin_text
 
 try:
     import torch
@@ -38,8 +39,9 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
     def forward(ctx: Any, *given: Any) -> Any:
         *tensors, settings = given
         means, quats, scales, opacities, signals, position, orientation = map(_array, tensors)
+        # The kernels normalise nearly normalised quaternions themselves, and reject zero.
         length = np.linalg.norm(orientation)
-        unit = position, orientation / (length if length > 0 else 1.0)
+        unit = position, orientation if length == 0 or abs(length - 1) < 1e-3 else orientation / length
         picture, vjp = rasterize_with_vjp(means, quats, scales, opacities, signals, unit, **settings)
         pose = position, orientation
         ctx.like = [x.new_empty(0) for x in tensors]
@@ -74,14 +76,18 @@ def rasterize(
     projection.
 
     ``pose`` is a ``Pose``, a ``Receiver``, a list of B of them, or a pair of tensors: positions [3] or [B, 3], and
-    orientations x, y, z, w [4] or [B, 4]. Tensors have gradients; the one of an orientation is that of the normalised
-    quaternion.
+    orientations x, y, z, w [4] or [B, 4]. With the projector ``Mercator``, these tensors have gradients; the one of an
+    orientation is that of the normalised quaternion.
 
     Computes on the CPU for tensors on any device, in single precision: tensors must be float32, signals float32 or complex64."""
     given = dict(zip(_NAMES, (means, quats, scales, opacities, signals)))
     for name, x in given.items():
         _check(name, x, _REAL + _COMPLEX if name == "signals" else _REAL)
     given["position"], given["orientation"] = _poses(pose, means)
+    if given["position"].requires_grad or given["orientation"].requires_grad:
+        name = plugin_text("Projector", projector, None).split("(")[0]
+        if name != "Mercator":  # WrfgsCompat takes the position of the receiver for a translation, as in its source
+            raise InputError(f"pose: the projector {name} has no gradient in the pose; use Mercator(), or detach the pose")
     axes = dict(zip(given, (2, 2, 2, 1, 1 if signals.is_complex() else 2, 1, 1)))
     sizes = {name: len(x) for name, x in given.items() if x.dim() > axes[name]}
     settings = dict(

@@ -120,29 +120,25 @@ def test_derivatives_by_central_differences(rasterizer):
         assert close.mean() > 0.95, (name, found, want)
 
 
-PROJECTORS = sorted(name for name, kinds in pwrfgs._values.KINDS.items() if "Projector" in kinds)
-
-
 @pytest.mark.skipif(pwrfgs._pwrfgs.real_bytes == 4, reason="single precision; the test command runs it in double too")
-@pytest.mark.parametrize("projector", PROJECTORS)
 @pytest.mark.parametrize("rasterizer", ["AlphaBlending", "ArrayResponse"])
-def test_derivatives_in_the_pose_by_central_differences(projector, rasterizer):
+def test_derivatives_in_the_pose_by_central_differences(rasterizer):
     given, weights = gaussians(1), np.random.default_rng(2).normal(size=(2, 24, 96))
-    settings = dict(height=24, width=96, projector=projector, rasterizer=rasterizer)
-    pose = [np.array(part) for part in POSE]
+    settings = dict(height=24, width=96, rasterizer=rasterizer)
+    flat, step = np.concatenate([np.array(part) for part in POSE]), 1e-6
 
-    def loss(place, turn):
-        image = pwrfgs.rasterize(**given, pose=(place, turn / np.linalg.norm(turn)), **settings)
-        return (image * weights).sum()
+    def image(pose):
+        return pwrfgs.rasterize(**given, pose=(pose[:3], pose[3:] / np.linalg.norm(pose[3:])), **settings)
 
     _, vjp = pwrfgs.rasterize_with_vjp(**given, pose=POSE, **settings)
-    d_means, d_quats = vjp(weights)[:2]
-    found = np.concatenate(pwrfgs._kernels.pose_vjp(given["means"], given["quats"], pose, d_means, d_quats))
-    want, step = np.zeros(7), 1e-6
     for k in range(7):
-        ends = [loss(*np.split(np.concatenate(pose) + sign * step * (np.arange(7) == k), [3])) for sign in (1, -1)]
-        want[k] = (ends[0] - ends[1]) / (2 * step)
-    assert np.allclose(found, want, rtol=1e-4, atol=1e-6 * np.abs(want).max()), (found, want)
+        slope = (image(flat + step * (np.arange(7) == k)) - image(flat - step * (np.arange(7) == k))) / (2 * step)
+        # A pixel where a Gaussian crosses 1/255 between the two ends is a step, not a slope.
+        smooth = (np.abs(slope) < 500).all(axis=0)
+        assert smooth.mean() > 0.99
+        d_means, d_quats = vjp(weights * smooth)[:2]
+        found = pwrfgs._kernels.pose_vjp(given["means"], given["quats"], (flat[:3], flat[3:]), d_means, d_quats)
+        assert np.isclose(np.concatenate(found)[k], (slope * weights * smooth).sum(), rtol=1e-5, atol=1e-5), k
 
 
 def test_torch():

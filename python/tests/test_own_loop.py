@@ -204,6 +204,7 @@ def test_own_loss_of_channels_is_complex(tmp_path):
 @pytest.mark.parametrize(
     ("loss", "said"),
     [
+        ("L1", "loss is 'L1'; give a function"),
         (lambda p, t: 3.0, r"loss: expected \(number, derivative"),
         (lambda p, t: (1.0, np.zeros(3)), "loss: the derivative has 3 numbers"),
         (lambda p, t: (float("nan"), np.zeros_like(p)), "holds NaN"),
