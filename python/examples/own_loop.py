@@ -32,6 +32,7 @@ def main(steps: int = 400, out: str = "runs/own") -> pwrfgs.Run:
     start = pwrfgs.Trainer(pipeline, data).model().gaussians()
     columns = start.means, start.quats, np.log(start.scales), np.log(start.opacities / (1 - start.opacities))
     free = [torch.tensor(column, dtype=torch.float32).requires_grad_() for column in columns]
+    torch.manual_seed(0)
     network = Signals()
     optimizer = torch.optim.Adam([*free, *network.parameters()], lr=3e-3)
     for step in range(steps):

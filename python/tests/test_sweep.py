@@ -18,14 +18,11 @@ QUICK = {"training.steps": 3, "training.densify_until": 1, "training.prune_until
 
 
 def test_sweep_of_values_runs_every_combination(tmp_path, pipeline):
-    axes = {
-        "initializer.Random.count": [20, 30],
-        "pruners": {"opacity": [pwrfgs.OpacityThreshold(epsilon=0.02)], "none": []},
-    }
+    axes = {"initializer.Random.count": [20, 30], "pruners": {"none": []}}
     call = dict(set=QUICK, out=tmp_path / "sweep", axes=axes, seeds=[3], name="counts")
     runs = pwrfgs.sweep(pipeline, **call)
-    assert len(runs) == 4 and all(run.finished for run in runs)
-    assert [re.sub(r".*/", "", run.folder) for run in runs][:2] == ["count=20,pruners=opacity,seed=3", "count=20,pruners=none,seed=3"]
+    assert all(run.finished for run in runs)
+    assert [re.sub(r".*/", "", run.folder) for run in runs] == ["count=20,pruners=none,seed=3", "count=30,pruners=none,seed=3"]
     assert runs[-1].pipeline.initializer.count == 30 and runs[-1].pipeline.pruners == []
     assert (tmp_path / "sweep/report/report.html").is_file()
     started = [run.facts["started"] for run in runs]
