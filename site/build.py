@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import html.parser
-import importlib.util
 import os
 import re
 import shutil
@@ -97,8 +96,7 @@ def python_api(out: Path) -> None:
         sys.modules.update({"torch": torch, "torch.autograd.function": function})
     warnings.filterwarnings("ignore", module="pdoc")  # types that only type checkers import
     pdoc.render.configure(docformat="numpy", show_source=False, template_directory=ROOT / "site/pdoc")
-    with_sklearn = ["pwrfgs.sklearn"] if importlib.util.find_spec("sklearn") else []
-    pdoc.pdoc("pwrfgs", "pwrfgs.torch", *with_sklearn, output_directory=out)
+    pdoc.pdoc("pwrfgs", "pwrfgs.torch", output_directory=out)
 
 
 class Page(html.parser.HTMLParser):
