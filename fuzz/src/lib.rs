@@ -13,7 +13,7 @@ pub mod targets;
 use mutate::mutate;
 use pwrfgs::experiment::read_pipeline;
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
-use pwrfgs::model::file;
+use pwrfgs::model::{compress, file};
 use pwrfgs::prelude::*;
 use pwrfgs_core::rng;
 use std::fs;
@@ -228,7 +228,7 @@ fn models(folder: &Path) -> Result<()> {
     let half = path("half.safetensors");
     fs::write(&half, file::to_bytes_half(&trained)?).map_err(|e| Error::write(&half, e))?;
     let small = path("compressed.safetensors");
-    let bytes = file::to_bytes_compressed(&trained.members()[0], file::Bits::Eight)?;
+    let bytes = compress::to_bytes(&trained.members()[0], compress::Bits::Eight)?;
     fs::write(&small, bytes).map_err(|e| Error::write(&small, e))?;
     let pair = Ensemble::new([trained.members(), trained.members()].concat()).map_err(Error::Config)?;
     file::write_ensemble(&path("pair.safetensors"), &pair)?;

@@ -5,7 +5,7 @@ use crate::common::{python, succeed, write};
 use crate::model_format::{NO_PYTHON, predict, predicted_again};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::{NoopObserver, load, read_pipeline};
-use pwrfgs::model::{Ensemble, Model, file};
+use pwrfgs::model::{Ensemble, Model, compress, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Number, Query, Real, Task, gains_of};
@@ -107,7 +107,7 @@ fn numpy_predicts_from_model_of_every_shipped_pipeline() {
     for (name, path, more) in cases {
         let (ensemble, saved) = (model_of(&path, &uplinks, more), format!("{name}.safetensors"));
         // Whole files, and compressed ones of every second pipeline.
-        let ensemble = match file::to_bytes_compressed(&ensemble.members()[0], file::Bits::Eight) {
+        let ensemble = match compress::to_bytes(&ensemble.members()[0], compress::Bits::Eight) {
             Ok(small) if pairs.len() % 4 == 0 => {
                 write(&here.join(&saved), &small);
                 file::from_bytes(&small).unwrap()

@@ -13,7 +13,7 @@ use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
     Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
 };
-use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals};
+use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -48,7 +48,7 @@ pub fn evaluate(
         let facts = ModelFacts {
             means: &ensemble.means_from(data.scene.origin),
             gaussian_bytes: ensemble.gaussian_bytes(),
-            file_bytes: ensemble.file_bytes(),
+            file_bytes: file::size(ensemble),
         };
         test.model(name, ready, Some(facts), &pipeline.metrics, session)
     };

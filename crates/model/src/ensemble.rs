@@ -1,6 +1,6 @@
 //! `Ensemble`: several models of one scene that predict together.
 
-use crate::{Model, Prepared, Residuals, TrainingDistances, file};
+use crate::{Model, Prepared, Residuals, TrainingDistances};
 use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
@@ -119,9 +119,9 @@ impl Ensemble {
         self.members.iter().map(Model::network_bytes).sum()
     }
 
-    /// Returns the size of the model file that was read, or that would be written, bytes.
-    pub fn file_bytes(&self) -> usize {
-        self.read_bytes.unwrap_or_else(|| file::ensemble_to_bytes(self).len())
+    /// Returns the size of the file that was read, bytes.
+    pub(crate) fn read_bytes(&self) -> Option<usize> {
+        self.read_bytes
     }
 
     pub(crate) fn read_from(self, bytes: usize) -> Self {

@@ -79,9 +79,9 @@ pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
 const VERSION: u32 = 5;
 /// Prefix of the names of network tensors.
-const NETWORK: &str = "network.";
+pub(crate) const NETWORK: &str = "network.";
 /// Prefix of the names of constants that the network derives from a seed.
-const CONSTANTS: &str = "constants.";
+pub(crate) const CONSTANTS: &str = "constants.";
 /// Name of the tensor of training positions.
 const TRAINING: &str = "training_positions";
 
@@ -123,37 +123,12 @@ pub fn to_bytes_half(ensemble: &Ensemble) -> Result<Vec<u8>> {
     ensemble_tensors(ensemble).to_bytes_as(stored).map_err(Error::Config)
 }
 
-/// Returns the bytes of a model file with 8 or 16 bits per number; every reader of model files reads it.
-///
-/// Weights `[out, in]` of the network are I8 with a scale per row, or F16. Biases, Gaussians and training positions are
-/// F16. Tensors that the network does not learn stay as they are.
-///
-/// # Errors
-/// A number exceeds the range of 16 bits.
-pub fn to_bytes_compressed(model: &Model, bits: Bits) -> Result<Vec<u8>> {
-    let layout = model.stages.layout();
-    let stored = |name: &str| {
-        let spec = name.strip_prefix(NETWORK).and_then(|name| layout.weights.iter().find(|spec| spec.name == name));
-        match spec {
-            _ if name.starts_with(CONSTANTS) => Stored::Whole,
-            Some(spec) if spec.fixed => Stored::Whole,
-            Some(spec) if spec.shape.len() == 2 && bits == Bits::Eight => Stored::Byte,
-            _ => Stored::Half,
-        }
-    };
-    tensors(model).to_bytes_as(stored).map_err(Error::Config)
+/// Returns the size of the model file that was read, or that would be written, bytes.
+pub fn size(ensemble: &Ensemble) -> usize {
+    ensemble.read_bytes().unwrap_or_else(|| ensemble_to_bytes(ensemble).len())
 }
 
-/// Bits per network weight in a compressed file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bits {
-    /// Integers with a scale per row.
-    Eight,
-    /// Half precision.
-    Sixteen,
-}
-
-fn tensors(model: &Model) -> Tensors {
+pub(crate) fn tensors(model: &Model) -> Tensors {
     let mut file = Tensors::new(json(&note(model)));
     put_model(&mut file, "", model);
     file

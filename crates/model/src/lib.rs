@@ -5,6 +5,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+pub mod compress;
 mod ensemble;
 pub mod export;
 pub mod file;

@@ -3,7 +3,7 @@
 use crate::output::Verbosity;
 use clap::{Args, ValueEnum};
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::model::{Model, file};
+use pwrfgs::model::{Model, compress, file};
 use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::{Error, Query, Result, rng::evenly};
 use std::path::PathBuf;
@@ -51,10 +51,10 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     let several = || format!("holds an ensemble of {count} models, expected one; compress the file of each member");
     let model = ensemble.into_only().ok_or_else(|| Error::input(&arguments.model, several()))?;
     let bits = match arguments.bits {
-        Bits::Eight => file::Bits::Eight,
-        Bits::Sixteen => file::Bits::Sixteen,
+        Bits::Eight => compress::Bits::Eight,
+        Bits::Sixteen => compress::Bits::Sixteen,
     };
-    let (before, after) = (file::to_bytes(&model), file::to_bytes_compressed(&model, bits)?);
+    let (before, after) = (file::to_bytes(&model), compress::to_bytes(&model, bits)?);
     let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
     write_atomically(&arguments.out, &after)?;
     let kilobytes = |bytes: usize| grouped(bytes.div_ceil(1000) as i64);

@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, Image, Query, evenly, files::digest, plugin::name_of};
 use pwrfgs_experiment::{LoadedRun, scores::MODEL};
-use pwrfgs_model::{Ensemble, file};
+use pwrfgs_model::{Ensemble, compress, file};
 use serde_json::json;
 
 /// Maximum number of spectra in a page, and their maximum bytes.
@@ -83,7 +83,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     if only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES {
         return Some(file::to_bytes(only));
     }
-    file::to_bytes_compressed(only, file::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
+    compress::to_bytes(only, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
 /// Test links whose spectra are in the page: evenly from best to worst, as many as fit.
