@@ -20,7 +20,7 @@ ship! {
     "pipelines":
         "ablation-wrfgs", "ablation", "ble", "dense", "nerf2-ble", "nerf2-csi", "nerf2-laptop", "nerf2",
         "newrf", "office-channel", "office-init", "office-links", "paper", "pwrfgs", "quickstart",
-        "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs";
+        "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs-laptop", "wrfgs";
     "scenes":
         "lab-s23", "office-channel", "office-csi", "office-links", "office";
 }

@@ -176,7 +176,8 @@ fn every_experiment_resolves_and_its_variants_train() {
         assert!(plan.joined.is_some() || plan.runs.len() >= 3 * combinations, "three seeds or more");
         // One run a combination for some steps; two of the experiments ask for other schedules than twelve steps have.
         for run in plan.runs.iter().filter(|r| r.pipeline.seed == 0) {
-            if run.folder.contains("target=") && !run.folder.contains("target=24,") {
+            let others = |name: &str| run.folder.contains(name) && !run.folder.contains(&format!("{name}24,"));
+            if others("target=") || others("N=") {
                 continue; // they differ in the number alone
             }
             let mut pipeline = run.pipeline.clone();
