@@ -140,7 +140,7 @@ class Deformation(Strategy):
 
     def forward(self, weights: Mapping[str, Array], means: Array, tx: Array) -> Dict[str, Array]:
         """Terms for centres ``means`` [N, 3] and transmitters ``tx`` [B, 3]: "signals" [B, N, 2] (real and imaginary part),
-        and with ``varies_geometry`` "scales" [B, N, 3] in metres and "quats" [B, N, 4], added to those of the Gaussians."""
+        and, for a varying geometry, "scales" [B, N, 3] in metres and "quats" [B, N, 4], added to those of the Gaussians."""
         raise NotImplementedError
 
     def vjp(
