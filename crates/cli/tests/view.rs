@@ -294,6 +294,12 @@ fn report_works_offline_and_without_scripts() {
     assert!(message.contains("the model predicts in the page"), "{message}");
     refuse(folder, &save, 2, &["room.html", "exists"]);
     refuse(folder, &["view", "run", "Kriging", "--save", "two.html"], 2, &["one run folder"]);
+    refuse(
+        folder,
+        &["view", "run/model.safetensors", "--save", "file.html"],
+        2,
+        &["model file, expected a run folder"],
+    );
     let [room, address] = [&room, &path].map(|path| format!("file://{}", path.display()));
     let Some(page) = Browser::open(&room, [1300, 900]) else { return skipped(NO_BROWSER) };
     predicts_when_dragged(&page, folder);

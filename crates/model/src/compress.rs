@@ -2,29 +2,9 @@
 
 use crate::Model;
 use crate::file::{CONSTANTS, NETWORK, tensors};
-use crate::tensors::Stored;
+use crate::tensors::SCALES;
 use pwrfgs_core::{Error, Result};
-
-/// Returns the bytes of a model file with 8 or 16 bits per number; every reader of model files reads it.
-///
-/// Weights `[out, in]` of the network are I8 with a scale per row, or F16. Biases, Gaussians and training positions are
-/// F16. Tensors that the network does not learn stay as they are.
-///
-/// # Errors
-/// A number exceeds the range of 16 bits.
-pub fn to_bytes(model: &Model, bits: Bits) -> Result<Vec<u8>> {
-    let layout = model.stages.layout();
-    let stored = |name: &str| {
-        let spec = name.strip_prefix(NETWORK).and_then(|name| layout.weights.iter().find(|spec| spec.name == name));
-        match spec {
-            _ if name.starts_with(CONSTANTS) => Stored::Whole,
-            Some(spec) if spec.fixed => Stored::Whole,
-            Some(spec) if spec.shape.len() == 2 && bits == Bits::Eight => Stored::Byte,
-            _ => Stored::Half,
-        }
-    };
-    tensors(model).to_bytes_as(stored).map_err(Error::Config)
-}
+use std::collections::BTreeSet;
 
 /// Bits per network weight in a compressed file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,4 +13,24 @@ pub enum Bits {
     Eight,
     /// Half precision.
     Sixteen,
+}
+
+/// Returns the bytes of a model file with 8 or 16 bits per number; every reader of model files reads it.
+///
+/// Weights `[out, in]` of the network are I8 with a scale per row, or F16. Biases, Gaussians and training positions are
+/// F16. Scales and tensors that the network does not learn stay as they are.
+///
+/// # Errors
+/// A number exceeds the range of 16 bits.
+pub fn to_bytes(model: &Model, bits: Bits) -> Result<Vec<u8>> {
+    let mut file = tensors(model);
+    let weights = model.stages.layout().weights;
+    let named = |name: &str| format!("{NETWORK}{name}");
+    let fixed: BTreeSet<String> = weights.iter().filter(|spec| spec.fixed).map(|spec| named(&spec.name)).collect();
+    if bits == Bits::Eight {
+        let matrices = weights.iter().filter(|spec| spec.shape.len() == 2 && !spec.fixed);
+        matrices.for_each(|spec| file.round_to_bytes(&named(&spec.name)));
+    }
+    let is_whole = |name: &str| name.starts_with(CONSTANTS) || name.ends_with(SCALES) || fixed.contains(name);
+    file.to_bytes_half(|name| !is_whole(name)).map_err(Error::Config)
 }

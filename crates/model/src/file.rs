@@ -1,7 +1,7 @@
 //! Model file; `docs/model-format.md` describes it.
 
 use crate::residuals::ResidualsNote;
-use crate::tensors::{Stored, Tensors};
+use crate::tensors::Tensors;
 use crate::{Ensemble, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
@@ -118,9 +118,8 @@ pub fn ensemble_to_bytes(ensemble: &Ensemble) -> Vec<u8> {
 /// A network weight exceeds the range of 16 bits.
 pub fn to_bytes_half(ensemble: &Ensemble) -> Result<Vec<u8>> {
     let inner = format!(".{NETWORK}");
-    let network = |name: &str| name.starts_with(NETWORK) || name.contains(&inner);
-    let stored = |name: &str| if network(name) { Stored::Half } else { Stored::Whole };
-    ensemble_tensors(ensemble).to_bytes_as(stored).map_err(Error::Config)
+    let is_network = |name: &str| name.starts_with(NETWORK) || name.contains(&inner);
+    ensemble_tensors(ensemble).to_bytes_half(is_network).map_err(Error::Config)
 }
 
 /// Returns the size of the model file that was read, or that would be written, bytes.

@@ -18,6 +18,7 @@ pub(crate) use file::ResidualsNote;
 pub use fit::{KnownLinks, Kriged};
 pub(crate) use grid::CoarseGrid;
 
+use crate::tensors::quantise;
 use pwrfgs_core::kriging::{Correlation, Place, in_space, solve};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{Image, Origin, Query, Real};
@@ -57,22 +58,12 @@ pub(crate) enum ResidualValues {
 }
 
 impl ResidualValues {
-    /// Rounds `[n, of_each]` numbers to 8 bits, with a unit per link.
-    fn rounded(values: &[Real], of_each: usize) -> (Vec<i8>, Vec<Real>) {
-        let units: Vec<Real> = values.chunks_exact(of_each).map(|own| own.iter().fold(0.0, largest) / 127.0).collect();
-        let short = |(own, unit): (&[Real], &Real)| -> Vec<i8> {
-            let unit = if *unit > 0.0 { *unit } else { 1.0 };
-            own.iter().map(|v| (v / unit).round().clamp(-127.0, 127.0) as i8).collect()
-        };
-        (values.chunks_exact(of_each).zip(&units).flat_map(short).collect(), units)
-    }
-
     /// Appends numbers of the same kind.
     fn extend(&mut self, values: &[Real], of_each: usize) {
         match self {
             Self::Exact(own) => own.extend_from_slice(values),
             Self::Short(own, of_own) => {
-                let (more, units) = Self::rounded(values, of_each);
+                let (more, units) = quantise(values, of_each);
                 own.extend(more);
                 of_own.extend(units);
             }
@@ -93,10 +84,6 @@ impl ResidualValues {
             }
         }
     }
-}
-
-fn largest(most: Real, value: &Real) -> Real {
-    most.max(value.abs())
 }
 
 impl ResidualProcess {

@@ -8,18 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 const NOTE: &str = "pwrfgs";
 
 /// End of the name of the scales of an 8-bit tensor.
-const SCALES: &str = ".scales";
-
-/// Storage of the numbers of a tensor in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stored {
-    /// As they are: F32, or F64 in double precision.
-    Whole,
-    /// F16.
-    Half,
-    /// I8, with an F32 tensor `NAME.scales` `[rows]`: one factor per row.
-    Byte,
-}
+pub(crate) const SCALES: &str = ".scales";
 
 /// Tensors by name, with shapes, and a JSON note.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,6 +36,15 @@ impl Tensors {
     pub fn put_short(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<i8>) {
         assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
         self.short.insert(name.into(), (shape, values));
+    }
+
+    /// Rounds a tensor `[rows, columns]` to 8 bits, and adds a tensor `NAME.scales` `[rows]` with a factor per row. Readers
+    /// restore the values.
+    pub(crate) fn round_to_bytes(&mut self, name: &str) {
+        let (shape, values) = self.long.remove(name).expect("a tensor of the file");
+        let (integers, scales) = quantise(&values, shape[1]);
+        self.put(format!("{name}{SCALES}"), vec![shape[0]], scales);
+        self.put_short(name, shape, integers);
     }
 
     /// Takes out a tensor of 8-bit integers of this shape.
@@ -108,50 +106,37 @@ impl Tensors {
 
     /// Returns the bytes of the file; equal tensors give equal bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
-        self.encode(|_| Stored::Whole)
+        self.encode(|_| false)
     }
 
-    /// Returns the bytes of the file with the numbers of each tensor stored as `stored` says.
+    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name is `short`.
     ///
     /// # Errors
-    /// The message names a tensor of [`Stored::Half`] with a number beyond ±65504, the largest of F16.
-    pub fn to_bytes_as(&self, stored: impl Fn(&str) -> Stored) -> Result<Vec<u8>, String> {
+    /// The message names a tensor with a number beyond ±65504, the largest of F16.
+    pub fn to_bytes_half(&self, short: impl Fn(&str) -> bool) -> Result<Vec<u8>, String> {
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
-        let beyond = |name: &str, values: &[Real]| stored(name) == Stored::Half && values.iter().any(too_large);
-        match self.long.iter().find(|(name, (_, values))| beyond(name, values)) {
+        match self.long.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
             Some((name, _)) => Err(format!("tensor `{name}` has a value too large for 16 bits")),
-            None => Ok(self.encode(stored)),
+            None => Ok(self.encode(short)),
         }
     }
 
-    fn encode(&self, stored: impl Fn(&str) -> Stored) -> Vec<u8> {
-        let mut all: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
-        for (name, (shape, values)) in &self.long {
-            match stored(name) {
-                Stored::Whole => {
-                    let dtype = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
-                    let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-                    all.push((name.clone(), dtype, shape.clone(), bytes));
-                }
-                Stored::Half => {
-                    let short = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
-                    all.push((name.clone(), Dtype::F16, shape.clone(), values.iter().flat_map(short).collect()));
-                }
-                Stored::Byte => {
-                    let (integers, scales) = quantise(values, shape[0]);
-                    let scales = scales.iter().flat_map(|v| v.to_le_bytes()).collect();
-                    all.push((format!("{name}{SCALES}"), Dtype::F32, vec![shape[0]], scales));
-                    let integers = integers.iter().flat_map(|v| v.to_le_bytes()).collect();
-                    all.push((name.clone(), Dtype::I8, shape.clone(), integers));
-                }
+    fn encode(&self, half: impl Fn(&str) -> bool) -> Vec<u8> {
+        let whole = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
+        let encoded = |name: &str, values: &[Real]| -> (Dtype, Vec<u8>) {
+            if half(name) {
+                let short = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
+                (Dtype::F16, values.iter().flat_map(short).collect())
+            } else {
+                (whole, values.iter().flat_map(|v| v.to_le_bytes()).collect())
             }
-        }
-        for (name, (shape, values)) in &self.short {
-            let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-            all.push((name.clone(), Dtype::I8, shape.clone(), bytes));
-        }
-        let views = all.iter().map(|(name, dtype, shape, data)| {
-            (name.as_str(), TensorView::new(*dtype, shape.clone(), data).expect("a tensor fills its shape"))
+        };
+        let reals = self.long.iter().map(|(name, (shape, values))| (name, shape, encoded(name, values)));
+        let bytes = |values: &[i8]| values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bytes_of = self.short.iter().map(|(name, (shape, values))| (name, shape, (Dtype::I8, bytes(values))));
+        let all: Vec<_> = reals.chain(bytes_of).collect();
+        let views = all.iter().map(|(name, shape, (dtype, data))| {
+            (name.as_str(), TensorView::new(*dtype, (*shape).clone(), data).expect("a tensor fills its shape"))
         });
         let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
         safetensors::serialize(views, Some(note)).expect("shapes fit their data")
@@ -214,17 +199,14 @@ impl Tensors {
     }
 }
 
-/// Returns integers from −127 to 127 and a scale per row, whose products are the values to half a scale. A row of zeros
-/// has scale 0.
-fn quantise(values: &[Real], rows: usize) -> (Vec<i8>, Vec<f32>) {
-    let mut integers = Vec::with_capacity(values.len());
-    let scale = |row: &[Real]| {
-        let largest = row.iter().fold(0.0, |most: Real, v| most.max(v.abs()));
-        let scale = (largest / 127.0) as f32;
-        integers
-            .extend(row.iter().map(|v| if scale > 0.0 { (f64::from(*v) / f64::from(scale)).round() as i8 } else { 0 }));
-        scale
+/// Returns `values` `[rows, columns]` as integers from −127 to 127, and a scale per row; products of both are the values
+/// to half a scale. A row of zeros has scale 0.
+pub(crate) fn quantise(values: &[Real], columns: usize) -> (Vec<i8>, Vec<Real>) {
+    let largest = |row: &[Real]| row.iter().fold(0.0, |most: Real, v| most.max(v.abs()));
+    let scales: Vec<Real> = values.chunks_exact(columns).map(|row| largest(row) / 127.0).collect();
+    let integers = |(row, scale): (&[Real], &Real)| -> Vec<i8> {
+        let scale = if *scale > 0.0 { *scale } else { 1.0 };
+        row.iter().map(|v| (v / scale).round().clamp(-127.0, 127.0) as i8).collect()
     };
-    let scales = values.chunks(values.len().div_ceil(rows.max(1)).max(1)).map(scale).collect();
-    (integers, scales)
+    (values.chunks_exact(columns).zip(&scales).flat_map(integers).collect(), scales)
 }

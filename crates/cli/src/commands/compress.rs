@@ -1,11 +1,13 @@
 //! `pwrfgs compress`: writes a smaller model file.
 
 use crate::output::Verbosity;
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use pwrfgs::experiment::text::grouped;
+use pwrfgs::model::compress::Bits;
 use pwrfgs::model::{Model, compress, file};
 use pwrfgs_core::files::{check_new_file, write_atomically};
-use pwrfgs_core::{Error, Query, Result, rng::evenly};
+use pwrfgs_core::{Error, Query, Result, Task, evenly};
 use std::path::PathBuf;
 
 /// Number of training positions at which predictions are compared.
@@ -29,16 +31,8 @@ pub(crate) struct Compress {
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Bits per network weight
-    #[arg(long, default_value = "8")]
+    #[arg(long, default_value = "8", value_parser = PossibleValuesParser::new(["8", "16"]).map(|bits| if bits == "8" { Bits::Eight } else { Bits::Sixteen }))]
     pub(crate) bits: Bits,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Bits {
-    #[value(name = "8")]
-    Eight,
-    #[value(name = "16")]
-    Sixteen,
 }
 
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
@@ -50,14 +44,10 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     let count = ensemble.members().len();
     let several = || format!("holds an ensemble of {count} models, expected one; compress the file of each member");
     let model = ensemble.into_only().ok_or_else(|| Error::input(&arguments.model, several()))?;
-    let bits = match arguments.bits {
-        Bits::Eight => compress::Bits::Eight,
-        Bits::Sixteen => compress::Bits::Sixteen,
-    };
-    let (before, after) = (file::to_bytes(&model), compress::to_bytes(&model, bits)?);
+    let (before, after) = (file::to_bytes(&model), compress::to_bytes(&model, arguments.bits)?);
     let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
     write_atomically(&arguments.out, &after)?;
-    let kilobytes = |bytes: usize| grouped(bytes.div_ceil(1000) as i64);
+    let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
     verbosity.note(&format!(
         "whole file {} kB instead of {} kB, in {}",
         kilobytes(after.len()),
@@ -70,19 +60,19 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     Ok(())
 }
 
-/// Returns a line on the mean difference of predictions at training positions, if the model has any.
+/// Returns a line on the mean difference of predicted values at training positions, over all receivers, if the model has
+/// any.
 fn difference(model: &Model, small: &Model) -> Option<String> {
-    let training = model.training_positions.as_ref()?;
-    let origin = model.stages.origin;
-    let places: Vec<[f64; 3]> = evenly(training.positions(), COMPARED).into_iter().map(|p| origin.world(p)).collect();
-    let queries: Vec<Query<'_>> = places.iter().map(|place| (*place).into()).collect();
+    let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
+    let places: Vec<[f64; 3]> =
+        evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
+    let receivers = 0..stages.receivers.len();
+    let queries: Vec<Query<'_>> =
+        places.iter().flat_map(|&at| receivers.clone().map(move |r| Query::at(at, r))).collect();
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
-    let (sum, count) =
-        pairs.fold((0.0, 0usize), |(sum, count), (a, b)| (sum + f64::from((a - b).abs() as f32), count + 1));
-    Some(format!(
-        "mean difference of predictions at {} training positions: {:.2e}",
-        places.len(),
-        sum / count.max(1) as f64
-    ))
+    let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();
+    let mean = differences.iter().sum::<f64>() / differences.len() as f64;
+    let unit = if stages.task == Task::Power { " dB" } else { "" };
+    Some(format!("mean difference of predictions at {} training positions: {mean:.2e}{unit}", places.len()))
 }

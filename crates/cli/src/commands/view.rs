@@ -67,6 +67,9 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
 /// Writes the room of a finished run as a page.
 fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     let [run] = named else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
+    if Path::new(run).is_file() {
+        return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
+    }
     check_new_file(file)?;
     let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
     let (page, predicts) = made?;

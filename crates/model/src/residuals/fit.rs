@@ -1,6 +1,7 @@
 //! Fit of residual processes to known links, and their update with new links.
 
 use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals, place};
+use crate::tensors::quantise;
 use crate::{Ensemble, Model};
 use pwrfgs_core::kriging::{CorrelationKind, HeldOutCases, SearchSpace, most_likely};
 use pwrfgs_core::neighbours::Nearest;
@@ -278,7 +279,7 @@ impl<'a> Samples<'a> {
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
-            let (short, units) = ResidualValues::rounded(&residuals, self.of_each);
+            let (short, units) = quantise(&residuals, self.of_each);
             ResidualValues::Short(short, units)
         };
         let places = own.iter().map(|&k| self.places[k]).collect();
