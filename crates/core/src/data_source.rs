@@ -58,6 +58,12 @@ pub trait Split:
         links.chunk_by(|a, b| data.links[*a].transmitter == data.links[*b].transmitter).map(<[usize]>::to_vec).collect()
     }
 
+    /// Divides `links`, in ascending order, into the blocks that are assumed exchangeable in the calibration of prediction
+    /// intervals: units, unless these are too small.
+    fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        self.units(data, links)
+    }
+
     /// Returns whether a fold holds consecutive units, and not units at random.
     fn is_in_order(&self) -> bool {
         false
@@ -128,6 +134,20 @@ pub trait Predict: Send + Sync {
     /// Returns the observation with the size of the data ([`Observations`](crate::Observations) describes powers and
     /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver uses only `query.tx`.
     fn predict(&self, query: Query<'_>) -> Image;
+
+    /// Returns the standard deviation of a value of a measurement about the prediction, up to a constant factor; `None` if
+    /// the predictor has no estimate.
+    fn deviation(&self, query: Query<'_>) -> Option<f64> {
+        let _ = query;
+        None
+    }
+
+    /// Returns the predictor with the same parameters and without the samples `links` (ascending); `None` if it does not
+    /// predict from samples.
+    fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
+        let _ = links;
+        None
+    }
 
     /// Returns a note below tables of scores, for predictors whose scores are not directly comparable.
     fn note(&self) -> Option<String> {

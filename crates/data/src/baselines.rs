@@ -99,9 +99,15 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
 }
 
 /// Predictor fitted to the links of one receiver.
-pub(super) trait ReceiverPredictor: Predict {
+pub(super) trait ReceiverPredictor: Predict + Sized {
     /// Notes below a table of scores, for all receivers by name.
     fn notes(each: &[(&str, &Self)]) -> Option<String>;
+
+    /// As [`Predict::without`]; `None` also if no sample remains.
+    fn leaving_out(&self, links: &[usize]) -> Option<Self> {
+        let _ = links;
+        None
+    }
 }
 
 /// One predictor per receiver.
@@ -143,11 +149,29 @@ fn of_receivers(data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
     all
 }
 
+impl<P: ReceiverPredictor> ByReceiver<P> {
+    fn of(&self, receiver: usize) -> &P {
+        let own = self.each.get(receiver).and_then(|(_, own)| own.as_ref());
+        let any = || self.each.iter().find_map(|(_, own)| own.as_ref());
+        own.or(self.pooled.as_ref()).or_else(any).expect("one predictor was fitted at least")
+    }
+}
+
 impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let own = self.each.get(query.receiver).and_then(|(_, own)| own.as_ref());
-        let any = || self.each.iter().find_map(|(_, own)| own.as_ref());
-        own.or(self.pooled.as_ref()).or_else(any).expect("one predictor was fitted at least").predict(query)
+        self.of(query.receiver).predict(query)
+    }
+
+    fn deviation(&self, query: Query<'_>) -> Option<f64> {
+        self.of(query.receiver).deviation(query)
+    }
+
+    fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
+        let own = |own: &Option<P>| own.as_ref()?.leaving_out(links);
+        let each: Vec<_> = self.each.iter().map(|(name, fitted)| (name.clone(), own(fitted))).collect();
+        let pooled = own(&self.pooled);
+        let is_fitted = pooled.is_some() || each.iter().any(|(_, own)| own.is_some());
+        is_fitted.then(|| Box::new(Self { each, pooled }) as Box<dyn Predict + '_>)
     }
 
     fn is_oracle(&self) -> bool {

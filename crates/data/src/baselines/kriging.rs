@@ -3,7 +3,7 @@
 use super::log_distance::{PathLoss, log_distance, points};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, Place, SearchSpace, in_space, most_likely, solve,
+    Correlation, CorrelationKind, HeldOutCases, Place, SearchSpace, Solution, in_space, most_likely, solve,
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
@@ -84,11 +84,9 @@ impl Baseline for Kriging {
         ByReceiver::fit(data, known, |known| {
             let all = all_of(known)?;
             let trend = Trend::of(data, &all);
-            let correlation = trend.most_likely(&all, known, self.time);
+            let fitted = trend.most_likely(&all, known, self.time);
             data.observations.check()?;
-            let in_space = self.time.then(|| Nearest::new(all.clone(), 3, |i| data.sample(i).tx));
-            let nearest = Nearest::new(all, 4, |i| correlation.scaled(place(data, i)));
-            Ok(Process { trend, nearest, in_space, correlation, neighbours: self.neighbours })
+            Ok(Process::new(trend, fitted, all, self.clone()))
         })
     }
 
@@ -101,6 +99,7 @@ impl Baseline for Kriging {
 }
 
 /// Trend that is subtracted from every observation.
+#[derive(Clone, Copy)]
 struct Trend<'a> {
     data: &'a Dataset,
     law: Option<PathLoss>,
@@ -125,11 +124,11 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Most likely correlation. Spectra: of validation samples, each given its nearest training samples. Powers: of at
+    /// Most likely correlation, and its process variance summed over values. Spectra: of validation samples, each given its nearest training samples. Powers: of at
     /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to
     /// the joint density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain
     /// long distances.
-    fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> Correlation {
+    fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> (Correlation, f64) {
         let space_of = |i: usize| self.data.sample(i).tx;
         let given = |nearest: &Nearest, i: usize, count| {
             (i, nearest.find(&space_of(i), count).1.into_iter().map(|(_, j)| j).collect::<Vec<_>>())
@@ -157,7 +156,8 @@ impl<'a> Trend<'a> {
         };
         let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
         let cases = HeldOutCases::new(&cases, |i| place(self.data, i), |_, i| self.picture(i));
-        most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1
+        let correlation = most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1;
+        (correlation, cases.variance(&correlation))
     }
 
     /// About [`PIXELS`] values of link `i` for the fit.
@@ -178,22 +178,20 @@ fn place(data: &Dataset, i: usize) -> Place {
 
 struct Process<'a> {
     trend: Trend<'a>,
+    samples: Vec<usize>,
     nearest: Nearest,
     /// Samples by position alone, for a process over time.
     in_space: Option<Nearest>,
-    correlation: Correlation,
-    neighbours: usize,
+    /// Correlation, and process variance summed over values.
+    fitted: (Correlation, f64),
+    settings: Kriging,
 }
 
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let data = self.trend.data;
-        let at = self.correlation.scaled(self.place_of(query));
-        let samples: Vec<usize> = self.nearest.find(&at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<Place> = samples.iter().map(|&i| self.correlation.scaled(place(data, i))).collect();
-        let solution = solve(&self.correlation, &places, at);
+        let (samples, solution) = self.solve(query);
         if self.trend.law.is_none() {
-            return weighted_mean(data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
+            return weighted_mean(self.trend.data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
         }
         let residual = |(&i, weight): (&usize, f64)| {
             let mut one = [0.0];
@@ -204,12 +202,34 @@ impl Predict for Process<'_> {
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
+    fn deviation(&self, query: Query<'_>) -> Option<f64> {
+        Some((self.fitted.1 * self.solve(query).1.variance).sqrt())
+    }
+
     fn is_oracle(&self) -> bool {
         self.in_space.is_some()
     }
 }
 
-impl Process<'_> {
+impl<'a> Process<'a> {
+    fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
+        let data = trend.data;
+        let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).tx));
+        let nearest = Nearest::new(samples.clone(), 4, |i| fitted.0.scaled(place(data, i)));
+        Self { trend, samples, nearest, in_space, fitted, settings }
+    }
+
+    /// Nearest samples of a query, with their weights.
+    fn solve(&self, query: Query<'_>) -> (Vec<usize>, Solution) {
+        let (correlation, _) = &self.fitted;
+        let at = correlation.scaled(self.place_of(query));
+        let near = self.nearest.find(&at, self.settings.neighbours).1;
+        let samples: Vec<usize> = near.into_iter().map(|(_, i)| i).collect();
+        let places: Vec<Place> = samples.iter().map(|&i| correlation.scaled(place(self.trend.data, i))).collect();
+        let solution = solve(correlation, &places, at);
+        (samples, solution)
+    }
+
     /// Place of a query. Without an id, its time is that of the nearest sample in space.
     fn place_of(&self, query: Query<'_>) -> Place {
         let Some(in_space) = &self.in_space else { return self::in_space(query.tx) };
@@ -227,12 +247,18 @@ impl ReceiverPredictor for Process<'_> {
             many => Some(note_of_many(many)),
         }
     }
+
+    fn leaving_out(&self, links: &[usize]) -> Option<Self> {
+        let samples: Vec<usize> =
+            self.samples.iter().copied().filter(|sample| links.binary_search(sample).is_err()).collect();
+        (!samples.is_empty()).then(|| Self::new(self.trend, self.fitted, samples, self.settings.clone()))
+    }
 }
 
 impl Process<'_> {
     /// Description of the fit for a single receiver.
     fn note_of_one(&self) -> String {
-        let Correlation { kind, scales, noise } = &self.correlation;
+        let Correlation { kind, scales, noise } = &self.fitted.0;
         let [x, y, z, time] = scales.map(digits);
         let time = if self.in_space.is_some() { format!(", a time scale of {time} samples") } else { String::new() };
         let law = self.trend.law.map_or_else(String::new, |law| {
@@ -249,7 +275,7 @@ impl Process<'_> {
 
     /// Short description of the fit for one of several receivers, in the order of [`note_of_many`].
     fn in_short(&self) -> String {
-        let Correlation { kind, scales, noise } = &self.correlation;
+        let Correlation { kind, scales, noise } = &self.fitted.0;
         let [x, y, z, _] = scales.map(digits);
         let scales = if x == y && y == z { x } else { format!("{x} x {y} x {z}") };
         let law = self.trend.law.map(|law| [digits(law.level), digits(law.slope)]);

@@ -6,6 +6,9 @@ use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Largest number of blocks of a trajectory: enough for levels up to 95 %, and long enough to differ.
+const STRETCHES: usize = 24;
+
 /// Split by time: the test set is a contiguous block of the sorted transmitter ids, with all links of each.
 ///
 /// Ids follow the trajectory, so this holds out a part of it: most test samples are centimetres from training samples,
@@ -55,6 +58,12 @@ impl Split for TimeBlock {
         let train = (0..low - before).chain(high + behind..count).collect();
         let validation = (low - before..low).chain(high..high + behind).collect();
         finish(data, train, validation, test.collect())
+    }
+
+    /// Stretches of the trajectory.
+    fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        let units = self.units(data, links);
+        units.chunks(units.len().div_ceil(STRETCHES).max(1)).map(<[_]>::concat).collect()
     }
 
     fn is_in_order(&self) -> bool {

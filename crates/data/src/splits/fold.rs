@@ -64,6 +64,10 @@ impl Split for Fold {
         self.of.units(data, links)
     }
 
+    fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        self.of.blocks(data, links)
+    }
+
     fn is_in_order(&self) -> bool {
         self.of.is_in_order()
     }

@@ -153,8 +153,7 @@ fn predictions_follow_from_parameters_in_note() {
     let [x, y, z, noise] = numbers[..] else { panic!("{note}") };
     let kind = CorrelationKind::ALL.into_iter().rev().find(|kind| note.contains(kind.words())).unwrap();
     let correlation = Correlation { kind, scales: [x, y, z, f64::INFINITY], noise };
-    let nearest = Nearest::new(all, 4, |i| correlation.scaled(place(&data, i)));
-    let again = Process { trend: Trend::of(&data, &[]), nearest, in_space: None, correlation, neighbours: 48 };
+    let again = Process::new(Trend::of(&data, &[]), (correlation, 1.0), all, Kriging::default());
     for i in 100..120 {
         let [a, b] = [&*fitted, &again].map(|process: &dyn Predict| process.predict(data.query(i)).pixels);
         a.iter().zip(&b).for_each(|(a, b)| close(*a as f64, *b as f64, 5e-3));
