@@ -1,7 +1,7 @@
 //! `Ensemble`: several models of one scene that predict together.
 
-use crate::{Model, Prepared, Residuals, TrainingDistances};
-use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
+use crate::{Calibration, Model, Prepared, Residuals, TrainingDistances};
+use pwrfgs_core::{Appearance, Dataset, Error, ImagePlane, Origin, Real, Result};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
 /// each clamped to [0, 1]; a single model predicts without clamping. The deviation between models measures uncertainty:
@@ -11,6 +11,7 @@ pub struct Ensemble {
     names: Vec<String>,
     members: Vec<Model>,
     residuals: Option<Residuals>,
+    calibration: Option<Calibration>,
     /// Size of the file that was read, bytes.
     read_bytes: Option<usize>,
 }
@@ -18,7 +19,7 @@ pub struct Ensemble {
 impl Ensemble {
     /// Creates an ensemble of one model.
     pub fn of(model: Model) -> Self {
-        Self { names: vec!["1".into()], members: vec![model], residuals: None, read_bytes: None }
+        Self { names: vec!["1".into()], members: vec![model], residuals: None, calibration: None, read_bytes: None }
     }
 
     /// Creates an ensemble of one or more models with one pixel grid, named by their numbers from 1.
@@ -44,7 +45,7 @@ impl Ensemble {
             ));
         }
         let (names, members) = members.into_iter().unzip();
-        Ok(Self { names, members, residuals: None, read_bytes: None })
+        Ok(Self { names, members, residuals: None, calibration: None, read_bytes: None })
     }
 
     /// Returns the ensemble if all models differ: equal models have no deviation and count twice in the mean.
@@ -68,10 +69,34 @@ impl Ensemble {
         Ok(self)
     }
 
-    /// Returns the ensemble with residual processes that correct its prediction, or without.
+    /// Returns the ensemble with residual processes that correct its prediction, or without. Its calibration is that of
+    /// other predictions and is removed.
     #[must_use]
     pub fn with_residuals(self, residuals: Option<Residuals>) -> Self {
-        Self { residuals, read_bytes: None, ..self }
+        Self { residuals, calibration: None, read_bytes: None, ..self }
+    }
+
+    /// Returns the ensemble with a calibration for prediction intervals, or without.
+    #[must_use]
+    pub fn with_calibration(self, calibration: Option<Calibration>) -> Self {
+        Self { calibration, read_bytes: None, ..self }
+    }
+
+    /// Returns the calibration for prediction intervals, if any.
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.as_ref()
+    }
+
+    /// Returns the ensemble of some members, with the same residual processes except that only `links` are known, and
+    /// without calibration: if the members did not train on the others, it predicts those as new links.
+    ///
+    /// # Errors
+    /// As [`Residuals::updated`].
+    pub fn held_out(&self, members: &[usize], data: &Dataset, links: &[usize]) -> Result<Self> {
+        let member = |&k: &usize| (self.names[k].clone(), self.members[k].clone());
+        let base = Self::named(members.iter().map(member).collect()).map_err(Error::Config)?;
+        let residuals = self.residuals.as_ref().map(|own| own.of_links(&base, data, links)).transpose()?;
+        Ok(base.with_residuals(residuals))
     }
 
     /// Returns the residual processes, if any.
@@ -94,7 +119,7 @@ impl Ensemble {
         &self.names
     }
 
-    /// Returns the model if there is only one; without its residual processes.
+    /// Returns the model if there is only one; without its residual processes and calibration.
     pub fn into_only(mut self) -> Option<Model> {
         self.members.pop().filter(|_| self.members.is_empty())
     }

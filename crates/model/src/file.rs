@@ -2,7 +2,7 @@
 
 use crate::residuals::ResidualsNote;
 use crate::tensors::Tensors;
-use crate::{Ensemble, Model, Stages, TrainingPositions};
+use crate::{Calibration, Ensemble, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
@@ -134,6 +134,12 @@ pub(crate) fn tensors(model: &Model) -> Tensors {
 }
 
 fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
+    let mut file = predictor_tensors(ensemble);
+    ensemble.calibration().into_iter().for_each(|calibration| calibration.put(&mut file));
+    file
+}
+
+fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
     if let ([model], None) = (ensemble.members(), ensemble.residuals()) {
         return tensors(model);
     }
@@ -223,12 +229,18 @@ pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
 /// The message names the fault.
 pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
+    let ensemble = take_predictor(&mut file)?;
+    let calibration = Calibration::take(&mut file, ensemble.members()[0].stages.task)?;
+    Ok(ensemble.with_calibration(calibration))
+}
+
+fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
     let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
     let Head { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
     if format != ENSEMBLE_FORMAT {
         check_version(&format, version)?;
         let note = serde_json::from_str(&file.note).map_err(unreadable)?;
-        return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
+        return Ok(Ensemble::of(take_model(file, "", &note)?));
     }
     if ![ENSEMBLE_VERSION, RESIDUALS_VERSION].contains(&version) {
         return Err(format!(
@@ -251,11 +263,11 @@ pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
         if models.iter().any(|(other, _)| *other == name) {
             return Err(format!("two members have the name `{name}`"));
         }
-        let model = take_model(&mut file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
+        let model = take_model(file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
         models.push((name, model));
     }
     let ensemble = Ensemble::named(models)?;
-    let residuals = residuals.map(|note| note.take(&mut file, &ensemble.members()[0].stages.setup)).transpose()?;
+    let residuals = residuals.map(|note| note.take(file, &ensemble.members()[0].stages.setup)).transpose()?;
     Ok(ensemble.with_residuals(residuals))
 }
 

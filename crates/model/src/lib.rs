@@ -5,6 +5,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod calibration;
 pub mod compress;
 mod ensemble;
 pub mod export;
@@ -17,6 +18,7 @@ pub mod tensors;
 mod trained;
 mod training_positions;
 
+pub use calibration::{Calibration, HeldOutScores, Interval, IntervalFactors};
 pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;

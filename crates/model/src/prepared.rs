@@ -183,6 +183,11 @@ impl Predict for Prepared<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         self.predict_timed(query).0
     }
+
+    /// That of the residual process; 1 without residual processes.
+    fn deviation(&self, query: Query<'_>) -> Option<f64> {
+        Some(self.residuals.map_or(1.0, |own| own.deviation(query, self.members[0].model.stages.origin)))
+    }
 }
 
 impl<'a> Member<'a> {

@@ -19,7 +19,7 @@ pub use fit::{KnownLinks, Kriged};
 pub(crate) use grid::CoarseGrid;
 
 use crate::tensors::quantise;
-use pwrfgs_core::kriging::{Correlation, Place, in_space, solve};
+use pwrfgs_core::kriging::{Correlation, Place, Solution, in_space, solve};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{Image, Origin, Query, Real};
 
@@ -70,6 +70,14 @@ impl ResidualValues {
         }
     }
 
+    /// No numbers of the same kind.
+    fn emptied(&self) -> Self {
+        match self {
+            Self::Exact(_) => Self::Exact(Vec::new()),
+            Self::Short(..) => Self::Short(Vec::new(), Vec::new()),
+        }
+    }
+
     /// Adds `weight` times the residual of link `i`.
     fn add(&self, i: usize, weight: f64, sum: &mut [Real]) {
         let n = sum.len();
@@ -106,15 +114,13 @@ impl ResidualProcess {
         self.places.is_empty()
     }
 
-    /// Adds the expected residual at a position (metres from the origin) to `sum`, from the nearest known links. Returns
-    /// the variance of a measurement there about the prediction, per value.
-    fn add_expected(&self, at: [Real; 3], neighbours: usize, sum: &mut [Real]) -> f64 {
+    /// Nearest known links of a position (metres from the origin), with their weights.
+    fn solve(&self, at: [Real; 3], neighbours: usize) -> (Vec<usize>, Solution) {
         let at = self.correlation.scaled(place(at));
         let near: Vec<usize> = self.nearest.find(&at, neighbours).1.into_iter().map(|(_, i)| i).collect();
         let places: Vec<Place> = near.iter().map(|&i| self.correlation.scaled(place(self.places[i]))).collect();
         let solution = solve(&self.correlation, &places, at);
-        near.iter().zip(&solution.weights).for_each(|(&i, weight)| self.values.add(i, *weight, sum));
-        self.variance * solution.variance
+        (near, solution)
     }
 }
 
@@ -134,15 +140,30 @@ impl Residuals {
         self.grid.stride
     }
 
-    /// Adds the expected residual of a link to the prediction `image` of the model. Returns the variance of a measurement
-    /// about the result, per value; `None` without a process.
-    pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) -> Option<f64> {
-        let process = self.processes.get(query.receiver)?.as_ref()?;
+    /// Process of a receiver; `None` if the model predicts alone.
+    fn process(&self, receiver: usize) -> Option<&ResidualProcess> {
+        self.processes.get(receiver)?.as_ref()
+    }
+
+    /// Adds the expected residual of a link to the prediction `image` of the model, from the nearest known links.
+    pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) {
+        let Some(process) = self.process(query.receiver) else { return };
+        let (near, solution) = process.solve(origin.local(query.tx), self.neighbours);
         let mut sum = vec![0.0; self.grid.len()];
-        let variance = process.add_expected(origin.local(query.tx), self.neighbours, &mut sum);
+        near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
         let share = process.share as Real;
         image.pixels.iter_mut().for_each(|pixel| *pixel *= share);
         self.grid.add_to(&sum, &mut image.pixels);
-        Some(variance)
+    }
+
+    /// Standard deviation of a measurement of a link about the prediction, per value. Without a process, it is the largest
+    /// of all receivers, far from their known links.
+    pub(crate) fn deviation(&self, query: Query<'_>, origin: Origin) -> f64 {
+        let far = |own: &ResidualProcess| own.variance * (1.0 + own.correlation.noise);
+        let variance = match self.process(query.receiver) {
+            Some(own) => own.variance * own.solve(origin.local(query.tx), self.neighbours).1.variance,
+            None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
+        };
+        variance.sqrt()
     }
 }

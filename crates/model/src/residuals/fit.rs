@@ -134,6 +134,22 @@ impl Residuals {
         Ok(Self { grid, neighbours: settings.neighbours, processes })
     }
 
+    /// Returns the processes of `ensemble` with only `links` of `data` as known links. Share, correlation and variance
+    /// stay. A receiver without any of these links has no process.
+    ///
+    /// # Errors
+    /// As [`Self::updated`].
+    pub(crate) fn of_links(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<Self> {
+        let empty = |process: &ResidualProcess| {
+            let ResidualProcess { share, variance, correlation, values, .. } = process;
+            ResidualProcess::new((*share, *variance, *correlation), Vec::new(), values.emptied())
+        };
+        let processes = self.processes.iter().map(|own| own.as_ref().map(empty)).collect();
+        let (mut found, _) = Self { processes, ..self.clone() }.with_links(ensemble, data, links)?;
+        found.processes.iter_mut().for_each(|own| *own = own.take().filter(|process| !process.is_empty()));
+        Ok(found)
+    }
+
     /// Returns the processes of `ensemble` with the links of new `data` added, and the number of added links. Share,
     /// correlation and variance stay. A prediction uses the nearest known links only, so nothing else changes: links at
     /// receivers without a process are skipped.
@@ -141,14 +157,20 @@ impl Residuals {
     /// # Errors
     /// A spectrum that cannot be read, or [`Error::Config`] for a prediction that is not finite.
     pub fn updated(&self, ensemble: &Ensemble, data: &Dataset) -> Result<(Self, usize)> {
+        self.with_links(ensemble, data, &(0..data.len()).collect::<Vec<_>>())
+    }
+
+    /// As [`Self::updated`], with some `links` of `data`.
+    fn with_links(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<(Self, usize)> {
         let base = ensemble.clone().with_residuals(None);
         let (ready, origin) = (base.prepare(), base.members()[0].stages.origin);
         let mut places: Vec<Vec<[Real; 3]>> = self.processes.iter().map(|_| Vec::new()).collect();
         let mut values: Vec<Vec<Real>> = vec![Vec::new(); places.len()];
-        for i in 0..data.len() {
-            let query = data.query(i);
-            let Some(Some(process)) = self.processes.get(query.receiver) else { continue };
-            let predicted = data.task().shown(ready.predict_timed(query).0);
+        let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
+        let predicted = queries.chunks(CHUNK).flat_map(|chunk| ready.predict_many(chunk));
+        for ((&i, query), predicted) in links.iter().zip(&queries).zip(predicted) {
+            let Some(process) = self.process(query.receiver) else { continue };
+            let predicted = data.task().shown(predicted);
             let (observed, share) = (data.image(i), process.share as Real);
             let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(|(y, f)| y - share * f).collect();
             if left.iter().any(|v| !v.is_finite()) {

@@ -2,8 +2,10 @@
 
 use super::*;
 use crate::tensors::Tensors;
-use crate::{Ensemble, Model, Stages, file};
-use pwrfgs_core::{Dataset, Error, GaussianCloud, MeasurementSetup, Method, Plugin, Pose, Sample, Spectra, rng};
+use crate::{Calibration, Ensemble, HeldOutScores, Model, Stages, file};
+use pwrfgs_core::{
+    Dataset, Error, GaussianCloud, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Spectra, rng,
+};
 use pwrfgs_methods as _;
 use std::sync::atomic::AtomicBool;
 
@@ -97,9 +99,66 @@ fn memorised_links_do_not_lower_the_variance() {
     // The pattern is a cosine, with mean square 1/2.
     let truth = f64::from(amplitude as f32).powi(2) / 2.0;
     for tx in [[0.5; 3], [0.2, 0.8, 0.4]] {
-        let mut image = base.prepare().predict_timed(tx).0;
-        let variance = fitted.correct(&mut image, tx.into(), Origin::ZERO).unwrap();
+        let variance = fitted.deviation(tx.into(), Origin::ZERO).powi(2);
         assert!((0.7 * truth..1.5 * truth).contains(&variance), "{variance} instead of {truth}");
+    }
+}
+
+/// As above: intervals are calibrated on links that the model did not train on, and have the width of their errors.
+#[test]
+fn memorised_links_do_not_narrow_intervals() {
+    let (base, amplitude) = (Ensemble::of(model(0.0)), 0.2);
+    let sign = |i: usize| if rng::uniform(&mut rng::stream(1, "sign", i as u64)) < 0.5 { -1.0 } else { 1.0 };
+    let data = data(&base, |i, _| if i.is_multiple_of(4) { sign(i) * amplitude } else { 0.0 });
+    let whole = base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap()));
+    let calibrated = calibrated(&whole, &data);
+    let factors = calibrated.calibration().unwrap().factors(0.9).unwrap();
+    let half = factors.half_width * calibrated.prepare().deviation(data.query(220)).unwrap();
+    // 90 % of the values of a cosine are below 0.988 times its amplitude.
+    let truth = 0.988 * f64::from(amplitude as f32);
+    assert!((0.8 * truth..1.5 * truth).contains(&half), "{half} instead of {truth}");
+}
+
+/// Calibration by the links that were left out in [`fit`], each a block.
+fn calibrated(whole: &Ensemble, data: &Dataset) -> Ensemble {
+    let (held, trained): (Vec<usize>, Vec<usize>) = (0..200).partition(|i: &usize| i.is_multiple_of(4));
+    let held_out = whole.held_out(&[0], data, &trained).unwrap();
+    assert!(held_out.residuals().is_none_or(|own| own.processes()[0].as_ref().unwrap().len() == 150));
+    let ready = held_out.prepare();
+    let score = |&i: &usize| {
+        let query = data.query(i);
+        let shown = ready.predict(query).clamped();
+        vec![HeldOutScores::of(data.task(), &shown, ready.deviation(query).unwrap(), &data.image(i))]
+    };
+    whole.clone().with_calibration(Calibration::new(&held.iter().map(score).collect::<Vec<_>>()))
+}
+
+#[test]
+fn invalid_calibration_of_a_file_is_refused() {
+    let base = Ensemble::of(model(0.0));
+    let data = data(&base, smooth);
+    let whole = calibrated(&base, &data);
+    let bytes = file::ensemble_to_bytes(&whole);
+    let again = file::from_bytes(&bytes).unwrap();
+    assert!(again.calibration() == whole.calibration() && file::ensemble_to_bytes(&again) == bytes);
+    assert!(file::ensemble_to_bytes(&again.with_residuals(None)) == file::ensemble_to_bytes(&base));
+    let refused = |name: &str, shape: &[usize], values: &[Real]| {
+        let mut tensors = Tensors::from_bytes(&bytes).unwrap();
+        tensors.put(name, shape.to_vec(), values.to_vec());
+        let message = file::from_bytes(&tensors.to_bytes()).unwrap_err();
+        assert!(message.contains(name), "{message}");
+    };
+    for blocks in [0.0, -1.0, 0.5, 1e9, Real::NAN, Real::INFINITY] {
+        refused("calibration.blocks", &[1], &[blocks]);
+    }
+    for name in ["calibration.values", "calibration.ssim"] {
+        refused(name, &[0, 2], &[]);
+        refused(name, &[1], &[1.0]);
+        refused(name, &[2, 2], &[2.0, 0.5, 1.0, 1.0]);
+        refused(name, &[2, 2], &[1.0, 0.5, 2.0, 0.4]);
+        refused(name, &[1, 2], &[1.0, 0.9]);
+        refused(name, &[1, 2], &[-1.0, 1.0]);
+        refused(name, &[1, 2], &[Real::INFINITY, 1.0]);
     }
 }
 
