@@ -124,6 +124,19 @@ mod tests {
         }
     }
 
+    /// Fewer blocks than transmitters for a trajectory; a fold has the blocks of its split.
+    #[test]
+    fn blocks_are_transmitters_cells_or_stretches_of_the_trajectory() {
+        let (data, links) = (line_of_samples(200), (20..200).collect::<Vec<_>>());
+        for (of, count) in [("Random()", 180), ("Voxel(size_m: 5.0)", 36), ("TimeBlock()", 36)] {
+            let fold = format!("Fold(of: {of}, index: 0, count: 4)");
+            for split in [of, &fold].map(|text| Plugin::<dyn Split>::parse(text).unwrap()) {
+                let blocks = split.blocks(&data, &links);
+                assert_eq!((blocks.len(), blocks.concat()), (count, links.clone()), "{of}");
+            }
+        }
+    }
+
     #[test]
     fn folds_hold_whole_cells_and_parts_of_the_trajectory() {
         let data = line_of_samples(200);

@@ -209,3 +209,24 @@ fn process_over_time_predicts_drift_that_space_alone_misses() {
     let (space, both) = (error(false), error(true));
     assert!(both < 0.05 && space > 0.3, "{both} and {space}");
 }
+
+/// The parameters stay, so the process equals one of the other samples; it is less certain where samples are missing.
+#[test]
+fn kriging_without_samples_keeps_its_parameters() {
+    let correlation = Correlation { kind: CorrelationKind::Matern32, scales: [0.4; 4], noise: 0.1 };
+    let data = drawn(&correlation, 60);
+    let [all, left_out, others] = [0..50, 0..20, 20..50].map(Iterator::collect::<Vec<usize>>);
+    let fitted = Kriging::default().fit(&data, FittingSet::train(&all)).unwrap();
+    let without = fitted.without(&left_out).unwrap();
+    assert!(without.without(&others).is_none(), "no sample is left");
+    let (mut with_them, mut without_them) = (0.0, 0.0);
+    for &i in &left_out {
+        with_them += fitted.deviation(data.query(i)).unwrap();
+        without_them += without.deviation(data.query(i)).unwrap();
+        assert_ne!(fitted.predict(data.query(i)), without.predict(data.query(i)));
+    }
+    assert!(without_them > with_them, "{without_them} and {with_them}");
+    let far = Query::from([1e3, 0.0, 0.0]);
+    let [a, b] = [&fitted, &without].map(|process| process.deviation(far).unwrap());
+    close(a / b, 1.0, 0.2);
+}
