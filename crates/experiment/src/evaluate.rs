@@ -5,6 +5,7 @@
 
 use crate::ceiling::ceiling;
 use crate::evaluation_set::EvaluationSet;
+use crate::intervals::Calibrator;
 use crate::record::Confidence;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, check_stopped, staged};
@@ -66,12 +67,23 @@ pub fn evaluate(
     }
     let (mut notes, mut oracles): (Vec<String>, Vec<String>) = Default::default();
     notes.extend(ensemble.residuals().map(|residuals| note_of(residuals, data)));
+    let calibrator = Calibrator::new(pipeline, (data, partition), ensemble.members().len())?;
+    let (mut intervals, mut columns) = (Vec::new(), Vec::new());
+    if let Some(calibration) = ensemble.calibration() {
+        let (scores, of_links) = calibrator.measure((MODEL, model), calibration, session)?;
+        (intervals, columns) = (vec![scores], of_links);
+    }
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.task());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
         oracles.extend(fitted.is_oracle().then(|| name.clone()));
+        if !(intervals.is_empty() || fitted.is_oracle())
+            && let Some(calibration) = calibrator.of_baseline(&*fitted, session)?
+        {
+            intervals.push(calibrator.measure((&name, &*fitted), &calibration, session)?.0);
+        }
         predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
@@ -79,8 +91,9 @@ pub fn evaluate(
     notes.extend(ceiling.notes);
     let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
     let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
-    let known = ScoreTable { task: data.task(), oracles, members, samples, notes, ..ScoreTable::default() };
-    let mut scores = Scores::new(ids, predictors, known);
+    notes.extend(intervals.iter().map(|own| own.note(data.task(), &intervals[0])));
+    let known = ScoreTable { task: data.task(), oracles, members, samples, intervals, notes, ..ScoreTable::default() };
+    let mut scores = Scores { intervals: columns, ..Scores::new(ids, predictors, known) };
     let summaries: Vec<_> = ceiling.of.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
     scores.table.add_ceiling(&summaries);
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));

@@ -39,7 +39,7 @@ pub fn write_results(
     page: Option<PageBuilder>,
 ) -> Result<()> {
     let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
-    put(SAMPLES, to_csv(data, partition))?;
+    put(SAMPLES, to_csv(data, partition, &scores.intervals))?;
     put(SCORES, scores.to_csv())?;
     confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))?;
     let Some(page) = page else { return Ok(()) };

@@ -2,33 +2,48 @@
 
 use crate::session::{Session, staged};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
-use pwrfgs_model::{Ensemble, KnownLinks, Kriged, Residuals};
+use pwrfgs_model::{Ensemble, KnownLinks, Residuals};
 use pwrfgs_pipeline::Pipeline;
 
 /// Returns an error if a run of `pipeline` cannot predict the residuals of its model.
 ///
 /// # Errors
-/// As [`Kriged::check_data`].
+/// As [`check_data`](pwrfgs_model::Kriged::check_data).
 pub(crate) fn check_residuals(pipeline: &Pipeline, data: &Dataset, partition: &Partition) -> Result<()> {
     let residuals = pipeline.residuals.as_ref();
     residuals.map_or(Ok(()), |residuals| residuals.check_data(data, !partition.validation.is_empty()))
 }
 
-/// The ensemble with residual processes fitted to all known links. `left_out` lists, for each member, the links that it did
-/// not train on.
+/// Links that members did not train on: one list per member of an ensemble with residual processes, otherwise one list, the
+/// validation set, for all members.
+///
+/// # Errors
+/// As [`Pipeline::partition`].
+pub(crate) fn left_out(
+    pipeline: &Pipeline,
+    (data, partition): (&Dataset, &Partition),
+    members: usize,
+) -> Result<Vec<Vec<usize>>> {
+    if pipeline.residuals.is_none() || members == 1 {
+        return Ok(vec![partition.validation.clone()]);
+    }
+    (0..members).map(|index| Ok(pipeline.folded(index, members).partition(data)?.validation)).collect()
+}
+
+/// The trained ensemble with residual processes fitted to all known links, if the pipeline selects them and it has none.
 ///
 /// # Errors
 /// As [`Residuals::fit`].
 pub(crate) fn with_residuals(
     ensemble: Ensemble,
-    settings: &Kriged,
+    pipeline: &Pipeline,
     (data, partition): (&Dataset, &Partition),
-    left_out: &[Vec<usize>],
     session: &mut Session<'_>,
 ) -> Result<Ensemble> {
+    let (Some(settings), None) = (&pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
     let links = partition.known().all();
     let mut left_out_by = vec![None; links.len()];
-    for (member, left_out) in left_out.iter().enumerate() {
+    for (member, left_out) in left_out(pipeline, (data, partition), ensemble.members().len())?.iter().enumerate() {
         for link in left_out {
             let Ok(k) = links.binary_search(link) else {
                 return Err(Error::Config("residuals: a model left out a test sample; train it again".into()));

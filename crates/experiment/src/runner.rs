@@ -4,6 +4,7 @@ use crate::evaluate::{check_alike, evaluate, validation_baselines};
 use crate::facts::Facts;
 use crate::folder::{CURVE, MODEL_FILE};
 use crate::input::prepared;
+use crate::intervals::calibrated;
 use crate::journal::Journal;
 use crate::load::load;
 use crate::page::conclude;
@@ -146,12 +147,17 @@ fn complete<'a>(
         },
     };
     let (session, begun) = (training.session, Instant::now());
-    if let (Some(settings), None) = (&pipeline.residuals, model.residuals()) {
-        let left_out = [partition.validation.clone()];
-        model = match with_residuals(model, settings, (data, partition), &left_out, session) {
-            Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
-            fitted => fitted?,
-        };
+    // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
+    let is_trained_here = folder.file(CURVE).is_file();
+    let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
+    let before = parts(&model);
+    let fitted = with_residuals(model, pipeline, (data, partition), session);
+    let calibrate = |model| calibrated(model, pipeline, (data, partition), session);
+    model = match if is_trained_here { fitted.and_then(calibrate) } else { fitted } {
+        Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
+        fitted => fitted?,
+    };
+    if parts(&model) != before {
         file::write_ensemble(&folder.file(MODEL_FILE), &model)?;
     }
     session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.task().counted[1]));
@@ -162,7 +168,7 @@ fn complete<'a>(
         scored => scored?,
     };
     facts.validation_baselines = baselines;
-    if folder.file(CURVE).is_file() {
+    if is_trained_here {
         facts.steps = pipeline.training.steps;
     } else {
         // `score_model`: nothing is known of the training.

@@ -1,5 +1,6 @@
 //! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
 
+use crate::scores::interval_columns;
 use crate::text::{csv_rows, field};
 use pwrfgs_core::{Dataset, Partition, Real, Result, neighbours};
 use pwrfgs_pipeline::Pipeline;
@@ -9,7 +10,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// Header for data with one receiver.
-const HEADER: &str = "id,x,y,z,split,nearest_train_m\n";
+const HEADER: &str = "id,x,y,z,split,nearest_train_m";
 
 /// Key of the data and split of a pipeline: equal for pipelines with the same samples in each set.
 pub fn data_key(pipeline: &Pipeline) -> String {
@@ -19,7 +20,8 @@ pub fn data_key(pipeline: &Pipeline) -> String {
 /// Content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the nearest other
 /// training transmitter in metres (empty if there is none). With several receivers a row is a link: its number, as in
 /// `scores.csv`, is the first column, and the receiver name follows the id.
-pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
+/// `intervals` are those of the test samples, which add the columns [`interval_columns`]; empty without intervals.
+pub(crate) fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
     {
@@ -29,7 +31,11 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     }
     let nearest = nearest_train(data, partition);
     let many = data.scene.receivers.len() > 1;
-    let mut out = String::from(if many { "link,id,receiver,x,y,z,split,nearest_train_m\n" } else { HEADER });
+    let columns = interval_columns(data.task()).iter().filter(|_| !intervals.is_empty());
+    let columns: Vec<&str> = columns.copied().collect();
+    let first = if many { "link,id,receiver,x,y,z,split,nearest_train_m" } else { HEADER };
+    let mut out = std::iter::once(first).chain(columns.iter().copied()).collect::<Vec<_>>().join(",") + "\n";
+    let of_test: BTreeMap<usize, &Vec<f64>> = partition.test.iter().copied().zip(intervals).collect();
     for (i, ((sample, split), nearest)) in data.samples().zip(split).zip(nearest).enumerate() {
         let distance = if nearest.is_finite() && data.placed { nearest.to_string() } else { String::new() };
         let place = if data.placed { sample.tx.map(|v| v.to_string()) } else { Default::default() };
@@ -39,7 +45,11 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
         } else {
             _ = write!(out, "{},", sample.id);
         }
-        _ = writeln!(out, "{},{split},{distance}", place.join(","));
+        _ = write!(out, "{},{split},{distance}", place.join(","));
+        for k in 0..columns.len() {
+            _ = write!(out, ",{}", of_test.get(&i).map_or_else(String::new, |own| own[k].to_string()));
+        }
+        out.push('\n');
     }
     out
 }
@@ -117,7 +127,7 @@ mod tests {
         let data =
             Dataset::new("line", Pose::IDENTITY, vec![], samples, Spectra::grey((1, 1), vec![0; 4]).unwrap()).unwrap();
         let partition = Partition { train: vec![0, 1], validation: vec![], test: vec![2] };
-        let text = to_csv(&data, &partition);
+        let text = to_csv(&data, &partition, &[]);
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\
                         6,9,0,0,unused,7\n";
         assert_eq!(text, expected);

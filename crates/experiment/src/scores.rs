@@ -4,7 +4,7 @@
 
 use crate::paired::{Paired, PairedRow, is_compared};
 use crate::statistics::{Blocks, Difference, Summary, null_is_infinite};
-use crate::text::{Lines, csv_rows, damaged};
+use crate::text::{Lines, csv_rows, damaged, number};
 use pwrfgs_core::messages::text_of;
 use pwrfgs_core::{Goal, Measurement, Result, Task, Values};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -14,6 +14,8 @@ use std::str::FromStr;
 
 /// Name of the noise ceiling in every table; it is not ranked.
 pub const CEILING: &str = "ceiling (repeatability)";
+/// Level of the intervals in notes and in `samples.csv`.
+pub(crate) const LEVEL: f64 = 0.9;
 /// Name of the trained model in every table.
 pub const MODEL: &str = "model";
 
@@ -28,6 +30,8 @@ pub struct Scores {
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
     pub predictors: Vec<(String, Vec<Measurement>)>,
+    /// Interval of the model per test sample, in the order of `ids`: columns of `samples.csv`, which is not read back.
+    pub intervals: Vec<Vec<f64>>,
 }
 
 /// Scores without per-sample values, as `run.json` holds them.
@@ -51,6 +55,9 @@ pub struct ScoreTable {
     /// Paired differences between the model and each baseline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paired: Option<Paired>,
+    /// Prediction intervals of the model and of baselines that have a variance.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub intervals: Vec<IntervalScores>,
     /// Notes below the table.
     pub notes: Vec<String>,
     /// Task of the predictors.
@@ -85,6 +92,67 @@ pub enum ScoreCell {
     Whole(#[serde(deserialize_with = "null_is_infinite")] f64),
     /// Not applicable, with the reason.
     NotApplicable(String),
+}
+
+/// Prediction intervals of one predictor on the test set. All blocks have the same weight.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IntervalScores {
+    /// Name of the predictor.
+    pub predictor: String,
+    /// Numbers of blocks of the calibration and of the test set.
+    pub blocks: [usize; 2],
+    /// Levels with enough blocks, ascending.
+    pub levels: Vec<LevelScores>,
+}
+
+/// Prediction intervals of one level.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LevelScores {
+    /// Nominal coverage.
+    pub level: f64,
+    /// Share of the values inside their intervals.
+    pub coverage: f64,
+    /// Mean width, dB or parts of the full scale.
+    pub width: f64,
+    /// Mean lower bound of the SSIM, and share of spectra at or above it; `None` without pixels.
+    pub ssim: Option<[f64; 2]>,
+}
+
+impl IntervalScores {
+    /// Mean width at a measured coverage, interpolated between levels; `None` beyond them.
+    pub fn width_at(&self, coverage: f64) -> Option<f64> {
+        self.levels.windows(2).find_map(|ends| {
+            let part = (coverage - ends[0].coverage) / (ends[1].coverage - ends[0].coverage);
+            (0.0..=1.0).contains(&part).then(|| ends[0].width + part * (ends[1].width - ends[0].width))
+        })
+    }
+
+    /// Describes the intervals of level 0.9, and compares their width with those of the `model`.
+    pub(crate) fn note(&self, task: Task, model: &Self) -> String {
+        let Self { predictor, blocks: [calibration, test], levels } = self;
+        let Some(LevelScores { coverage, width, ssim, .. }) = levels.iter().find(|own| own.level == LEVEL) else {
+            return format!("no 90 % intervals of {predictor}: {calibration} calibration blocks, expected 9 or more");
+        };
+        let (values, unit) = if task.has_pixels { ("pixels", "") } else { (task.counted[1], " dB") };
+        let ssim = ssim.map_or_else(String::new, |[bound, share]| {
+            format!("; {:.1} % of SSIM are at or above their bound, {bound:.3} in the mean", 100.0 * share)
+        });
+        let other = model.levels.iter().find(|own| own.level == LEVEL && predictor != MODEL);
+        let equal = other.and_then(|own| self.width_at(own.coverage)).map_or_else(String::new, |width| {
+            format!(" ({}{unit} at the coverage of {})", number(width), model.predictor)
+        });
+        format!(
+            "90 % intervals of {predictor}: {:.1} % of {values} inside, mean width {}{unit}{equal}{ssim}; blocks of equal \
+             weight: {calibration} calibration, {test} test",
+            100.0 * coverage,
+            number(*width)
+        )
+    }
+}
+
+/// Columns of `samples.csv` with the intervals of level 0.9.
+pub(crate) fn interval_columns(task: Task) -> &'static [&'static str] {
+    if task.has_pixels { &["coverage_90", "width_90", "ssim_bound_90"] } else { &["lower_dbm_90", "upper_dbm_90"] }
 }
 
 impl ScoreCell {
@@ -133,7 +201,7 @@ impl Scores {
             }
         }
         let names = predictors.iter().map(|(name, _)| name.clone()).collect();
-        Self { table: ScoreTable { predictors: names, metrics, ..table }, ids, predictors }
+        Self { table: ScoreTable { predictors: names, metrics, ..table }, ids, predictors, intervals: Vec::new() }
     }
 
     /// The values of one per-sample metric of one predictor.
@@ -436,5 +504,29 @@ mod tests {
             assert!(message.is_input() && message.to_string().contains(why), "{message}");
         }
         assert!(read("").unwrap_err().to_string().contains("scores.csv:1:1: the file ends"));
+    }
+
+    #[test]
+    fn interval_notes_compare_widths_at_equal_coverage() {
+        let scores = |predictor: &str, ends: [[f64; 2]; 2]| IntervalScores {
+            predictor: predictor.into(),
+            blocks: [40, 8],
+            levels: [(0.8, ends[0]), (0.9, ends[1])]
+                .map(|(level, [coverage, width])| LevelScores { level, coverage, width, ssim: None })
+                .to_vec(),
+        };
+        let (model, kriging) =
+            (scores(MODEL, [[0.75, 10.0], [0.85, 14.0]]), scores("Kriging", [[0.8, 11.0], [0.9, 15.0]]));
+        let note = |own: &IntervalScores| own.note(Task::Power, &model);
+        let blocks = "blocks of equal weight: 40 calibration, 8 test";
+        assert_eq!(
+            note(&model),
+            format!("90 % intervals of model: 85.0 % of links inside, mean width 14.00 dB; {blocks}")
+        );
+        let kriged = "90 % intervals of Kriging: 90.0 % of links inside, mean width 15.00 dB (13.00 dB at the coverage of model)";
+        assert_eq!(note(&kriging), format!("{kriged}; {blocks}"));
+        assert_eq!(kriging.width_at(0.95), None);
+        let few = IntervalScores { blocks: [5, 8], levels: Vec::new(), ..model.clone() };
+        assert_eq!(note(&few), "no 90 % intervals of model: 5 calibration blocks, expected 9 or more");
     }
 }

@@ -21,6 +21,7 @@ pub use status::RunStage;
 use crate::evaluate::evaluate;
 use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
+use crate::intervals::calibrated;
 use crate::load::load;
 use crate::page::conclude;
 use crate::residuals::with_residuals;
@@ -177,14 +178,11 @@ impl Join<'_, '_> {
     fn end(&mut self, folder: &mut RunFolder) -> Result<RunOutcome> {
         let (mut ensemble, path) = (self.assemble()?, folder.file(MODEL_FILE));
         let bytes = file::ensemble_to_bytes(&ensemble);
-        // Residual processes of the same members are kept.
-        if self.pipeline.residuals.is_some()
-            && let Ok(kept) = file::read_ensemble(&path)
+        // Residual processes and calibration of the same members are kept.
+        if let Ok(kept) = file::read_ensemble(&path)
+            && file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes
         {
-            let residuals = kept.residuals().cloned();
-            if file::ensemble_to_bytes(&kept.with_residuals(None)) == bytes {
-                ensemble = ensemble.with_residuals(residuals);
-            }
+            ensemble = kept;
         }
         let bytes = file::ensemble_to_bytes(&ensemble);
         let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
@@ -197,14 +195,12 @@ impl Join<'_, '_> {
         self.pipeline.check_data(&data)?;
         let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
         let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
-        if let (Some(settings), None) = (&self.pipeline.residuals, ensemble.residuals()) {
-            let fold = |run: &PlannedRun| Ok(run.pipeline.partition(&data)?.validation);
-            let folds: Vec<Vec<usize>> = self.plan.runs.iter().map(fold).collect::<Result<_>>()?;
-            ensemble = match with_residuals(ensemble, settings, (&data, &partition), &folds, self.session) {
-                Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
-                fitted => fitted?,
-            };
-        }
+        let known = (&data, &partition);
+        let fitted = with_residuals(ensemble, self.pipeline, known, self.session);
+        ensemble = match fitted.and_then(|fitted| calibrated(fitted, self.pipeline, known, self.session)) {
+            Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
+            fitted => fitted?,
+        };
         write_atomically(&path, &file::ensemble_to_bytes(&ensemble))?;
         match self.assess(&ensemble, (&data, &partition), folder, facts) {
             Ok(scores) => Ok(RunOutcome::Finished { scores, already: false }),

@@ -1,0 +1,192 @@
+//! Prediction intervals of a run: calibration on links that a predictor was not fitted to, coverage on the test set.
+
+use crate::residuals::left_out;
+use crate::scores::{IntervalScores, LEVEL, LevelScores};
+use crate::session::{Session, check_stopped, staged};
+use pwrfgs_core::{Dataset, Error, Image, Partition, Predict, Result, ssim};
+use pwrfgs_model::{Calibration, Ensemble, HeldOutScores, Interval, IntervalFactors};
+use pwrfgs_pipeline::Pipeline;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Number of links predicted together.
+const CHUNK: usize = 64;
+/// Levels that are measured.
+const LEVELS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, LEVEL, 0.95];
+
+/// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train on, or
+/// intervals do not support the observations.
+///
+/// # Errors
+/// A prediction that is not finite, a spectrum that cannot be read, or [`Error::Stopped`].
+pub(crate) fn calibrated(
+    ensemble: Ensemble,
+    pipeline: &Pipeline,
+    known: (&Dataset, &Partition),
+    session: &mut Session<'_>,
+) -> Result<Ensemble> {
+    if ensemble.calibration().is_some() || known.0.task().is_complex {
+        return Ok(ensemble);
+    }
+    let count = ensemble.members().len();
+    let calibrator = Calibrator::new(pipeline, known, count)?;
+    let mut scores = BTreeMap::new();
+    for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
+        let members = if calibrator.left_out.len() == count { index..index + 1 } else { 0..count };
+        let trained = calibrator.known_without(left_out);
+        let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), known.0, &trained)?;
+        calibrator.score(&held_out.prepare(), left_out, &mut scores, session)?;
+    }
+    let calibration = calibrator.calibration(scores);
+    Ok(ensemble.with_calibration(calibration))
+}
+
+/// Links for the calibration of predictors, and for the measurement of their intervals.
+pub(crate) struct Calibrator<'a> {
+    pipeline: &'a Pipeline,
+    data: &'a Dataset,
+    partition: &'a Partition,
+    /// Lists of links, each predicted without the links of its list.
+    left_out: Vec<Vec<usize>>,
+}
+
+impl<'a> Calibrator<'a> {
+    /// Creates a calibrator with the links that the members of a model of `pipeline` left out.
+    ///
+    /// # Errors
+    /// As [`Pipeline::partition`].
+    pub(crate) fn new(
+        pipeline: &'a Pipeline,
+        (data, partition): (&'a Dataset, &'a Partition),
+        members: usize,
+    ) -> Result<Self> {
+        Ok(Self { pipeline, data, partition, left_out: left_out(pipeline, (data, partition), members)? })
+    }
+
+    /// Calibrates a fitted baseline; `None` if it has no deviation, does not predict from samples, or no links are left out.
+    ///
+    /// # Errors
+    /// As [`calibrated`].
+    pub(crate) fn of_baseline(&self, fitted: &dyn Predict, session: &mut Session<'_>) -> Result<Option<Calibration>> {
+        let mut scores = BTreeMap::new();
+        for links in self.left_out.iter().filter(|links| !links.is_empty()) {
+            let Some(held_out) = fitted.without(links) else { return Ok(None) };
+            self.score(&*held_out, links, &mut scores, session)?;
+        }
+        Ok(self.calibration(scores))
+    }
+
+    /// Known links without those of a list.
+    fn known_without(&self, links: &[usize]) -> Vec<usize> {
+        self.partition.known().all().into_iter().filter(|link| links.binary_search(link).is_err()).collect()
+    }
+
+    /// Adds the scores of `links`, which `predictor` was not fitted to.
+    fn score(
+        &self,
+        predictor: &dyn Predict,
+        links: &[usize],
+        scores: &mut BTreeMap<usize, HeldOutScores>,
+        session: &mut Session<'_>,
+    ) -> Result<()> {
+        let task = self.data.task();
+        let of =
+            |prediction: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, prediction, deviation, truth);
+        let found = self.each("calibrating intervals", predictor, links, session, of)?;
+        scores.extend(links.iter().copied().zip(found));
+        Ok(())
+    }
+
+    /// Calibration of the scored links.
+    fn calibration(&self, mut scores: BTreeMap<usize, HeldOutScores>) -> Option<Calibration> {
+        let links: Vec<usize> = scores.keys().copied().collect();
+        let block = |links: Vec<usize>| links.iter().filter_map(|link| scores.remove(link)).collect();
+        let blocks: Vec<Vec<HeldOutScores>> =
+            self.pipeline.split.blocks(self.data, &links).into_iter().map(block).collect();
+        Calibration::new(&blocks)
+    }
+
+    /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`, a row
+    /// per test link; empty with too few blocks.
+    ///
+    /// # Errors
+    /// As [`calibrated`].
+    pub(crate) fn measure(
+        &self,
+        (name, predictor): (&str, &dyn Predict),
+        calibration: &Calibration,
+        session: &mut Session<'_>,
+    ) -> Result<(IntervalScores, Vec<Vec<f64>>)> {
+        let (task, test) = (self.data.task(), &self.partition.test);
+        let factors: Vec<(f64, IntervalFactors)> =
+            LEVELS.into_iter().filter_map(|level| Some((level, calibration.factors(level).ok()?))).collect();
+        let of = |prediction: &Image, deviation: f64, truth: &Image| {
+            let score = if task.has_pixels { ssim::evaluation(prediction, truth) } else { 0.0 };
+            let one = |(_, factors): &(f64, IntervalFactors)| {
+                numbers(&factors.interval(task, prediction, deviation), truth, score)
+            };
+            factors.iter().map(one).collect::<Vec<_>>()
+        };
+        let found = self.each("measuring intervals", predictor, test, session, of)?;
+        let blocks = self.pipeline.split.blocks(self.data, test);
+        let weight = |own: &Vec<usize>| 1.0 / (blocks.len() * own.len()) as f64;
+        let weights: BTreeMap<usize, f64> =
+            blocks.iter().flat_map(|own| own.iter().map(move |link| (*link, weight(own)))).collect();
+        let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
+            let mean = |n: usize| test.iter().zip(&found).map(|(link, own)| weights[link] * own[k][n]).sum::<f64>();
+            let ssim = task.has_pixels.then(|| [mean(2), mean(3)]);
+            LevelScores { level: *level, coverage: mean(0), width: mean(1), ssim }
+        };
+        let levels = factors.iter().enumerate().map(scores).collect();
+        let place = factors.iter().position(|(level, _)| *level == LEVEL);
+        let columns = if task.has_pixels { 0..3 } else { 4..6 };
+        let row = |own: &Vec<[f64; 6]>| Some(own[place?][columns.clone()].to_vec());
+        let rows = found.iter().filter_map(row).collect();
+        let blocks = [calibration.blocks(), blocks.len()];
+        Ok((IntervalScores { predictor: name.to_owned(), blocks, levels }, rows))
+    }
+
+    /// Passes the prediction of each link, as it is shown, its deviation and the measurement to `of`, in parallel.
+    fn each<T: Send>(
+        &self,
+        stage: &str,
+        predictor: &dyn Predict,
+        links: &[usize],
+        session: &mut Session<'_>,
+        of: impl Fn(&Image, f64, &Image) -> T + Sync,
+    ) -> Result<Vec<T>> {
+        let (data, stop) = (self.data, session.stop);
+        let one = |&i: &usize| {
+            let prediction = data.task().shown(predictor.predict(data.query(i)));
+            let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0);
+            if !(deviation.is_finite() && prediction.pixels.iter().all(|p| p.is_finite())) {
+                let what = "intervals: a prediction is not finite; train the model again with lower learning rates";
+                return Err(Error::Config(what.into()));
+            }
+            Ok(of(&prediction, deviation, &data.image(i)))
+        };
+        staged(session.observer, stage, |progress| {
+            let mut all = Vec::with_capacity(links.len());
+            for chunk in links.chunks(CHUNK) {
+                check_stopped(stop)?;
+                all.extend(chunk.par_iter().map(one).collect::<Result<Vec<T>>>()?);
+                progress(all.len(), links.len());
+            }
+            data.observations.check()?;
+            Ok(all)
+        })
+    }
+}
+
+/// Share of the values inside an interval, mean width, lower bound of the SSIM, whether the SSIM `score` is at or above it,
+/// and lower and upper end of the first value.
+fn numbers(interval: &Interval, truth: &Image, score: f64) -> [f64; 6] {
+    let Interval { lower, upper, ssim } = interval;
+    let ends = || lower.pixels.iter().zip(&upper.pixels);
+    let count = truth.pixels.len() as f64;
+    let inside = ends().zip(&truth.pixels).filter(|((lower, upper), t)| (*lower..=*upper).contains(t)).count();
+    let width = ends().map(|(lower, upper)| (*upper - *lower) as f64).sum::<f64>() / count;
+    let bound = ssim.unwrap_or(0.0);
+    let first = [lower, upper].map(|end| end.pixels[0] as f64);
+    [inside as f64 / count, width, bound, f64::from(score >= bound), first[0], first[1]]
+}
