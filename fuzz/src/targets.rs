@@ -192,6 +192,7 @@ fn surface(bench: &Path) -> Result<()> {
 fn model(bench: &Path) -> Result<()> {
     let model = file::read_ensemble(&bench.join(MODEL))?;
     model.prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
+    model.calibration().map(|own| own.factors(0.5)).transpose()?;
     npz(&model, None)?;
     ply(&model, Some([0.5, 0.5, 0.5])).map(drop)
 }

@@ -237,7 +237,17 @@ fn predicts_powers(here: &Path) {
     assert!(distance(&two) == distance(&list) && distance(&two).parse::<f64>().is_ok(), "{two}\n{list}");
     let spread: f64 = two.lines().nth(1).unwrap().split(',').nth(6).unwrap().parse().unwrap();
     assert!((0.0..0.1).contains(&spread), "{two}");
+    succeed(here, &["predict", MODEL, "--tx", "1,2,1", "--interval", "0.5", "--out", "band"]);
+    let band = read(&here.join("band/predictions.csv"));
+    assert!(band.starts_with("row,x,y,z,receiver,dbm,lower_dbm,upper_dbm,ms,training_distance_m\n"), "{band}");
+    for row in band.lines().skip(1) {
+        let numbers: Vec<f64> = row.split(',').skip(5).take(3).map(|v| v.parse().unwrap()).collect();
+        let [dbm, lower, upper] = numbers[..] else { panic!("{band}") };
+        assert!(lower < dbm && dbm < upper && ((upper - dbm) - (dbm - lower)).abs() < 1e-3, "{band}");
+    }
     let out = ["--tx", "1,2,1", "--out", "no"];
+    let two = [&["predict", MODEL, HALF, "--interval", "0.5"][..], &out].concat();
+    refuse(here, &two, 2, &["--interval: the model has no calibration", "one model file"]);
     refuse(here, &[&["predict", MODEL, "--stacked"][..], &out].concat(), 2, &["--stacked", "predictions.csv"]);
     let wrong = [&["predict", MODEL, "--receiver", "nort"][..], &out].concat();
     refuse(here, &wrong, 2, &["--receiver nort", "did you mean `north`?", "north, south"]);
@@ -332,6 +342,8 @@ fn channels_are_reported_predicted_and_mapped() {
         "{message}"
     );
     write(&here.join("tx.csv"), "x,y,z\n3,2,1\n4,4,1\n");
+    let interval = ["predict", MODEL, "--tx-csv", "tx.csv", "--interval", "0.9", "--out", "no"];
+    refuse(here, &interval, 2, &["--interval: not supported for channels"]);
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "each"]);
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--stacked", "--out", "stack"]);
     succeed(here, &["export", MODEL, "--half", HALF]);

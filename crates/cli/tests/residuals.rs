@@ -7,7 +7,8 @@ use std::process::Stdio;
 const MODEL: &str = "model.safetensors";
 
 fn kriged() -> String {
-    SMALL.replace("name: \"small\",", "name: \"small\", residuals: Kriged(),")
+    let text = SMALL.replace("validation: 0.2", "validation: 0.3");
+    text.replace("name: \"small\",", "name: \"small\", residuals: Kriged(), baselines: [Kriging()],")
 }
 
 fn bytes(path: &Path) -> Vec<u8> {
@@ -21,10 +22,19 @@ fn every_command_reads_a_model_with_residuals() {
     write(&here.join("p.ron"), kriged());
     let table = stdout(&succeed(here, &["run", "p.ron", "--out", "r", "--threads", "2"]));
     assert!(table.contains("the residuals of the model are Kriged ("), "{table}");
+    for predictor in ["model", "Kriging"] {
+        assert!(table.contains(&format!("90 % intervals of {predictor}: ")), "{table}");
+    }
+    let samples = String::from_utf8(bytes(&here.join("r/samples.csv"))).unwrap();
+    assert!(
+        samples.lines().next().unwrap().ends_with("nearest_train_m,coverage_90,width_90,ssim_bound_90"),
+        "{samples}"
+    );
     let model = "r/model.safetensors";
     let whole = bytes(&here.join(model));
     assert!(file::read_ensemble(&here.join(model)).unwrap().residuals().is_some());
     succeed(here, &["predict", model, "--tx", "0.3,0.1,0.9", "--out", "predicted"]);
+    predicts_intervals(here, model);
     assert!(stdout(&succeed(here, &["evaluate", model])).contains("are Kriged ("));
     succeed(here, &["map", model, "--plane", "z=0.5", "--out", "map"]);
     succeed(here, &["export", model, "--npz", "m.npz"]);
@@ -32,6 +42,8 @@ fn every_command_reads_a_model_with_residuals() {
     assert!(file::read_ensemble(&here.join("half.safetensors")).unwrap().residuals().is_some());
     let page = std::fs::read_to_string(here.join("r/report.html")).unwrap();
     assert!(page.contains("are Kriged ("), "the page shows stored spectra and the note");
+    assert!(page.contains("Prediction intervals: coverage of the test set"));
+    assert!(file::read_ensemble(&here.join("half.safetensors")).unwrap().calibration().is_some());
     let two = ["predict", model, "half.safetensors", "--tx", "0,0,1", "--out", "no"];
     refuse(here, &two, 2, &["has a residual process", "give it as the only model"]);
     refuse(here, &["compress", model, "--out", "no"], 2, &["has a residual process"]);
@@ -43,6 +55,40 @@ fn every_command_reads_a_model_with_residuals() {
     succeed(here, &["run", "p.ron", "--out", "r", "--threads", "1", "-q"]);
     assert!(bytes(&here.join(model)) == whole, "another model after a restart with another number of threads");
     assert!(stderr(&succeed(here, &["run", "p.ron", "--out", "r"])).contains("nothing to do"));
+}
+
+/// The validation set has 10 transmitters, so the highest level is 10/11.
+fn predicts_intervals(here: &Path, model: &str) {
+    let predict = |level: &'static str, out: &'static str| {
+        ["predict", model, "--tx", "0.3,0.1,0.9", "--no-png", "--interval", level, "--out", out]
+    };
+    let widths = [("0.5", "band"), ("0.9", "wide")].map(|(level, out)| {
+        succeed(here, &predict(level, out));
+        let table = std::fs::read_to_string(here.join(out).join("predictions.csv")).unwrap();
+        assert!(table.starts_with("row,x,y,z,azimuth_deg,elevation_deg,peak,ssim_bound,milliseconds,"), "{table}");
+        let [lower, image, upper] =
+            ["-lower", "", "-upper"].map(|end| array(&here.join(out).join(format!("00001{end}.npy"))));
+        let is_inside =
+            |((l, p), u): ((&f32, &f32), &f32)| 0.0 <= *l && *l <= p.clamp(0.0, 1.0) && *l <= *u && *u <= 1.0;
+        assert!(lower.iter().zip(&image).zip(&upper).all(is_inside));
+        upper.iter().zip(&lower).map(|(u, l)| u - l).sum::<f32>()
+    });
+    assert!(0.0 < widths[0] && widths[0] < widths[1], "{widths:?}");
+    succeed(here, &[&predict("0.5", "stack")[..], &["--stacked"]].concat());
+    for name in ["lower.npy", "upper.npy"] {
+        assert!(here.join("stack").join(name).is_file(), "{name}");
+    }
+    for level in ["0", "1", "1.5", "-0.5", "NaN"] {
+        refuse(here, &predict(level, "no"), 2, &["interval level is", "expected a number above 0 and below 1"]);
+    }
+    refuse(here, &predict("0.95", "no"), 2, &["needs 19 calibration blocks, but the model has 10", "to 0.909 or less"]);
+    refuse(here, &predict("high", "no"), 2, &["--interval"]);
+    assert!(!here.join("no").exists());
+}
+
+/// Numbers of a file of 32-bit floats.
+fn array(path: &Path) -> Vec<f32> {
+    bytes(path)[128..].chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
 #[test]
@@ -68,6 +114,8 @@ fn joined_models_leave_out_one_fold_each() {
     let joined = here.join("s/joined").join(MODEL);
     let ensemble = file::read_ensemble(&joined).unwrap();
     assert_eq!((ensemble.members().len(), ensemble.residuals().unwrap().processes().len()), (3, 1));
+    let known = ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len();
+    assert_eq!(ensemble.calibration().unwrap().blocks(), known, "each known transmitter is a block");
     for seed in 0..3 {
         let run = here.join(format!("s/seed={seed}"));
         let text = std::fs::read_to_string(run.join("pipeline.ron")).unwrap();
@@ -132,7 +180,7 @@ fn update_adds_measurements_and_refuses_other_data() {
         ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len()
     };
     assert_eq!((known(model), known("new.safetensors")), (4, 10));
-    succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--out", "predicted"]);
+    succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--interval", "0.5", "--out", "predicted"]);
 
     refuse(here, &update(model, "data", "new.safetensors"), 2, &["new.safetensors exists"]);
     refuse(here, &update("plain/model.safetensors", "data", "no"), 2, &["has no residual process", "Kriged()"]);

@@ -8,9 +8,9 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::model::{Prepared, TrainingDistances};
+use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Query, Result, Task};
+use pwrfgs_core::{Error, Predict as _, Query, Result, Task};
 use std::path::PathBuf;
 use writers::{OutputFolder, PredictionImage, PredictionRow, writer};
 
@@ -28,6 +28,8 @@ Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, .
 complex64 [antennas, subcarriers] in 00001.npy, .. --stacked: spectra.npy or channels.npy.
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
 deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
+--interval adds a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy and upper.npy)
+and column ssim_bound, or columns lower_dbm and upper_dbm. Not for channels.
 A warning counts extrapolations: positions farther from all training positions than 3 times their
 spacing (95th percentile of nearest-neighbour distances).
 
@@ -35,7 +37,7 @@ EXAMPLES
   pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
   pwrfgs predict runs/quickstart/model.safetensors --tx-csv walk.csv --stacked --no-png --out walk
-  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --out walk-g01")]
+  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --interval 0.9 --out g01")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
     /// Trained model (model.safetensors of a run); several form an ensemble
@@ -47,6 +49,9 @@ pub(crate) struct Predict {
     /// CSV file of positions: columns x, y, z in metres, others are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
+    /// Add prediction intervals that hold with this probability, such as 0.9
+    #[arg(long, value_name = "LEVEL", allow_hyphen_values = true)]
+    pub(crate) interval: Option<f64>,
     /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
@@ -78,9 +83,10 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
         return Err(Error::Config(why.into()));
     }
+    let factors = arguments.interval.map(|level| factors(&ensemble, level)).transpose()?;
     let made = NewFolder::begin(&arguments.out)?;
     let folder = OutputFolder { path: made.path(), has_png: !arguments.no_png };
-    let mut writer = writer(&folder, &model, count, arguments.stacked)?;
+    let mut writer = writer(&folder, &model, count, arguments.stacked, factors.is_some())?;
     let mut progress = RunProgress::new(verbosity);
     let mut list = writer.header();
     let is_named = !task.has_pixels || model.receivers().len() > 1;
@@ -97,7 +103,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     for first in (0..count).step_by(CHUNK) {
         progress.on_stage("predicting", first, count);
         let rows: Vec<PredictionRow<'_>> = (first..(first + CHUNK).min(count)).map(row).collect();
-        let drawn = draw(&model, &rows)?;
+        let drawn = draw(&model, &rows, factors.as_ref())?;
         writer.take(&folder, &rows, &drawn, &mut list)?;
     }
     progress.finish();
@@ -110,6 +116,18 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let kind = if count == 1 { task.singular } else { task.plural };
     verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())
+}
+
+/// Factors of prediction intervals of this level.
+fn factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
+    let refuse = |what: &str| Err(Error::Config(format!("--interval: {what}")));
+    if ensemble.members()[0].stages.task.is_complex {
+        return refuse("not supported for channels; remove --interval");
+    }
+    match ensemble.calibration() {
+        Some(calibration) => calibration.factors(level),
+        None => refuse("the model has no calibration; give one model file of a run with a `validation` share"),
+    }
 }
 
 /// Warning about extrapolations, or note that the distances to training positions are unknown.
@@ -129,7 +147,11 @@ fn extrapolation(distances: Option<&TrainingDistances>) -> Option<String> {
 }
 
 /// Predicts one row after another, so that each latency is measured without other load.
-fn draw(model: &Prepared<'_>, rows: &[PredictionRow<'_>]) -> Result<Vec<PredictionImage>> {
+fn draw(
+    model: &Prepared<'_>,
+    rows: &[PredictionRow<'_>],
+    factors: Option<&IntervalFactors>,
+) -> Result<Vec<PredictionImage>> {
     let alone = model.models().count() == 1;
     let one = |row: &PredictionRow<'_>| {
         let query = Query::at(row.tx, row.receiver);
@@ -140,7 +162,10 @@ fn draw(model: &Prepared<'_>, rows: &[PredictionRow<'_>]) -> Result<Vec<Predicti
             let (image, spread, times) = model.predict_with_deviation(query);
             (image, Some(spread), times)
         };
-        PredictionImage { image, spread, milliseconds: 1e3 * times.total }
+        let interval = factors
+            .zip(model.deviation(query))
+            .map(|(factors, deviation)| factors.interval(model.task(), &model.task().shown(image.clone()), deviation));
+        PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }
     };
     let drawn: Vec<PredictionImage> = rows.iter().map(one).collect();
     match drawn.iter().position(|drawn| !drawn.image.pixels.iter().all(|p| p.is_finite())) {

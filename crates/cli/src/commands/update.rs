@@ -60,12 +60,13 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     }
     let begun = Instant::now();
     let (updated, added) = residuals.updated(&model, &data)?;
+    let updated = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
     progress.finish();
     if added == 0 {
         return Err(Error::input(&arguments.data, "no link at a receiver with a residual process"));
     }
     let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
-    file::write_ensemble(&arguments.out, &model.clone().with_residuals(Some(updated)))?;
+    file::write_ensemble(&arguments.out, &updated)?;
     let things = data.task().counted[usize::from(added != 1)];
     let out = arguments.out.display();
     verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));

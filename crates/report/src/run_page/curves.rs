@@ -1,11 +1,11 @@
 //! Curves of the page: loss and N over the steps, validation score, and distribution of test scores.
 
-use crate::canvas::Colour;
+use crate::canvas::{Colour, INK};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine, decimate_steps, phases};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, Headline};
-use pwrfgs_experiment::{LoadedRun, record::column, scores::MODEL, statistics::quantile};
+use pwrfgs_experiment::{IntervalScores, LoadedRun, record::column, scores::MODEL, statistics::quantile};
 
 /// Maximum number of ranges over which the loss is averaged.
 const STRETCHES: usize = 150;
@@ -29,7 +29,27 @@ pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
         figures.extend(validation(run));
     }
     figures.extend(distribution(run));
+    figures.extend(reliability(run));
     figures
+}
+
+/// Measured against nominal coverage of prediction intervals.
+fn reliability(run: &LoadedRun<'_>) -> Option<Figure> {
+    let all = &run.record.scores.table.intervals;
+    let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex);
+    let curve = |own: &IntervalScores| {
+        let points = own.levels.iter().map(|level| (level.level, level.coverage)).collect();
+        let is_model = own.predictor == MODEL;
+        let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
+        line(points, colour, if is_model { 3.0 } else { 2.0 }).named(&own.predictor)
+    };
+    let mut lines: Vec<ChartLine> = all.iter().filter(|own| !own.levels.is_empty()).map(curve).collect();
+    lines.first()?;
+    let equal = ChartLine::new(vec![(0.0, 0.0), (1.0, 1.0)], Style::line(INK, 1.0, Stroke::DASHED));
+    lines.push(equal.named("nominal = measured"));
+    let axis = |name: &str| ChartAxis { name: name.into(), ends: Some((0.0, 1.0)), log: false };
+    let chart = Chart { x: axis("nominal coverage"), y: axis("measured coverage"), lines, ..Chart::default() };
+    figure("Prediction intervals: coverage of the test set", &chart)
 }
 
 /// Chart over the steps with the three phases of algorithm 1 shaded.

@@ -3,7 +3,7 @@
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::text::field;
-use pwrfgs::model::Prepared;
+use pwrfgs::model::{Interval, Prepared};
 use pwrfgs_core::{Error, Image, ImagePlane, Number, Real, Result, Task, gains_of};
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -52,6 +52,7 @@ pub(super) struct PredictionImage {
     pub(super) image: Image,
     /// Standard deviation over the members of an ensemble.
     pub(super) spread: Option<Image>,
+    pub(super) interval: Option<Interval>,
     pub(super) milliseconds: f64,
 }
 
@@ -73,20 +74,21 @@ pub(super) trait Writer {
     fn finish(self: Box<Self>) -> Result<()>;
 }
 
-/// Creates the writer for `count` predictions of `model`.
+/// Creates the writer for `count` predictions of `model`, with intervals if `has_interval`.
 pub(super) fn writer<'a>(
     folder: &OutputFolder<'_>,
     model: &Prepared<'a>,
     count: usize,
     stacked: bool,
+    has_interval: bool,
 ) -> Result<Box<dyn Writer + 'a>> {
     let task = model.task();
     Ok(if task.has_pixels {
-        Box::new(Spectra::begin(folder, model, count, stacked)?)
+        Box::new(Spectra::begin(folder, model, count, stacked, has_interval)?)
     } else if task.is_complex {
         Box::new(Channels::begin(folder, model, count, stacked)?)
     } else {
-        Box::new(Powers { has_spread: model.models().count() > 1 })
+        Box::new(Powers { has_spread: model.models().count() > 1, has_interval })
     })
 }
 
@@ -94,23 +96,34 @@ pub(super) fn writer<'a>(
 struct Spectra<'a> {
     plane: &'a ImagePlane,
     has_names: bool,
+    has_interval: bool,
     stacks: Vec<Stack>,
 }
 
 impl<'a> Spectra<'a> {
-    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'a>, count: usize, stacked: bool) -> Result<Self> {
+    fn begin(
+        folder: &OutputFolder<'_>,
+        model: &Prepared<'a>,
+        count: usize,
+        stacked: bool,
+        has_interval: bool,
+    ) -> Result<Self> {
         let plane = model.plane();
         let size = [count, plane.height, plane.width];
-        let names = ["spectra.npy", "spread.npy"].into_iter().take(model.models().count().min(2)).filter(|_| stacked);
-        let stacks = names.map(|name| Stack::floats(folder, name, size)).collect::<Result<_>>()?;
-        Ok(Self { plane, has_names: model.receivers().len() > 1, stacks })
+        let has_spread = model.models().count() > 1;
+        let names = [("spectra", true), ("spread", has_spread), ("lower", has_interval), ("upper", has_interval)];
+        let stack = |(name, _)| Stack::floats(folder, &format!("{name}.npy"), size);
+        let stacks = names.into_iter().filter(|(_, is_written)| stacked && *is_written).map(stack);
+        let stacks = stacks.collect::<Result<_>>()?;
+        Ok(Self { plane, has_names: model.receivers().len() > 1, has_interval, stacks })
     }
 }
 
 impl Writer for Spectra<'_> {
     fn header(&self) -> String {
         let receiver = if self.has_names { "receiver," } else { "" };
-        format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,milliseconds,{DISTANCE}\n")
+        let bound = if self.has_interval { "ssim_bound," } else { "" };
+        format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
     }
 
     fn take(
@@ -122,8 +135,10 @@ impl Writer for Spectra<'_> {
     ) -> Result<()> {
         let images: Vec<&Image> = drawn.iter().map(|drawn| &drawn.image).collect();
         let spreads: Vec<&Image> = drawn.iter().filter_map(|drawn| drawn.spread.as_ref()).collect();
-        let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads)];
-        for (k, (suffix, gain, images)) in kinds.iter().enumerate() {
+        let intervals = || drawn.iter().filter_map(|drawn| drawn.interval.as_ref());
+        let (lower, upper) = intervals().map(|own| (&own.lower, &own.upper)).unzip();
+        let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads), ("-lower", 1.0, lower), ("-upper", 1.0, upper)];
+        for (k, (suffix, gain, images)) in kinds.iter().filter(|(.., images)| !images.is_empty()).enumerate() {
             let one = |(image, row): (&&Image, &PredictionRow<'_>)| {
                 let name = name(row.number) + suffix;
                 if self.stacks.is_empty() {
@@ -137,7 +152,7 @@ impl Writer for Spectra<'_> {
             }
         }
         for (row, drawn) in rows.iter().zip(drawn) {
-            *list += &line(self.plane, row, &drawn.image, drawn.milliseconds);
+            *list += &line(self.plane, row, drawn);
         }
         Ok(())
     }
@@ -148,23 +163,30 @@ impl Writer for Spectra<'_> {
 }
 
 /// Line of `predictions.csv`; without angles if the image plane has none.
-fn line(plane: &ImagePlane, row: &PredictionRow<'_>, image: &Image, milliseconds: f64) -> String {
+fn line(plane: &ImagePlane, row: &PredictionRow<'_>, drawn: &PredictionImage) -> String {
+    let image = &drawn.image;
     let strongest = image.argmax();
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
     let angles = plane.azimuth_elevation_deg(column, line);
     let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
-    format!("{},{angles},{},{}", row.begin(), image.pixels[strongest], row.end(milliseconds))
+    let bound =
+        drawn.interval.as_ref().and_then(|own| own.ssim).map_or_else(String::new, |bound| format!("{bound:.4},"));
+    format!("{},{angles},{},{bound}{}", row.begin(), image.pixels[strongest], row.end(drawn.milliseconds))
 }
 
 /// Writer of received powers.
 struct Powers {
     /// Whether there is a column with the standard deviation of an ensemble.
     has_spread: bool,
+    /// Whether there are columns with the ends of an interval.
+    has_interval: bool,
 }
 
 impl Writer for Powers {
     fn header(&self) -> String {
-        format!("row,x,y,z,receiver,dbm,{}ms,{DISTANCE}\n", if self.has_spread { "spread_db," } else { "" })
+        let spread = if self.has_spread { "spread_db," } else { "" };
+        let interval = if self.has_interval { "lower_dbm,upper_dbm," } else { "" };
+        format!("row,x,y,z,receiver,dbm,{spread}{interval}ms,{DISTANCE}\n")
     }
 
     fn take(
@@ -174,9 +196,10 @@ impl Writer for Powers {
         drawn: &[PredictionImage],
         list: &mut String,
     ) -> Result<()> {
-        for (row, PredictionImage { image, spread, milliseconds }) in rows.iter().zip(drawn) {
-            let spread = spread.as_ref().map_or_else(String::new, |spread| format!("{},", spread.pixels[0]));
-            _ = write!(list, "{},{},{spread}{}", row.begin(), image.pixels[0], row.end(*milliseconds));
+        for (row, PredictionImage { image, spread, interval, milliseconds }) in rows.iter().zip(drawn) {
+            let ends = interval.iter().flat_map(|own| [&own.lower, &own.upper]);
+            let more: String = spread.iter().chain(ends).map(|own| format!("{},", own.pixels[0])).collect();
+            _ = write!(list, "{},{},{more}{}", row.begin(), image.pixels[0], row.end(*milliseconds));
         }
         Ok(())
     }
@@ -218,7 +241,7 @@ impl Writer for Channels {
         drawn: &[PredictionImage],
         list: &mut String,
     ) -> Result<()> {
-        for (row, PredictionImage { image, spread, milliseconds }) in rows.iter().zip(drawn) {
+        for (row, PredictionImage { image, spread, milliseconds, .. }) in rows.iter().zip(drawn) {
             let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
             let spread = spread.as_ref().map(lengths);
             if let Some(stack) = self.stacks.first_mut() {
