@@ -4,7 +4,7 @@ use crate::residuals::left_out;
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::{Session, check_stopped, staged};
 use pwrfgs_core::{Dataset, Error, Image, Partition, Predict, Result, ssim};
-use pwrfgs_model::{Calibration, Ensemble, HeldOutScores, Interval, IntervalFactors};
+use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use pwrfgs_pipeline::Pipeline;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -67,7 +67,11 @@ impl<'a> Calibrator<'a> {
     ///
     /// # Errors
     /// As [`calibrated`].
-    pub(crate) fn of_baseline(&self, fitted: &dyn Predict, session: &mut Session<'_>) -> Result<Option<Calibration>> {
+    pub(crate) fn of_baseline(
+        &self,
+        fitted: &dyn Predict,
+        session: &mut Session<'_>,
+    ) -> Result<Option<IntervalCalibration>> {
         let mut scores = BTreeMap::new();
         for links in self.left_out.iter().filter(|links| !links.is_empty()) {
             let Some(held_out) = fitted.without(links) else { return Ok(None) };
@@ -98,12 +102,12 @@ impl<'a> Calibrator<'a> {
     }
 
     /// Calibration of the scored links.
-    fn calibration(&self, mut scores: BTreeMap<usize, HeldOutScores>) -> Option<Calibration> {
+    fn calibration(&self, mut scores: BTreeMap<usize, HeldOutScores>) -> Option<IntervalCalibration> {
         let links: Vec<usize> = scores.keys().copied().collect();
         let block = |links: Vec<usize>| links.iter().filter_map(|link| scores.remove(link)).collect();
         let blocks: Vec<Vec<HeldOutScores>> =
             self.pipeline.split.blocks(self.data, &links).into_iter().map(block).collect();
-        Calibration::new(&blocks)
+        IntervalCalibration::new(&blocks)
     }
 
     /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`, a row
@@ -114,7 +118,7 @@ impl<'a> Calibrator<'a> {
     pub(crate) fn measure(
         &self,
         (name, predictor): (&str, &dyn Predict),
-        calibration: &Calibration,
+        calibration: &IntervalCalibration,
         session: &mut Session<'_>,
     ) -> Result<(IntervalScores, Vec<Vec<f64>>)> {
         let (task, test) = (self.data.task(), &self.partition.test);

@@ -26,7 +26,7 @@ pub enum RunOutcome {
     /// All results are written.
     Finished {
         /// Summary of all scores.
-        scores: ScoreTable,
+        scores: Box<ScoreTable>,
         /// Whether the run was already finished.
         already: bool,
     },
@@ -87,7 +87,7 @@ fn attempt(
     begun: Instant,
 ) -> Result<Option<RunOutcome>> {
     let pipeline = &prepared(pipeline, base)?;
-    let already = |scores| Some(RunOutcome::Finished { scores, already: true });
+    let already = |scores: ScoreTable| Some(RunOutcome::Finished { scores: scores.into(), already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.verified(out, reported)? {
         // A finished run may have been restarted since, by another process with another pipeline.
@@ -181,5 +181,5 @@ fn complete<'a>(
         Journal::open(folder, pipeline, data.task(), pipeline.training.steps)?.scores(&found.0.table)?;
     }
     let scores = conclude(folder, pipeline, &mut facts, (data, partition, &model), found, session)?;
-    Ok(RunOutcome::Finished { scores, already: false })
+    Ok(RunOutcome::Finished { scores: scores.into(), already: false })
 }

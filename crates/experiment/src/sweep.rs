@@ -189,7 +189,7 @@ impl Join<'_, '_> {
         if Facts::read(folder.path())?.is_some_and(is_joined)
             && let Some(scores) = folder.state().verified(folder.path(), self.session.page.is_some())?
         {
-            return Ok(RunOutcome::Finished { scores, already: true });
+            return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
         let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
         self.pipeline.check_data(&data)?;
@@ -203,7 +203,7 @@ impl Join<'_, '_> {
         };
         write_atomically(&path, &file::ensemble_to_bytes(&ensemble))?;
         match self.assess(&ensemble, (&data, &partition), folder, facts) {
-            Ok(scores) => Ok(RunOutcome::Finished { scores, already: false }),
+            Ok(scores) => Ok(RunOutcome::Finished { scores: scores.into(), already: false }),
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),
             Err(error) => Err(error),
         }

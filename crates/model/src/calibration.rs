@@ -1,5 +1,5 @@
-//! `Calibration`: prediction intervals by split conformal prediction (Vovk, Gammerman and Shafer, Algorithmic Learning in a
-//! Random World, 2005), with blocks of links as units.
+//! `IntervalCalibration`: prediction intervals by split conformal prediction (Vovk, Gammerman and Shafer, Algorithmic
+//! Learning in a Random World, 2005), with blocks of links as units.
 //!
 //! A score is the absolute error of a link that the predictor was not fitted to, in units of its deviation. All K blocks
 //! have the same weight 1/(K+1), and a next block has an infinite score (Lee, Barber and Willett, Distribution-free
@@ -48,7 +48,7 @@ impl HeldOutScores {
 
 /// Scores of known links in blocks, for prediction intervals of any level.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Calibration {
+pub struct IntervalCalibration {
     blocks: usize,
     values: Distribution,
     /// `None` without pixels.
@@ -110,7 +110,7 @@ fn distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
     kept
 }
 
-impl Calibration {
+impl IntervalCalibration {
     /// Creates the calibration of the blocks; `None` without a link.
     pub fn new(blocks: &[Vec<HeldOutScores>]) -> Option<Self> {
         let blocks: Vec<&Vec<HeldOutScores>> = blocks.iter().filter(|block| !block.is_empty()).collect();
@@ -202,8 +202,8 @@ mod tests {
         errors.iter().map(|e| HeldOutScores::of(Task::Power, &power(0.0), 1.0, &power(*e))).collect()
     }
 
-    fn calibration(blocks: &[Vec<f64>]) -> Calibration {
-        Calibration::new(&blocks.iter().map(|own| block(own)).collect::<Vec<_>>()).unwrap()
+    fn calibration(blocks: &[Vec<f64>]) -> IntervalCalibration {
+        IntervalCalibration::new(&blocks.iter().map(|own| block(own)).collect::<Vec<_>>()).unwrap()
     }
 
     /// One link per block: the factor is order statistic ⌈level · (K + 1)⌉ of the scores.
@@ -251,7 +251,7 @@ mod tests {
         let scores: Vec<(f64, f64)> = (1..=100_000).map(|k| (f64::from(k), 1.0)).collect();
         let thinned = distribution(scores, MOST);
         assert_eq!(thinned.len(), MOST);
-        let found = Calibration { blocks: 1_000_000, values: thinned, ssim: None };
+        let found = IntervalCalibration { blocks: 1_000_000, values: thinned, ssim: None };
         for level in [0.001, 0.3333, 0.9, 0.99] {
             let half = found.factors(level).unwrap().half_width;
             assert!((0.0..101.0).contains(&(half - 100_000.0 * level)), "{half} at {level}");
@@ -268,7 +268,7 @@ mod tests {
         assert!(
             found.factors(0.9).unwrap_err().to_string().contains("needs 9 calibration blocks, but the model has 2")
         );
-        assert_eq!(Calibration::new(&[vec![]]), None);
+        assert_eq!(IntervalCalibration::new(&[vec![]]), None);
     }
 
     #[test]

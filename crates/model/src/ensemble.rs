@@ -1,6 +1,6 @@
 //! `Ensemble`: several models of one scene that predict together.
 
-use crate::{Calibration, Model, Prepared, Residuals, TrainingDistances};
+use crate::{IntervalCalibration, Model, Prepared, Residuals, TrainingDistances};
 use pwrfgs_core::{Appearance, Dataset, Error, ImagePlane, Origin, Real, Result};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
@@ -11,7 +11,7 @@ pub struct Ensemble {
     names: Vec<String>,
     members: Vec<Model>,
     residuals: Option<Residuals>,
-    calibration: Option<Calibration>,
+    calibration: Option<IntervalCalibration>,
     /// Size of the file that was read, bytes.
     read_bytes: Option<usize>,
 }
@@ -78,12 +78,12 @@ impl Ensemble {
 
     /// Returns the ensemble with a calibration for prediction intervals, or without.
     #[must_use]
-    pub fn with_calibration(self, calibration: Option<Calibration>) -> Self {
+    pub fn with_calibration(self, calibration: Option<IntervalCalibration>) -> Self {
         Self { calibration, read_bytes: None, ..self }
     }
 
     /// Returns the calibration for prediction intervals, if any.
-    pub fn calibration(&self) -> Option<&Calibration> {
+    pub fn calibration(&self) -> Option<&IntervalCalibration> {
         self.calibration.as_ref()
     }
 

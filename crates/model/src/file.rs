@@ -2,7 +2,7 @@
 
 use crate::residuals::ResidualsNote;
 use crate::tensors::Tensors;
-use crate::{Calibration, Ensemble, Model, Stages, TrainingPositions};
+use crate::{Ensemble, IntervalCalibration, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
@@ -230,7 +230,7 @@ pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
 pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let ensemble = take_predictor(&mut file)?;
-    let calibration = Calibration::take(&mut file, ensemble.members()[0].stages.task)?;
+    let calibration = IntervalCalibration::take(&mut file, ensemble.members()[0].stages.task)?;
     Ok(ensemble.with_calibration(calibration))
 }
 

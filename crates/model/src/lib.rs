@@ -18,7 +18,7 @@ pub mod tensors;
 mod trained;
 mod training_positions;
 
-pub use calibration::{Calibration, HeldOutScores, Interval, IntervalFactors};
+pub use calibration::{HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;

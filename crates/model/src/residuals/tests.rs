@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::tensors::Tensors;
-use crate::{Calibration, Ensemble, HeldOutScores, Model, Stages, file};
+use crate::{Ensemble, HeldOutScores, IntervalCalibration, Model, Stages, file};
 use pwrfgs_core::{
     Dataset, Error, GaussianCloud, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Spectra, rng,
 };
@@ -130,7 +130,7 @@ fn calibrated(whole: &Ensemble, data: &Dataset) -> Ensemble {
         let shown = ready.predict(query).clamped();
         vec![HeldOutScores::of(data.task(), &shown, ready.deviation(query).unwrap(), &data.image(i))]
     };
-    whole.clone().with_calibration(Calibration::new(&held.iter().map(score).collect::<Vec<_>>()))
+    whole.clone().with_calibration(IntervalCalibration::new(&held.iter().map(score).collect::<Vec<_>>()))
 }
 
 #[test]

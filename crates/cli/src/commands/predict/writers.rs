@@ -198,8 +198,11 @@ impl Writer for Powers {
     ) -> Result<()> {
         for (row, PredictionImage { image, spread, interval, milliseconds }) in rows.iter().zip(drawn) {
             let ends = interval.iter().flat_map(|own| [&own.lower, &own.upper]);
-            let more: String = spread.iter().chain(ends).map(|own| format!("{},", own.pixels[0])).collect();
-            _ = write!(list, "{},{},{more}{}", row.begin(), image.pixels[0], row.end(*milliseconds));
+            _ = write!(list, "{},", row.begin());
+            for own in std::iter::once(image).chain(spread).chain(ends) {
+                _ = write!(list, "{},", own.pixels[0]);
+            }
+            *list += &row.end(*milliseconds);
         }
         Ok(())
     }
