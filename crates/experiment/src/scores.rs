@@ -516,14 +516,14 @@ mod tests {
                 .to_vec(),
         };
         let (model, kriging) =
-            (scores(MODEL, [[0.75, 10.0], [0.85, 14.0]]), scores("Kriging", [[0.8, 11.0], [0.9, 15.0]]));
+            (scores(MODEL, [[0.75, 10.5], [0.85, 14.5]]), scores("Kriging", [[0.8, 11.5], [0.9, 15.5]]));
         let note = |own: &IntervalScores| own.note(Task::Power, &model);
         let blocks = "blocks of equal weight: 40 calibration, 8 test";
         assert_eq!(
             note(&model),
-            format!("90 % intervals of model: 85.0 % of links inside, mean width 14.00 dB; {blocks}")
+            format!("90 % intervals of model: 85.0 % of links inside, mean width 14.50 dB; {blocks}")
         );
-        let kriged = "90 % intervals of Kriging: 90.0 % of links inside, mean width 15.00 dB (13.00 dB at the coverage of model)";
+        let kriged = "90 % intervals of Kriging: 90.0 % of links inside, mean width 15.50 dB (13.50 dB at the coverage of model)";
         assert_eq!(note(&kriging), format!("{kriged}; {blocks}"));
         assert_eq!(kriging.width_at(0.95), None);
         let few = IntervalScores { blocks: [5, 8], levels: Vec::new(), ..model.clone() };
