@@ -11,9 +11,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Largest number of links per receiver that are predicted in the fit, and their neighbours.
-const CASES: usize = 160;
-const FROM: usize = 24;
+/// Number of links that are predicted in the fit: of all receivers, and at least of each. Too few choose a wrong correlation
+/// (docs/lab/residuals.md).
+const CASES: usize = 600;
+const LEAST_CASES: usize = 160;
+/// Number of neighbours of such a link; half of it for received powers.
+const FROM: usize = 48;
 /// Shares of the prediction of the model that are compared.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// Log-likelihood by which a smaller share must be better: differences below it are noise of the search.
@@ -270,12 +273,14 @@ impl<'a> Samples<'a> {
                 Nearest::new(others, 4, |k| place(self.places[k]))
             });
         }
+        let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES);
+        let from = if self.of_each == 1 { FROM / 2 } else { FROM };
         let held_out: Vec<usize> = own.iter().copied().filter(|&k| left_out_by[k].is_some()).collect();
         let case = |k: usize| {
-            let near = trained[&left_out_by[k]?].find(&place(self.places[k]), FROM).1;
+            let near = trained[&left_out_by[k]?].find(&place(self.places[k]), from).1;
             (!near.is_empty()).then(|| (k, near.into_iter().map(|(_, j)| j).collect()))
         };
-        evenly(&held_out, CASES).into_iter().filter_map(case).collect()
+        evenly(&held_out, count).into_iter().filter_map(case).collect()
     }
 
     /// Most likely process of the known links `own` of a receiver; `None` if none of them was left out.
