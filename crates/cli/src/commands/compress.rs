@@ -19,6 +19,7 @@ const COMPARED: usize = 200;
 16  everything in 16 bits
 All commands, Python and pages read the file. The command prints both sizes and the mean difference
 of predictions at up to 200 training positions. Ensembles are refused: compress each member.
+The calibration for predict --interval is left out, since it is that of the exact predictions.
 
 EXAMPLES
   pwrfgs compress runs/quickstart/model.safetensors --out small.safetensors
@@ -41,17 +42,18 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     if ensemble.residuals().is_some() {
         return Err(Error::input(&arguments.model, "has a residual process, expected a model without one"));
     }
+    let before = file::size(&ensemble);
     let count = ensemble.members().len();
     let several = || format!("holds an ensemble of {count} models, expected one; compress the file of each member");
     let model = ensemble.into_only().ok_or_else(|| Error::input(&arguments.model, several()))?;
-    let (before, after) = (file::to_bytes(&model), compress::to_bytes(&model, arguments.bits)?);
+    let after = compress::to_bytes(&model, arguments.bits)?;
     let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
     write_atomically(&arguments.out, &after)?;
     let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
     verbosity.note(&format!(
         "whole file {} kB instead of {} kB, in {}",
         kilobytes(after.len()),
-        kilobytes(before.len()),
+        kilobytes(before),
         arguments.out.display()
     ));
     if let Some(difference) = difference(&model, &small.members()[0]) {

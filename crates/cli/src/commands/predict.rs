@@ -126,7 +126,9 @@ fn factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
     }
     match ensemble.calibration() {
         Some(calibration) => calibration.factors(level),
-        None => refuse("the model has no calibration; give one model file of a run with a `validation` share"),
+        None => {
+            refuse("the model has no calibration; give one model file, as a run with a `validation` share wrote it")
+        }
     }
 }
 

@@ -41,9 +41,11 @@ fn reliability(run: &LoadedRun<'_>) -> Option<Figure> {
         let points = own.levels.iter().map(|level| (level.level, level.coverage)).collect();
         let is_model = own.predictor == MODEL;
         let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
-        line(points, colour, if is_model { 3.0 } else { 2.0 }).named(&own.predictor)
+        let stroke = if is_model { Stroke::FULL } else { Stroke::DASHED };
+        ChartLine::new(points, Style::line(colour, 3.0, stroke)).named(&own.predictor)
     };
-    let mut lines: Vec<ChartLine> = all.iter().filter(|own| !own.levels.is_empty()).map(curve).collect();
+    // The first line is on top: dashes of a baseline stay visible on the line of the model.
+    let mut lines: Vec<ChartLine> = all.iter().rev().filter(|own| !own.levels.is_empty()).map(curve).collect();
     lines.first()?;
     let equal = ChartLine::new(vec![(0.0, 0.0), (1.0, 1.0)], Style::line(INK, 1.0, Stroke::DASHED));
     lines.push(equal.named("nominal = measured"));
