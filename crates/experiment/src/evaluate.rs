@@ -67,11 +67,11 @@ pub fn evaluate(
     }
     let (mut notes, mut oracles): (Vec<String>, Vec<String>) = Default::default();
     notes.extend(ensemble.residuals().map(|residuals| note_of(residuals, data)));
-    let calibrator = Calibrator::new(pipeline, (data, partition), ensemble.members().len())?;
-    let (mut intervals, mut columns) = (Vec::new(), Vec::new());
+    let (mut intervals, mut columns, mut calibrator) = (Vec::new(), Vec::new(), None);
     if let Some(calibration) = ensemble.calibration() {
-        let (scores, of_links) = calibrator.measure((MODEL, model), calibration, session)?;
-        (intervals, columns) = (vec![scores], of_links);
+        let own = Calibrator::new(pipeline, (data, partition), ensemble.members().len())?;
+        let (scores, of_links) = own.measure((MODEL, model), calibration, session)?;
+        (intervals, columns, calibrator) = (vec![scores], of_links, Some(own));
     }
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
@@ -79,7 +79,7 @@ pub fn evaluate(
         let name = baseline.name_for(data.task());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
         oracles.extend(fitted.is_oracle().then(|| name.clone()));
-        if !(intervals.is_empty() || fitted.is_oracle())
+        if let Some(calibrator) = calibrator.as_ref().filter(|_| !fitted.is_oracle())
             && let Some(calibration) = calibrator.of_baseline(&*fitted, session)?
         {
             intervals.push(calibrator.measure((&name, &*fitted), &calibration, session)?.0);

@@ -51,7 +51,8 @@ pub(crate) struct Calibrator<'a> {
 }
 
 impl<'a> Calibrator<'a> {
-    /// Creates a calibrator with the links that the members of a model of `pipeline` left out.
+    /// Creates a calibrator with the links that the `members` of a model left out, which a run or a joined sweep of
+    /// `pipeline` trained.
     ///
     /// # Errors
     /// As [`Pipeline::partition`].
@@ -63,7 +64,7 @@ impl<'a> Calibrator<'a> {
         Ok(Self { pipeline, data, partition, left_out: left_out(pipeline, (data, partition), members)? })
     }
 
-    /// Calibrates a fitted baseline; `None` if it has no deviation, does not predict from samples, or no links are left out.
+    /// Calibrates a fitted baseline; `None` if it does not predict from samples, or no links are left out.
     ///
     /// # Errors
     /// As [`calibrated`].

@@ -14,23 +14,24 @@ pub(crate) fn check_residuals(pipeline: &Pipeline, data: &Dataset, partition: &P
     residuals.map_or(Ok(()), |residuals| residuals.check_data(data, !partition.validation.is_empty()))
 }
 
-/// Links that members did not train on: one list per member of an ensemble with residual processes, otherwise one list, the
-/// validation set, for all members.
+/// Links that members did not train on: one list per member if a sweep gave each member one of `folds` folds, otherwise one
+/// list, the validation set, for all members. Only sweeps with residual processes divide the training set into folds.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
 pub(crate) fn left_out(
     pipeline: &Pipeline,
     (data, partition): (&Dataset, &Partition),
-    members: usize,
+    folds: usize,
 ) -> Result<Vec<Vec<usize>>> {
-    if pipeline.residuals.is_none() || members == 1 {
+    if pipeline.residuals.is_none() || folds == 1 {
         return Ok(vec![partition.validation.clone()]);
     }
-    (0..members).map(|index| Ok(pipeline.folded(index, members).partition(data)?.validation)).collect()
+    (0..folds).map(|index| Ok(pipeline.folded(index, folds).partition(data)?.validation)).collect()
 }
 
 /// The trained ensemble with residual processes fitted to all known links, if the pipeline selects them and it has none.
+/// `folds` is the number of members of a joined sweep, 1 for a model of one run.
 ///
 /// # Errors
 /// As [`Residuals::fit`].
@@ -38,12 +39,13 @@ pub(crate) fn with_residuals(
     ensemble: Ensemble,
     pipeline: &Pipeline,
     (data, partition): (&Dataset, &Partition),
+    folds: usize,
     session: &mut Session<'_>,
 ) -> Result<Ensemble> {
     let (Some(settings), None) = (&pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
     let links = partition.known().all();
     let mut left_out_by = vec![None; links.len()];
-    for (member, left_out) in left_out(pipeline, (data, partition), ensemble.members().len())?.iter().enumerate() {
+    for (member, left_out) in left_out(pipeline, (data, partition), folds)?.iter().enumerate() {
         for link in left_out {
             let Ok(k) = links.binary_search(link) else {
                 return Err(Error::Config("residuals: a model left out a test sample; train it again".into()));

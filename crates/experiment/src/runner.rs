@@ -151,7 +151,7 @@ fn complete<'a>(
     let is_trained_here = folder.file(CURVE).is_file();
     let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
     let before = parts(&model);
-    let fitted = with_residuals(model, pipeline, (data, partition), session);
+    let fitted = with_residuals(model, pipeline, (data, partition), 1, session);
     let calibrate = |model| calibrated(model, pipeline, (data, partition), session);
     model = match if is_trained_here { fitted.and_then(calibrate) } else { fitted } {
         Err(Error::Stopped) => return Ok(RunOutcome::Unscored),

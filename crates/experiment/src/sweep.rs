@@ -196,7 +196,7 @@ impl Join<'_, '_> {
         let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
         let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
         let known = (&data, &partition);
-        let fitted = with_residuals(ensemble, self.pipeline, known, self.session);
+        let fitted = with_residuals(ensemble, self.pipeline, known, self.plan.runs.len(), self.session);
         ensemble = match fitted.and_then(|fitted| calibrated(fitted, self.pipeline, known, self.session)) {
             Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
             fitted => fitted?,

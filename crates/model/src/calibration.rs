@@ -42,7 +42,7 @@ impl HeldOutScores {
         let deviation = deviation.max(LEAST);
         let score = |(p, t): (&Real, &Real)| ((*p as f64 - *t as f64).abs() / deviation, 1.0);
         let values = distribution(prediction.pixels.iter().zip(&truth.pixels).map(score).collect(), OF_LINK);
-        Self { values, ssim: task.has_pixels.then(|| (1.0 - ssim::evaluation(prediction, truth)) / deviation) }
+        Self { values, ssim: task.has_pixels.then(|| (1.0 - ssim::evaluation(prediction, truth)).max(0.0) / deviation) }
     }
 }
 
@@ -105,7 +105,8 @@ fn distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
         (all[place.min(all.len() - 1)].0, share)
     };
     let kept = if all.len() > most { (1..=most).map(quantile).collect() } else { all.clone() };
-    let mut kept: Distribution = kept.iter().map(|(score, share)| [*score as Real, *share as Real]).collect();
+    let mut kept: Distribution =
+        kept.iter().map(|(score, share)| [score.min(f64::from(f32::MAX)) as Real, *share as Real]).collect();
     kept.last_mut().into_iter().for_each(|last| last[1] = 1.0);
     kept
 }
@@ -204,6 +205,17 @@ mod tests {
 
     fn calibration(blocks: &[Vec<f64>]) -> IntervalCalibration {
         IntervalCalibration::new(&blocks.iter().map(|own| block(own)).collect::<Vec<_>>()).unwrap()
+    }
+
+    /// Scores stay finite and are never negative, so that every reader takes the file.
+    #[test]
+    fn exact_and_huge_errors_are_read_back() {
+        let image = |v: Real| Image { width: 9, height: 9, pixels: vec![v; 81] };
+        let link = |p: Real, t: Real| vec![HeldOutScores::of(Task::Spectrum, &image(p), 0.0, &image(t))];
+        let written = IntervalCalibration::new(&[link(0.0, 0.0), link(0.3, 0.3), link(1e36, 0.0)]).unwrap();
+        let mut file = Tensors::default();
+        written.put(&mut file);
+        assert_eq!(IntervalCalibration::take(&mut file, Task::Spectrum).unwrap().unwrap(), written);
     }
 
     /// One link per block: the factor is order statistic ⌈level · (K + 1)⌉ of the scores.

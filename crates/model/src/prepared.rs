@@ -184,9 +184,9 @@ impl Predict for Prepared<'_> {
         self.predict_timed(query).0
     }
 
-    /// That of the residual process; 1 without residual processes.
+    /// That of the residual process; `None` without residual processes.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        Some(self.residuals.map_or(1.0, |own| own.deviation(query, self.members[0].model.stages.origin)))
+        self.residuals.map(|own| own.deviation(query, self.members[0].model.stages.origin))
     }
 }
 

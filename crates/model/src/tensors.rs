@@ -203,10 +203,10 @@ impl Tensors {
 /// to half a scale. A row of zeros has scale 0.
 pub(crate) fn quantise(values: &[Real], columns: usize) -> (Vec<i8>, Vec<Real>) {
     let largest = |row: &[Real]| row.iter().fold(0.0, |most: Real, v| most.max(v.abs()));
-    let scales: Vec<Real> = values.chunks_exact(columns).map(|row| largest(row) / 127.0).collect();
+    let scales: Vec<Real> = values.chunks_exact(columns.max(1)).map(|row| largest(row) / 127.0).collect();
     let integers = |(row, scale): (&[Real], &Real)| -> Vec<i8> {
         let scale = if *scale > 0.0 { *scale } else { 1.0 };
         row.iter().map(|v| (v / scale).round().clamp(-127.0, 127.0) as i8).collect()
     };
-    (values.chunks_exact(columns).zip(&scales).flat_map(integers).collect(), scales)
+    (values.chunks_exact(columns.max(1)).zip(&scales).flat_map(integers).collect(), scales)
 }

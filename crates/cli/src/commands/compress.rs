@@ -74,7 +74,7 @@ fn difference(model: &Model, small: &Model) -> Option<String> {
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
     let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();
-    let mean = differences.iter().sum::<f64>() / differences.len() as f64;
+    let mean = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
     let unit = if stages.task == Task::Power { " dB" } else { "" };
     Some(format!("mean difference of predictions at {} training positions: {mean:.2e}{unit}", places.len()))
 }

@@ -35,9 +35,10 @@ spacing (95th percentile of nearest-neighbour distances).
 
 EXAMPLES
   pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
+  pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --interval 0.9 --out band
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
   pwrfgs predict runs/quickstart/model.safetensors --tx-csv walk.csv --stacked --no-png --out walk
-  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --interval 0.9 --out g01")]
+  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --out walk-g01")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
     /// Trained model (model.safetensors of a run); several form an ensemble
@@ -164,9 +165,10 @@ fn draw(
             let (image, spread, times) = model.predict_with_deviation(query);
             (image, Some(spread), times)
         };
-        let interval = factors
-            .zip(model.deviation(query))
-            .map(|(factors, deviation)| factors.interval(model.task(), &model.task().shown(image.clone()), deviation));
+        let interval = factors.map(|factors| {
+            let deviation = model.deviation(query).unwrap_or(1.0);
+            factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
+        });
         PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }
     };
     let drawn: Vec<PredictionImage> = rows.iter().map(one).collect();

@@ -124,10 +124,10 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Most likely correlation, and its process variance summed over values. Spectra: of validation samples, each given its nearest training samples. Powers: of at
-    /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to
-    /// the joint density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain
-    /// long distances.
+    /// Most likely correlation, and its process variance summed over values. Spectra: of validation samples, each given its
+    /// nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest of those before it in random
+    /// order. Their densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society B 50, 1988),
+    /// and the first samples constrain long distances.
     fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> (Correlation, f64) {
         let space_of = |i: usize| self.data.sample(i).tx;
         let given = |nearest: &Nearest, i: usize, count| {
@@ -203,7 +203,8 @@ impl Predict for Process<'_> {
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        Some((self.fitted.1 * self.solve(query).1.variance).sqrt())
+        let (_, variance) = self.fitted; // not a number if no sample of the receiver could be predicted from others
+        variance.is_finite().then(|| (variance * self.solve(query).1.variance).sqrt())
     }
 
     fn is_oracle(&self) -> bool {

@@ -169,6 +169,8 @@ impl Residuals {
         let (ready, origin) = (base.prepare(), base.members()[0].stages.origin);
         let mut places: Vec<Vec<[Real; 3]>> = self.processes.iter().map(|_| Vec::new()).collect();
         let mut values: Vec<Vec<Real>> = vec![Vec::new(); places.len()];
+        let has_process = |i: &usize| self.process(data.links[*i].receiver).is_some();
+        let links: Vec<usize> = links.iter().copied().filter(has_process).collect();
         let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
         let predicted = queries.chunks(CHUNK).flat_map(|chunk| ready.predict_many(chunk));
         for ((&i, query), predicted) in links.iter().zip(&queries).zip(predicted) {

@@ -128,7 +128,7 @@ fn calibrated(whole: &Ensemble, data: &Dataset) -> Ensemble {
     let score = |&i: &usize| {
         let query = data.query(i);
         let shown = ready.predict(query).clamped();
-        vec![HeldOutScores::of(data.task(), &shown, ready.deviation(query).unwrap(), &data.image(i))]
+        vec![HeldOutScores::of(data.task(), &shown, ready.deviation(query).unwrap_or(1.0), &data.image(i))]
     };
     whole.clone().with_calibration(IntervalCalibration::new(&held.iter().map(score).collect::<Vec<_>>()))
 }

@@ -229,4 +229,6 @@ fn kriging_without_samples_keeps_its_parameters() {
     let far = Query::from([1e3, 0.0, 0.0]);
     let [a, b] = [&fitted, &without].map(|process| process.deviation(far).unwrap());
     close(a / b, 1.0, 0.2);
+    let alone = Kriging::default().fit(&data, FittingSet::train(&[0])).unwrap();
+    assert_eq!(alone.deviation(far), None, "nothing is known of errors");
 }
