@@ -107,7 +107,7 @@ fn run_needs_a_validation_set_and_valid_settings_for_residuals() {
 fn joined_models_leave_out_one_fold_each() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    write(&here.join("p.ron"), kriged());
+    write(&here.join("p.ron"), kriged().replace("Kriged()", "Kriged(folds: true)"));
     let experiment = "Experiment(name: \"folds\", join: true, base: \"p.ron\", seeds: [0, 1, 2])";
     write(&here.join("e.ron"), experiment);
     succeed(here, &["sweep", "e.ron", "--out", "s", "--jobs", "2", "-q"]);
@@ -143,6 +143,28 @@ fn joined_models_leave_out_one_fold_each() {
     std::fs::remove_dir_all(here.join("s/joined")).unwrap();
     succeed(here, &["sweep", "e.ron", "--out", "s", "-q", "--threads", "1"]);
     assert!(bytes(&joined) == whole);
+}
+
+/// All members leave out the validation set, so the share b is that of their mean.
+#[test]
+fn joined_models_share_the_validation_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), kriged());
+    write(&here.join("e.ron"), "Experiment(name: \"common\", join: true, base: \"p.ron\", seeds: [0, 1])");
+    let without = ["sweep", "e.ron", "--out", "s", "-q", "--set", "split=Official(validation: 0.0)"];
+    refuse(here, &without, 2, &["`validation` share", "Kriged(folds: true)"]);
+    assert!(!here.join("s").exists(), "refused before the training");
+    succeed(here, &["sweep", "e.ron", "--out", "s", "-q"]);
+    let ensemble = file::read_ensemble(&here.join("s/joined").join(MODEL)).unwrap();
+    assert_eq!(ensemble.calibration().unwrap().blocks(), 10, "a block per transmitter of the validation set");
+    assert!(ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len() > 10, "all known links");
+    let validation = |run: &str| {
+        let text = std::fs::read_to_string(here.join(run).join("samples.csv")).unwrap();
+        let row = |line: &str| line.split(",validation").next().filter(|row| row.len() < line.len()).map(str::to_owned);
+        text.lines().filter_map(row).collect::<Vec<_>>()
+    };
+    assert!(!validation("s/seed=0").is_empty() && validation("s/seed=0") == validation("s/seed=1"));
 }
 
 /// A run that is interrupted while it trains ends in the same bytes.

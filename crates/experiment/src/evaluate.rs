@@ -11,10 +11,11 @@ use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, check_stopped, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
+use pwrfgs_core::path_loss::PathLoss;
 use pwrfgs_core::{
     Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
 };
-use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
+use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -105,11 +106,19 @@ pub fn evaluate(
 fn note_of(residuals: &Residuals, data: &Dataset) -> String {
     let receivers = &data.scene.receivers;
     let of = |(receiver, process): (usize, &ResidualProcess)| {
-        let Correlation { kind, scales: [x, y, z, _], noise } = process.correlation;
+        let ProcessFit { trend, correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
         let name = receivers.get(receiver).filter(|_| receivers.len() > 1);
         let name = name.map_or_else(String::new, |receiver| format!("{}: ", strip_control(&receiver.name)));
         let [x, y, z, noise] = [x, y, z, noise].map(number);
-        format!("{name}{} x prediction, {} with {x}, {y}, {z} m, noise {noise}", process.share, kind.words())
+        let path_loss = trend.path_loss.map_or_else(String::new, |(PathLoss { level, slope }, _)| {
+            format!(
+                " + {} x path loss of {} dBm at 1 m and {} dB per decade",
+                1.0 - trend.share,
+                number(level),
+                number(slope)
+            )
+        });
+        format!("{name}{} x prediction{path_loss}, {} with {x}, {y}, {z} m, noise {noise}", trend.share, kind.words())
     };
     let processes = residuals.processes().iter().enumerate().filter_map(|(r, own)| Some((r, own.as_ref()?)));
     format!("the residuals of the model are Kriged ({})", processes.map(of).collect::<Vec<_>>().join("; "))

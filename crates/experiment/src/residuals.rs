@@ -2,7 +2,7 @@
 
 use crate::session::{Session, staged};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
-use pwrfgs_model::{Ensemble, KnownLinks, Residuals};
+use pwrfgs_model::{Ensemble, KnownLinks, LeftOutBy, Residuals};
 use pwrfgs_pipeline::Pipeline;
 
 /// Returns an error if a run of `pipeline` cannot predict the residuals of its model.
@@ -14,8 +14,8 @@ pub(crate) fn check_residuals(pipeline: &Pipeline, data: &Dataset, partition: &P
     residuals.map_or(Ok(()), |residuals| residuals.check_data(data, !partition.validation.is_empty()))
 }
 
-/// Links that members did not train on: one list per member if a sweep gave each member one of `folds` folds, otherwise one
-/// list, the validation set, for all members. Only sweeps with residual processes divide the training set into folds.
+/// Links that members did not train on: one list per member if a sweep gave each of `folds` members a fold, otherwise one
+/// list, the validation set, for all members.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
@@ -24,7 +24,7 @@ pub(crate) fn left_out(
     (data, partition): (&Dataset, &Partition),
     folds: usize,
 ) -> Result<Vec<Vec<usize>>> {
-    if pipeline.residuals.is_none() || folds == 1 {
+    if folds == 1 || !pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds) {
         return Ok(vec![partition.validation.clone()]);
     }
     (0..folds).map(|index| Ok(pipeline.folded(index, folds).partition(data)?.validation)).collect()
@@ -44,13 +44,14 @@ pub(crate) fn with_residuals(
 ) -> Result<Ensemble> {
     let (Some(settings), None) = (&pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
     let links = partition.known().all();
-    let mut left_out_by = vec![None; links.len()];
-    for (member, left_out) in left_out(pipeline, (data, partition), folds)?.iter().enumerate() {
+    let mut left_out_by = vec![LeftOutBy::None; links.len()];
+    let lists = left_out(pipeline, (data, partition), folds)?;
+    for (member, left_out) in lists.iter().enumerate() {
         for link in left_out {
             let Ok(k) = links.binary_search(link) else {
                 return Err(Error::Config("residuals: a model left out a test sample; train it again".into()));
             };
-            left_out_by[k] = Some(member);
+            left_out_by[k] = if lists.len() == 1 { LeftOutBy::All } else { LeftOutBy::Member(member) };
         }
     }
     let known = KnownLinks { data, links: &links, left_out_by: &left_out_by };

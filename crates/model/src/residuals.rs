@@ -2,7 +2,8 @@
 //!
 //! The prediction is y(x) = b f(x) + Σ wᵢ (yᵢ − b f(xᵢ)): the prediction f of the model times a share b, plus kriging of
 //! the residuals of the nearest known observations (regression kriging: Hengl, Heuvelink and Rossiter, Computers and
-//! Geosciences 33, 2007). The weights w add up to 1.
+//! Geosciences 33, 2007). The weights w add up to 1. For received powers, (1 − b) times a path-loss model is added to
+//! b f(x), and the weights are those of a process with mean zero: far from all known links, they vanish.
 //!
 //! Residuals of a model at positions that it trained on are too small. The share, the correlation and the variance
 //! therefore maximise the likelihood of links that a model did not train on, each given the residuals of the same model at
@@ -15,12 +16,13 @@ mod grid;
 mod tests;
 
 pub(crate) use file::ResidualsNote;
-pub use fit::{KnownLinks, Kriged};
+pub use fit::{KnownLinks, Kriged, LeftOutBy};
 pub(crate) use grid::CoarseGrid;
 
 use crate::tensors::quantise;
 use pwrfgs_core::kriging::{Correlation, Place, Solution, in_space, solve};
 use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::path_loss::{PathLoss, log_distance};
 use pwrfgs_core::{Image, Origin, Query, Real};
 
 /// Residual processes of a model, one per receiver.
@@ -33,15 +35,39 @@ pub struct Residuals {
     pub(crate) processes: Vec<Option<ResidualProcess>>,
 }
 
+/// Expected value of a link without known links near it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trend {
+    /// Share b of the prediction of the model, 0 to 1.
+    pub share: f64,
+    /// For received powers, the path-loss model with share 1 − b, and the position of the receiver, metres from the origin.
+    pub path_loss: Option<(PathLoss, [f64; 3])>,
+}
+
+impl Trend {
+    /// Expected value for `predicted` by the model and a transmitter `at` a position (metres from the origin).
+    fn at(&self, predicted: Real, at: [Real; 3]) -> Real {
+        let law = |(law, receiver): (PathLoss, _)| law.at(log_distance(at.map(|v| v as f64), receiver));
+        self.share as Real * predicted + ((1.0 - self.share) * self.path_loss.map_or(0.0, law)) as Real
+    }
+}
+
+/// Settings of a residual process, learned from links that the model did not train on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProcessFit {
+    /// Expected value that residuals are differences from.
+    pub trend: Trend,
+    /// Process variance of a value at a position that the model did not train on.
+    pub variance: f64,
+    /// Correlation of the residuals.
+    pub correlation: Correlation,
+}
+
 /// Residual process at one receiver.
 #[derive(Clone, Debug)]
 pub struct ResidualProcess {
-    /// Share b of the prediction of the model, 0 to 1.
-    pub share: f64,
-    /// Correlation of the residuals.
-    pub correlation: Correlation,
-    /// Process variance of a value at a position that the model did not train on.
-    pub variance: f64,
+    /// Trend, variance and correlation.
+    pub fit: ProcessFit,
     /// Positions `[n,3]` of the known links, metres from the origin of the model.
     pub(crate) places: Vec<[Real; 3]>,
     pub(crate) values: ResidualValues,
@@ -95,13 +121,9 @@ impl ResidualValues {
 }
 
 impl ResidualProcess {
-    pub(crate) fn new(
-        (share, variance, correlation): (f64, f64, Correlation),
-        places: Vec<[Real; 3]>,
-        values: ResidualValues,
-    ) -> Self {
-        let nearest = Nearest::new((0..places.len()).collect(), 4, |i| correlation.scaled(place(places[i])));
-        Self { share, correlation, variance, places, values, nearest }
+    pub(crate) fn new(fit: ProcessFit, places: Vec<[Real; 3]>, values: ResidualValues) -> Self {
+        let nearest = Nearest::new((0..places.len()).collect(), 4, |i| fit.correlation.scaled(place(places[i])));
+        Self { fit, places, values, nearest }
     }
 
     /// Returns the number of known links.
@@ -116,10 +138,11 @@ impl ResidualProcess {
 
     /// Nearest known links of a position (metres from the origin), with their weights.
     fn solve(&self, at: [Real; 3], neighbours: usize) -> (Vec<usize>, Solution) {
-        let at = self.correlation.scaled(place(at));
+        let correlation = &self.fit.correlation;
+        let at = correlation.scaled(place(at));
         let near: Vec<usize> = self.nearest.find(&at, neighbours).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<Place> = near.iter().map(|&i| self.correlation.scaled(place(self.places[i]))).collect();
-        let solution = solve(&self.correlation, &places, at);
+        let places: Vec<Place> = near.iter().map(|&i| correlation.scaled(place(self.places[i]))).collect();
+        let solution = solve(correlation, &places, at);
         (near, solution)
     }
 }
@@ -148,20 +171,22 @@ impl Residuals {
     /// Adds the expected residual of a link to the prediction `image` of the model, from the nearest known links.
     pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) {
         let Some(process) = self.process(query.receiver) else { return };
-        let (near, solution) = process.solve(origin.local(query.tx), self.neighbours);
+        let at = origin.local(query.tx);
+        let (near, solution) = process.solve(at, self.neighbours);
+        // With a path-loss model, residuals have mean zero: far from all known links, the prediction is the trend.
+        let weights = if process.fit.trend.path_loss.is_some() { &solution.simple } else { &solution.weights };
         let mut sum = vec![0.0; self.grid.len()];
-        near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
-        let share = process.share as Real;
-        image.pixels.iter_mut().for_each(|pixel| *pixel *= share);
+        near.iter().zip(weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
+        image.pixels.iter_mut().for_each(|pixel| *pixel = process.fit.trend.at(*pixel, at));
         self.grid.add_to(&sum, &mut image.pixels);
     }
 
     /// Standard deviation of a measurement of a link about the prediction, per value. Without a process, it is the largest
     /// of all receivers, far from their known links.
     pub(crate) fn deviation(&self, query: Query<'_>, origin: Origin) -> f64 {
-        let far = |own: &ResidualProcess| own.variance * (1.0 + own.correlation.noise);
+        let far = |own: &ResidualProcess| own.fit.variance * (1.0 + own.fit.correlation.noise);
         let variance = match self.process(query.receiver) {
-            Some(own) => own.variance * own.solve(origin.local(query.tx), self.neighbours).1.variance,
+            Some(own) => own.fit.variance * own.solve(origin.local(query.tx), self.neighbours).1.variance,
             None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
         };
         variance.sqrt()

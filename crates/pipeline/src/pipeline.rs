@@ -144,12 +144,12 @@ impl Pipeline {
         self.split.split(data, &mut rng::stream(self.split_seed.unwrap_or(self.seed), "split", 0))
     }
 
-    /// Returns the pipeline of one of `count` models of an ensemble whose residuals are predicted: it leaves out fold
-    /// `index` of the known samples as its validation set, and predicts alone.
+    /// Returns the pipeline of one of `count` models of an ensemble: it leaves out fold `index` of the known samples as its
+    /// validation set.
     #[must_use]
     pub fn folded(&self, index: usize, count: usize) -> Self {
         let split: Box<dyn Split> = Box::new(Fold { of: self.split.clone(), index, count });
-        Self { split: split.into(), residuals: None, ..self.clone() }
+        Self { split: split.into(), ..self.clone() }
     }
 
     /// Pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.

@@ -1,11 +1,12 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-use super::log_distance::{PathLoss, log_distance, points};
+use super::log_distance::{log_distance, points};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, Place, SearchSpace, Solution, in_space, most_likely, solve,
 };
 use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::path_loss::PathLoss;
 use pwrfgs_core::{
     Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Sample, Sampling, evenly,
     rng,

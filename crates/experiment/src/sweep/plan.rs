@@ -290,8 +290,8 @@ impl PlannedRun {
     }
 }
 
-/// Gives all `runs` the same split, or each a fold of it if `residuals` are predicted, and returns the pipeline that
-/// scores their joined model `name`. Only that model is compared with baselines.
+/// Gives all `runs` the same split, or each a fold of it for residuals with `folds`, and returns the pipeline that scores
+/// their joined model `name`. Only that model has residuals and is compared with baselines.
 ///
 /// # Errors
 /// Runs whose models cannot be joined.
@@ -334,9 +334,10 @@ fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     let scored = Pipeline { name: name.to_owned(), split_seed: Some(split_seed), ..first.pipeline.clone() };
     let count = runs.len();
     for (index, PlannedRun { pipeline, .. }) in runs.iter_mut().enumerate() {
-        if scored.residuals.is_some() {
+        if scored.residuals.as_ref().is_some_and(|residuals| residuals.folds) {
             *pipeline = pipeline.folded(index, count);
         }
+        pipeline.residuals = None;
         pipeline.split_seed = Some(split_seed);
         pipeline.baselines.clear();
     }

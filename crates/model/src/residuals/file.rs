@@ -1,10 +1,11 @@
 //! Residual processes in the model file: settings in the note, positions and residuals in tensors.
 
-use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals};
+use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualValues, Residuals, Trend};
 use crate::tensors::Tensors;
 use pwrfgs_core::kriging::{Correlation, CorrelationKind};
+use pwrfgs_core::path_loss::PathLoss;
 use pwrfgs_core::plugin::Check as _;
-use pwrfgs_core::{MAX_COORDINATE_M, MeasurementSetup, Real};
+use pwrfgs_core::{MAX_COORDINATE_M, MeasurementSetup, Real, Receiver, Task};
 use serde::{Deserialize, Serialize};
 
 /// Names of the tensors.
@@ -35,14 +36,19 @@ struct ProcessNote {
     scales_m: [f64; 3],
     /// Noise variance, relative to the process variance.
     noise: f64,
+    /// For received powers, the path-loss model: dBm at 1 m, and dB per decade of distance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    path_loss: Option<[f64; 2]>,
 }
 
 impl ResidualsNote {
     pub(crate) fn of(residuals: &Residuals) -> Self {
         let process = |process: &ResidualProcess| {
-            let Correlation { kind, scales: [x, y, z, _], noise } = process.correlation;
-            let (links, share, variance) = (process.len(), process.share, process.variance);
-            ProcessNote { links, share, variance, correlation: kind, scales_m: [x, y, z], noise }
+            let ProcessFit { trend, variance, correlation } = process.fit;
+            let Correlation { kind, scales: [x, y, z, _], noise } = correlation;
+            let path_loss = trend.path_loss.map(|(law, _)| [law.level, law.slope]);
+            let (links, share) = (process.len(), trend.share);
+            ProcessNote { links, share, variance, correlation: kind, scales_m: [x, y, z], noise, path_loss }
         };
         Self {
             stride: residuals.grid.stride,
@@ -57,7 +63,7 @@ impl ResidualsNote {
     /// The message names the mismatch.
     pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
         let Self { stride, neighbours, receivers } = self;
-        super::Kriged { stride, neighbours }.check().map_err(|why| format!("residuals: {why}"))?;
+        super::Kriged { stride, neighbours, folds: false }.check().map_err(|why| format!("residuals: {why}"))?;
         if !setup.task.has_pixels && stride != 1 {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
         }
@@ -81,7 +87,7 @@ impl ResidualsNote {
             ResidualValues::Short(file.take_short(VALUES, &[links, of_each])?, file.take(UNITS, &[links])?)
         };
         let mut first = 0;
-        let mut process = |note: Option<ProcessNote>| -> Result<Option<ResidualProcess>, String> {
+        let mut process = |(note, receiver): (Option<ProcessNote>, &Receiver)| -> Result<_, String> {
             let Some(note) = note else { return Ok(None) };
             let own = first..first + note.links;
             first = own.end;
@@ -91,17 +97,17 @@ impl ResidualsNote {
                     ResidualValues::Short(all[own.start * of_each..own.end * of_each].into(), units[own.clone()].into())
                 }
             };
-            Ok(Some(ResidualProcess::new(note.fitted()?, places[own].to_vec(), values)))
+            Ok(Some(ResidualProcess::new(note.fitted(setup.task, receiver)?, places[own].to_vec(), values)))
         };
-        let processes = receivers.into_iter().map(&mut process).collect::<Result<_, _>>()?;
+        let processes = receivers.into_iter().zip(&setup.receivers).map(&mut process).collect::<Result<_, _>>()?;
         Ok(Residuals { grid, neighbours, processes })
     }
 }
 
 impl ProcessNote {
-    /// Share, variance and correlation.
-    fn fitted(&self) -> Result<(f64, f64, Correlation), String> {
-        let Self { share, variance, correlation, scales_m, noise, .. } = *self;
+    /// Trend, variance and correlation at a `receiver`.
+    fn fitted(&self, task: Task, receiver: &Receiver) -> Result<ProcessFit, String> {
+        let Self { share, variance, correlation, scales_m, noise, path_loss, .. } = *self;
         let is_scale = |v: &f64| v.is_finite() && *v >= LEAST;
         if !((0.0..=1.0).contains(&share) && variance.is_finite() && variance >= 0.0) {
             return Err(format!("residuals: a share of {share} and a variance of {variance}"));
@@ -111,8 +117,13 @@ impl ProcessNote {
                 "residuals: length scales of {scales_m:?} m and noise of {noise}, expected at least {LEAST:e}"
             ));
         }
+        if path_loss.is_some_and(|law| !task.is_scalar || law.iter().any(|v| !v.is_finite())) {
+            return Err(format!("residuals: a path loss of {path_loss:?} for {}", task.plural));
+        }
         let [x, y, z] = scales_m;
-        Ok((share, variance, Correlation { kind: correlation, scales: [x, y, z, f64::INFINITY], noise }))
+        let path_loss = path_loss.map(|[level, slope]| (PathLoss { level, slope }, receiver.pose.position));
+        let correlation = Correlation { kind: correlation, scales: [x, y, z, f64::INFINITY], noise };
+        Ok(ProcessFit { trend: Trend { share, path_loss }, variance, correlation })
     }
 }
 

@@ -1,10 +1,11 @@
 //! Fit of residual processes to known links, and their update with new links.
 
-use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals, place};
+use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualValues, Residuals, Trend, place};
 use crate::tensors::quantise;
 use crate::{Ensemble, Model};
 use pwrfgs_core::kriging::{CorrelationKind, HeldOutCases, SearchSpace, most_likely};
 use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::path_loss::{PathLoss, log_distance};
 use pwrfgs_core::plugin::Check;
 use pwrfgs_core::{Dataset, Error, JsonSchema, Progress, Query, Real, Result, evenly};
 use serde::{Deserialize, Serialize};
@@ -32,10 +33,12 @@ const CHUNK: usize = 64;
 /// Kriging of residuals: after training, a Gaussian process over the transmitter position predicts the difference between
 /// measurements and predictions, per receiver. The model file contains it.
 ///
-/// The prediction is b times that of the model, plus a weighted sum of residuals of the nearest known links. The share b,
+/// The prediction is b times that of the model, plus a weighted sum of residuals of the nearest known links. For received
+/// powers, 1 - b times a path-loss model is added, to which predictions far from all known links revert. The share b,
 /// the correlation (Matern 1/2 or 3/2, one length scale per axis for spectra and channels) and its variance maximise the
-/// likelihood of links that the model did not train on. A single run uses its validation set; it needs one. An experiment
-/// with `join: true` divides the training set into as many folds as there are models, and each model leaves one fold out.
+/// likelihood of links that the model did not train on: its validation set, so the split needs one. An experiment with
+/// `join: true` gives all models the same validation set. With `folds`, it divides all known links into as many folds as
+/// there are models, and each model leaves one fold out.
 ///
 /// Data need transmitter positions. A receiver without known links keeps the prediction of the model.
 ///
@@ -55,11 +58,14 @@ pub struct Kriged {
     pub stride: usize,
     /// Number of known links per prediction, 2 to 512; time grows with its cube.
     pub neighbours: usize,
+    /// Whether each model of a joined experiment leaves out its own fold, instead of the validation set. Every link is then
+    /// left out once, and the share b is that of a single model.
+    pub folds: bool,
 }
 
 impl Default for Kriged {
     fn default() -> Self {
-        Self { stride: 4, neighbours: 48 }
+        Self { stride: 4, neighbours: 48, folds: false }
     }
 }
 
@@ -90,7 +96,7 @@ impl Kriged {
             return Ok(());
         }
         let what = "residuals: the model trains on all known links, so its residuals are too small; give the split a \
-                    `validation` share, or join several models in an experiment";
+                    `validation` share, such as 0.1, or in an experiment with `join: true` write `Kriged(folds: true)`";
         Err(Error::Config(what.into()))
     }
 }
@@ -102,8 +108,19 @@ pub struct KnownLinks<'a> {
     pub data: &'a Dataset,
     /// All known links, ascending.
     pub links: &'a [usize],
-    /// Index of the member that did not train on the link, in the same order; `None` if all members did.
-    pub left_out_by: &'a [Option<usize>],
+    /// Members that did not train on the link, in the same order.
+    pub left_out_by: &'a [LeftOutBy],
+}
+
+/// Members of an ensemble that did not train on a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LeftOutBy {
+    /// No member: the link is a training link of all.
+    None,
+    /// One member, by its index.
+    Member(usize),
+    /// All members.
+    All,
 }
 
 impl Residuals {
@@ -120,7 +137,7 @@ impl Residuals {
         progress: Progress<'_>,
     ) -> Result<Self> {
         let data = known.data;
-        settings.check_data(data, known.left_out_by.iter().any(Option::is_some))?;
+        settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::None))?;
         let mut grid = CoarseGrid::new(ensemble.plane(), if data.task().has_pixels { settings.stride } else { 1 });
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
         while grid.stride > 1 && grid.lost(&examples) > LOST {
@@ -143,10 +160,7 @@ impl Residuals {
     /// # Errors
     /// As [`Self::updated`].
     pub(crate) fn of_links(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<Self> {
-        let empty = |process: &ResidualProcess| {
-            let ResidualProcess { share, variance, correlation, values, .. } = process;
-            ResidualProcess::new((*share, *variance, *correlation), Vec::new(), values.emptied())
-        };
+        let empty = |process: &ResidualProcess| ResidualProcess::new(process.fit, Vec::new(), process.values.emptied());
         let processes = self.processes.iter().map(|own| own.as_ref().map(empty)).collect();
         let (mut found, _) = Self { processes, ..self.clone() }.with_links(ensemble, data, links)?;
         found.processes.iter_mut().for_each(|own| *own = own.take().filter(|process| !process.is_empty()));
@@ -176,25 +190,26 @@ impl Residuals {
         for ((&i, query), predicted) in links.iter().zip(&queries).zip(predicted) {
             let Some(process) = self.process(query.receiver) else { continue };
             let predicted = data.task().shown(predicted);
-            let (observed, share) = (data.image(i), process.share as Real);
-            let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(|(y, f)| y - share * f).collect();
+            let (observed, at) = (data.image(i), origin.local(query.tx));
+            let left = |(y, f): (&Real, &Real)| y - process.fit.trend.at(*f, at);
+            let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(left).collect();
             if left.iter().any(|v| !v.is_finite()) {
                 return Err(Error::Config(format!(
                     "the prediction at {:?} is not finite; leave this link out",
                     query.tx
                 )));
             }
-            places[query.receiver].push(origin.local(query.tx));
+            places[query.receiver].push(at);
             values[query.receiver].extend(self.grid.sampled(&left));
         }
         data.observations.check()?;
         let added = places.iter().map(Vec::len).sum();
         let more = |(receiver, own): (usize, &Option<ResidualProcess>)| {
-            let ResidualProcess { share, correlation, variance, places: known, values: held, .. } = own.as_ref()?;
+            let ResidualProcess { fit, places: known, values: held, .. } = own.as_ref()?;
             let mut held = held.clone();
             held.extend(&values[receiver], self.grid.len());
             let places = [&known[..], &places[receiver]].concat();
-            Some(ResidualProcess::new((*share, *variance, *correlation), places, held))
+            Some(ResidualProcess::new(*fit, places, held))
         };
         let processes = self.processes.iter().enumerate().map(more).collect();
         Ok((Self { processes, ..self.clone() }, added))
@@ -213,6 +228,8 @@ struct Samples<'a> {
     observed: Vec<Real>,
     /// Predictions `[links, of_each]` of each member.
     predicted: Vec<Vec<Real>>,
+    /// Their mean.
+    mean: Vec<Real>,
 }
 
 impl<'a> Samples<'a> {
@@ -224,7 +241,8 @@ impl<'a> Samples<'a> {
         progress: Progress<'_>,
     ) -> Result<Self> {
         let KnownLinks { data, links, .. } = known;
-        let observed = links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
+        let observed: Vec<Real> =
+            links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
         let (mut predicted, total) = (Vec::new(), links.len() * ensemble.members().len());
         for (member, model) in ensemble.members().iter().enumerate() {
             let ready = model.prepare();
@@ -246,40 +264,49 @@ impl<'a> Samples<'a> {
         }
         let Model { stages, .. } = &ensemble.members()[0];
         let places = links.iter().map(|&i| stages.origin.local(data.sample(i).tx)).collect();
-        Ok(Self { known, places, of_each: grid.len(), is_exact: grid.stride == 1, observed, predicted })
+        let mut mean = vec![0.0; observed.len()];
+        predicted.iter().for_each(|own| mean.iter_mut().zip(own).for_each(|(sum, v)| *sum += v));
+        mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
+        Ok(Self { known, places, of_each: grid.len(), is_exact: grid.stride == 1, observed, predicted, mean })
     }
 
-    /// Residuals of known link `k` from `share` times a prediction.
-    fn residual(&self, k: usize, share: f64, predicted: &[Real]) -> Vec<Real> {
-        let share = share as Real;
-        self.observed[k * self.of_each..][..self.of_each].iter().zip(predicted).map(|(y, f)| y - share * f).collect()
+    /// Predictions of all links by the members that `left_out` a link: the mean of all, or one.
+    fn predictions(&self, left_out: LeftOutBy) -> &[Real] {
+        if let LeftOutBy::Member(member) = left_out { &self.predicted[member] } else { &self.mean }
     }
 
-    /// Mean prediction of all members for known link `k`.
-    fn mean(&self, k: usize) -> Vec<Real> {
-        let mut sum = vec![0.0; self.of_each];
-        for own in &self.predicted {
-            sum.iter_mut().zip(&own[k * self.of_each..]).for_each(|(sum, v)| *sum += v);
-        }
-        sum.iter_mut().for_each(|v| *v /= self.predicted.len() as Real);
-        sum
+    /// Residuals of known link `k` from the trend of `predicted` values of all links.
+    fn residual(&self, k: usize, trend: &Trend, predicted: &[Real]) -> Vec<Real> {
+        let own = k * self.of_each..(k + 1) * self.of_each;
+        let pairs = self.observed[own.clone()].iter().zip(&predicted[own]);
+        pairs.map(|(y, f)| y - trend.at(*f, self.places[k])).collect()
     }
 
-    /// Links to predict, evenly from `own`, each with the nearest links that its member trained on.
+    /// Path-loss model of the known links `own` of a receiver, with its position: for received powers.
+    fn path_loss(&self, own: &[usize]) -> Option<(PathLoss, [f64; 3])> {
+        let KnownLinks { data, links, .. } = self.known;
+        let receiver = data.scene.receivers[data.links[links[*own.first()?]].receiver].pose.position;
+        let point = |&k: &usize| (log_distance(self.places[k].map(|v| v as f64), receiver), self.observed[k] as f64);
+        let points = || own.iter().map(point).collect::<Vec<_>>();
+        data.task().is_scalar.then(|| (PathLoss::fit(&points()), receiver))
+    }
+
+    /// Links to predict, evenly from `own`, each with the nearest links that the members trained on which left it out.
     fn cases(&self, own: &[usize]) -> Vec<(usize, Vec<usize>)> {
         let left_out_by = self.known.left_out_by;
-        let mut trained: BTreeMap<usize, Nearest> = BTreeMap::new();
-        for member in own.iter().filter_map(|&k| left_out_by[k]) {
-            trained.entry(member).or_insert_with(|| {
-                let others = own.iter().copied().filter(|&k| left_out_by[k] != Some(member)).collect();
+        let is_left_out = |k: &usize| left_out_by[*k] != LeftOutBy::None;
+        let held_out: Vec<usize> = own.iter().copied().filter(is_left_out).collect();
+        let mut trained: BTreeMap<LeftOutBy, Nearest> = BTreeMap::new();
+        for by in held_out.iter().map(|&k| left_out_by[k]) {
+            trained.entry(by).or_insert_with(|| {
+                let others = own.iter().copied().filter(|&k| left_out_by[k] != by).collect();
                 Nearest::new(others, 4, |k| place(self.places[k]))
             });
         }
         let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES);
         let from = if self.of_each == 1 { FROM / 2 } else { FROM };
-        let held_out: Vec<usize> = own.iter().copied().filter(|&k| left_out_by[k].is_some()).collect();
         let case = |k: usize| {
-            let near = trained[&left_out_by[k]?].find(&place(self.places[k]), from).1;
+            let near = trained[&left_out_by[k]].find(&place(self.places[k]), from).1;
             (!near.is_empty()).then(|| (k, near.into_iter().map(|(_, j)| j).collect()))
         };
         evenly(&held_out, count).into_iter().filter_map(case).collect()
@@ -292,19 +319,22 @@ impl<'a> Samples<'a> {
             return None;
         }
         let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
+        let path_loss = self.path_loss(own);
         let fit = |share: f64| {
-            let values = |c: usize, k: usize| {
-                let member = self.known.left_out_by[cases[c].0].expect("a case was left out");
-                self.residual(k, share, &self.predicted[member][k * self.of_each..])
-            };
+            let trend = Trend { share, path_loss };
+            let values =
+                |c: usize, k: usize| self.residual(k, &trend, self.predictions(self.known.left_out_by[cases[c].0]));
             let held_out = HeldOutCases::new(&cases, |k| place(self.places[k]), values);
             let (likelihood, correlation) = most_likely(&held_out, space);
-            (likelihood, share, held_out.variance(&correlation) / self.of_each as f64, correlation)
+            (
+                likelihood,
+                ProcessFit { trend, variance: held_out.variance(&correlation) / self.of_each as f64, correlation },
+            )
         };
         let better = |best: &f64, next: &f64| *next > *best + CLEARLY;
         let found = SHARES.map(fit).into_iter().reduce(|best, next| if better(&best.0, &next.0) { next } else { best });
-        let (_, share, variance, correlation) = found.expect("shares are given");
-        let residuals: Vec<Real> = own.iter().flat_map(|&k| self.residual(k, share, &self.mean(k))).collect();
+        let (_, fit) = found.expect("shares are given");
+        let residuals: Vec<Real> = own.iter().flat_map(|&k| self.residual(k, &fit.trend, &self.mean)).collect();
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
@@ -312,6 +342,6 @@ impl<'a> Samples<'a> {
             ResidualValues::Short(short, units)
         };
         let places = own.iter().map(|&k| self.places[k]).collect();
-        Some(ResidualProcess::new((share, variance, correlation), places, values))
+        Some(ResidualProcess::new(fit, places, values))
     }
 }

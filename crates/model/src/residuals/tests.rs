@@ -4,7 +4,8 @@ use super::*;
 use crate::tensors::Tensors;
 use crate::{Ensemble, HeldOutScores, IntervalCalibration, Model, Stages, file};
 use pwrfgs_core::{
-    Dataset, Error, GaussianCloud, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Spectra, rng,
+    Dataset, Error, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Sampling,
+    Spectra, kriging::CorrelationKind, rng,
 };
 use pwrfgs_methods as _;
 use std::sync::atomic::AtomicBool;
@@ -46,7 +47,8 @@ fn data(base: &Ensemble, left: impl Fn(usize, [f64; 3]) -> Real) -> Dataset {
 /// Fit to the first 200 links, of which every fourth was left out.
 fn fit(settings: &Kriged, base: &Ensemble, data: &Dataset) -> pwrfgs_core::Result<Residuals> {
     let links: Vec<usize> = (0..200).collect();
-    let left_out_by: Vec<Option<usize>> = links.iter().map(|i| i.is_multiple_of(4).then_some(0)).collect();
+    let by = |i: &usize| if i.is_multiple_of(4) { LeftOutBy::Member(0) } else { LeftOutBy::None };
+    let left_out_by: Vec<LeftOutBy> = links.iter().map(by).collect();
     let known = KnownLinks { data, links: &links, left_out_by: &left_out_by };
     Residuals::fit(settings, base, known, &AtomicBool::new(false), &|_, _| {})
 }
@@ -82,6 +84,29 @@ fn kriged_residuals_predict_what_the_model_lacks() {
         let one: Vec<Real> = queries.iter().flat_map(|query| ready.predict_timed(*query).0.pixels).collect();
         assert!(numbers == one && ready.predict_with_deviation(queries[39]).0.pixels == one[39 * SIZE.0 * SIZE.1..]);
     }
+}
+
+/// With a path-loss model, a power is the measured one at a known link, and b f + (1 − b) path loss far away.
+#[test]
+fn power_far_from_known_links_is_the_trend() {
+    let law = PathLoss { level: -40.0, slope: 20.0 };
+    let trend = Trend { share: 0.25, path_loss: Some((law, [0.0; 3])) };
+    let correlation =
+        Correlation { kind: CorrelationKind::Matern32, scales: [1.0, 1.0, 1.0, f64::INFINITY], noise: 1e-6 };
+    let (known, measured, predicted) = ([10.0, 0.0, 0.0], -50.0, -70.0);
+    let left = measured - trend.at(predicted, known);
+    let fit = ProcessFit { trend, variance: 1.0, correlation };
+    let process = ResidualProcess::new(fit, vec![known], ResidualValues::Exact(vec![left]));
+    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
+    let residuals = Residuals { grid: CoarseGrid::new(&plane, 1), neighbours: 4, processes: vec![Some(process)] };
+    let power = |x: f64| {
+        let mut image = Image { width: 1, height: 1, pixels: vec![predicted] };
+        residuals.correct(&mut image, [x, 0.0, 0.0].into(), Origin::ZERO);
+        image.pixels[0]
+    };
+    assert!((power(10.0) - measured).abs() < 1e-3, "{}", power(10.0));
+    let far = 0.25 * predicted + 0.75 * (-40.0 - 20.0 * 3.0);
+    assert!((power(1000.0) - far).abs() < 1e-3, "{} instead of {far}", power(1000.0));
 }
 
 /// The model has memorised three quarters of the links: their residuals are zero. At the others it is wrong by 0.2 at
@@ -184,14 +209,18 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
     let base = Ensemble::of(model(0.0));
     let mut data = data(&base, smooth);
     let links = [0, 1, 2];
-    let try_fit = |data: &Dataset, left_out_by: &[Option<usize>], stop| {
+    let try_fit = |data: &Dataset, left_out_by: &[LeftOutBy], stop| {
         let known = KnownLinks { data, links: &links, left_out_by };
         Residuals::fit(&Kriged::default(), &base, known, &AtomicBool::new(stop), &|_, _| {}).unwrap_err()
     };
-    assert!(try_fit(&data, &[None; 3], false).to_string().contains("`validation` share"));
-    assert!(matches!(try_fit(&data, &[Some(0), None, None], true), Error::Stopped));
+    assert!(try_fit(&data, &[LeftOutBy::None; 3], false).to_string().contains("`validation` share"));
+    assert!(matches!(try_fit(&data, &[LeftOutBy::All, LeftOutBy::None, LeftOutBy::None], true), Error::Stopped));
     data.placed = false;
-    assert!(try_fit(&data, &[Some(0), None, None], false).to_string().contains("no transmitter positions"));
+    assert!(
+        try_fit(&data, &[LeftOutBy::All, LeftOutBy::None, LeftOutBy::None], false)
+            .to_string()
+            .contains("no transmitter positions")
+    );
 }
 
 #[test]
@@ -245,6 +274,7 @@ fn invalid_residuals_of_a_file_are_refused() {
     edited("\"links\":200", "\"links\":18446744073709551615", "expected [18446744073709551615, 3]");
     edited("\"share\":", "\"share\":-", "a share of");
     edited("\"noise\":", "\"noise\":-", "noise of");
+    edited("\"noise\":", "\"path_loss\":[-40,20],\"noise\":", "a path loss of");
     edited("\"version\":3", "\"version\":2", "version 3");
     edited("\"receivers\":[{\"links\"", "\"receivers\":[null,{\"links\"", "residuals of 2 receivers");
     let message = refused(&|tensors| tensors.put("residuals.places", vec![200, 3], vec![Real::INFINITY; 600]));
