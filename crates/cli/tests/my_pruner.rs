@@ -1,4 +1,4 @@
-//! The plugin of `examples/my-pruner`, outside this workspace: built, tested, and used by name in a sweep.
+//! The plugins of `examples`, outside this workspace: built, tested, and used by name.
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -47,15 +47,10 @@ fn plugins_page_matches_example_crate() {
 #[test]
 fn example_plugin_is_swept_by_name() {
     let example = root().join("examples/my-pruner");
-    // Cargo takes the versions from here and writes back what the example needs of them; git ignores the file.
-    std::fs::copy(root().join("Cargo.lock"), example.join("Cargo.lock")).unwrap();
-    cargo(&example, "build");
-    let tested = crate::common::stdout(&cargo(&example, "test"));
+    let (tested, program) = built("my-pruner");
     assert!(tested.contains("gate_derivative_has_closed_form ... ok"), "{tested}");
     assert!(tested.contains("gumbel_mask::GumbelMask (line"), "its manual page is tested: {tested}");
 
-    let profile = if cfg!(debug_assertions) { "debug" } else { "release" };
-    let program = target().join(profile).join("my-pruner");
     let folder = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| {
         let output = Command::new(&program).args(arguments).current_dir(folder.path()).output().unwrap();
@@ -87,6 +82,28 @@ fn example_plugin_is_swept_by_name() {
     assert!(counts[39..].iter().all(|n| *n == counts[39]), "{counts:?}");
     let model = pwrfgs::model::file::read(&folder.path().join("r/model.safetensors")).unwrap();
     assert_eq!((model.cloud.len(), model.cloud.extra.len()), (counts[39], 0));
+}
+
+#[test]
+fn pruners_behind_chance_work_outside_the_workspace() {
+    let (tested, program) = built("more-pruners");
+    assert!(tested.contains("training_reaches_exact_target_and_resumes_bit_identically ... ok"), "{tested}");
+    for name in ["FastGs", "Reduced3dgs"] {
+        assert!(tested.contains(&format!("::{name} (line")), "its manual page is tested: {tested}");
+        let output = Command::new(&program).args(["plugins", name]).output().unwrap();
+        assert!(crate::common::stdout(&output).contains("Pruner (field `pruners`)"), "{name}");
+    }
+}
+
+/// Builds and tests an example. Returns what its tests print, and its program.
+fn built(name: &str) -> (String, PathBuf) {
+    let example = root().join("examples").join(name);
+    // Cargo takes the versions from here and writes back what the example needs of them; git ignores the file.
+    std::fs::copy(root().join("Cargo.lock"), example.join("Cargo.lock")).unwrap();
+    cargo(&example, "build");
+    let tested = crate::common::stdout(&cargo(&example, "test"));
+    let profile = if cfg!(debug_assertions) { "debug" } else { "release" };
+    (tested, target().join(profile).join(name))
 }
 
 /// Sixty steps, pruned up to step 40.

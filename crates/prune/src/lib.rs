@@ -17,11 +17,10 @@ mod mcmc;
 mod merge_by_moments;
 mod mini_splatting;
 mod natural_selection;
-mod pixels;
 mod pup_3dgs;
-mod reduced_3dgs;
 mod references;
 mod rounds;
+mod safeguard_gs;
 mod shares;
 mod thresholds;
 
@@ -35,10 +34,9 @@ pub use mcmc::Mcmc;
 pub use merge_by_moments::MergeByMoments;
 pub use mini_splatting::{MiniSplatting, SelectionRule};
 pub use natural_selection::NaturalSelection;
-pub use pixels::{FastGs, SafeguardGs};
 pub use pup_3dgs::Pup3dgs;
-pub use reduced_3dgs::Reduced3dgs;
 pub use references::{GreedyElimination, RandomReference};
+pub use safeguard_gs::SafeguardGs;
 pub use shares::{LightGaussian, LinkReduction, SignalContribution, SpeedySplat};
 pub use thresholds::{ImportanceScore, OpacityThreshold, RadSplat, TopK};
 

@@ -1,10 +1,8 @@
-//! Pruner for crowded regions.
+//! `Reduced3dgs`: removal in crowded regions.
 
-use crate::rounds::{check_share, without_share};
-use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Pruner, PrunerTraits, Real, StepContext, neighbours, sigmoid,
-};
-use serde::{Deserialize, Serialize};
+use crate::check_share;
+use pwrfgs::core::{best, neighbours, sigmoid};
+use pwrfgs::prelude::*;
 
 /// Removes the less opaque half of the Gaussians with many overlaps (Reduced-3DGS).
 ///
@@ -12,12 +10,13 @@ use serde::{Deserialize, Serialize};
 /// `neighbours` nearest ones are tested. A Gaussian is crowded if its overlap count exceeds the mean by more than
 /// `deviations` standard deviations. Prune steps remove the `share` of the crowded Gaussians with the lowest opacity.
 /// The score uses only the cloud, so it works for any method. Under `training.target_count` the Gaussians with the highest
-/// counts are removed first, then those of lowest opacity. Source: Reducing the memory footprint of 3DGS, Papantonakis
-/// et al., I3D 2024, with spheres in place of its ray test.
+/// counts are removed first, then those of lowest opacity. On s23, it scores below random removal at N = 24, 157 and
+/// 2,613. Source: Reducing the memory footprint of 3DGS, Papantonakis et al., I3D 2024, with spheres in place of its ray
+/// test.
 ///
 /// ```
-/// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// # use more_pruners as _;
+/// # use pwrfgs::prelude::*;
 /// Plugin::<dyn Pruner>::parse("Reduced3dgs(deviations: 1.0)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -56,7 +55,9 @@ impl Pruner for Reduced3dgs {
         let crowded: Vec<usize> =
             (0..counts.len()).filter(|&i| counts[i] > mean + self.deviations * deviation).collect();
         let opacities: Vec<Real> = crowded.iter().map(|&i| cloud.opacity_logits[i]).collect();
-        crowded.iter().zip(without_share(&opacities, self.share)).for_each(|(&i, stays)| keep[i] = stays);
+        let gone = (crowded.len() as f64 * f64::from(self.share)).floor() as usize;
+        let kept = best(crowded.len() - gone, &opacities, |_| true);
+        crowded.iter().zip(kept).for_each(|(&i, stays)| keep[i] = stays);
         keep
     }
 
