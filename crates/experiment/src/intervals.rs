@@ -128,7 +128,7 @@ impl<'a> Calibrator<'a> {
         let of = |prediction: &Image, deviation: f64, truth: &Image| {
             let score = if task.has_pixels { ssim::evaluation(prediction, truth) } else { 0.0 };
             let one = |(_, factors): &(f64, IntervalFactors)| {
-                numbers(&factors.interval(task, prediction, deviation), truth, score)
+                Measured::of(&factors.interval(task, prediction, deviation), truth, score)
             };
             factors.iter().map(one).collect::<Vec<_>>()
         };
@@ -138,14 +138,18 @@ impl<'a> Calibrator<'a> {
         let weights: BTreeMap<usize, f64> =
             blocks.iter().flat_map(|own| own.iter().map(move |link| (*link, weight(own)))).collect();
         let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
-            let mean = |n: usize| test.iter().zip(&found).map(|(link, own)| weights[link] * own[k][n]).sum::<f64>();
-            let ssim = task.has_pixels.then(|| [mean(2), mean(3)]);
-            LevelScores { level: *level, coverage: mean(0), width: mean(1), ssim }
+            let mean = |of: &dyn Fn(&Measured) -> f64| {
+                test.iter().zip(&found).map(|(link, own)| weights[link] * of(&own[k])).sum::<f64>()
+            };
+            let ssim = task.has_pixels.then(|| [mean(&|own| own.bound), mean(&|own| f64::from(own.is_above))]);
+            LevelScores { level: *level, coverage: mean(&|own| own.coverage), width: mean(&|own| own.width), ssim }
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let place = factors.iter().position(|(level, _)| *level == LEVEL);
-        let columns = if task.has_pixels { 0..3 } else { 4..6 };
-        let row = |own: &Vec<[f64; 6]>| Some(own[place?][columns.clone()].to_vec());
+        let row = |own: &Vec<Measured>| {
+            let own = &own[place?];
+            Some(if task.has_pixels { vec![own.coverage, own.width, own.bound] } else { own.ends.to_vec() })
+        };
         let rows = found.iter().filter_map(row).collect();
         let blocks = [calibration.blocks(), blocks.len()];
         Ok((IntervalScores { predictor: name.to_owned(), blocks, levels }, rows))
@@ -183,15 +187,29 @@ impl<'a> Calibrator<'a> {
     }
 }
 
-/// Share of the values inside an interval, mean width, lower bound of the SSIM, whether the SSIM `score` is at or above it,
-/// and lower and upper end of the first value.
-fn numbers(interval: &Interval, truth: &Image, score: f64) -> [f64; 6] {
-    let Interval { lower, upper, ssim } = interval;
-    let ends = || lower.pixels.iter().zip(&upper.pixels);
-    let count = truth.pixels.len() as f64;
-    let inside = ends().zip(&truth.pixels).filter(|((lower, upper), t)| (*lower..=*upper).contains(t)).count();
-    let width = ends().map(|(lower, upper)| (*upper - *lower) as f64).sum::<f64>() / count;
-    let bound = ssim.unwrap_or(0.0);
-    let first = [lower, upper].map(|end| end.pixels[0] as f64);
-    [inside as f64 / count, width, bound, f64::from(score >= bound), first[0], first[1]]
+/// Interval of one link against its measurement.
+struct Measured {
+    /// Share of the values inside the interval.
+    coverage: f64,
+    /// Mean width.
+    width: f64,
+    /// Lower bound of the SSIM; 0 without pixels.
+    bound: f64,
+    /// Whether the SSIM is at or above its bound.
+    is_above: bool,
+    /// Lower and upper end of the first value.
+    ends: [f64; 2],
+}
+
+impl Measured {
+    fn of(interval: &Interval, truth: &Image, score: f64) -> Self {
+        let Interval { lower, upper, ssim } = interval;
+        let ends = || lower.pixels.iter().zip(&upper.pixels);
+        let count = truth.pixels.len() as f64;
+        let inside = ends().zip(&truth.pixels).filter(|((lower, upper), t)| (*lower..=*upper).contains(t)).count();
+        let width = ends().map(|(lower, upper)| (*upper - *lower) as f64).sum::<f64>() / count;
+        let bound = ssim.unwrap_or(0.0);
+        let ends = [lower, upper].map(|end| end.pixels[0] as f64);
+        Self { coverage: inside as f64 / count, width, bound, is_above: score >= bound, ends }
+    }
 }
