@@ -6,7 +6,7 @@ set -eu
 cd "$(dirname "$0")/.."
 
 # What waits more than it computes, or takes long, runs beside the rest, and is told at the end.
-beside=(example_plugin_is_swept_by_name slurm_sweep_equals_local_sweep
+beside=(example_plugin_is_swept_by_name published_pruners_work_outside_the_workspace slurm_sweep_equals_local_sweep
     run_killed_at_any_write_resumes_to_identical_result
     reports_full_disk_at_any_write_and_run_resumes
     rejects_ten_thousand_mutated_files)

@@ -29,9 +29,9 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit; 50,000 is the bound for all planned features.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_250;
-const IN_TOTAL: usize = 49_100;
+const IN_TOTAL: usize = 49_000;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 378;
+const FILES: usize = 377;
 const SMALL: usize = 35;
 /// A Rust file that is no test.
 pub(crate) struct Source {

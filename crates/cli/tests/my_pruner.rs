@@ -85,7 +85,7 @@ fn example_plugin_is_swept_by_name() {
 }
 
 #[test]
-fn pruners_behind_chance_work_outside_the_workspace() {
+fn published_pruners_work_outside_the_workspace() {
     let (tested, program) = built("more-pruners");
     assert!(tested.contains("training_reaches_exact_target_and_resumes_bit_identically ... ok"), "{tested}");
     for name in ["FastGs", "Reduced3dgs"] {

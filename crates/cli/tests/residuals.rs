@@ -99,6 +99,7 @@ fn run_needs_a_validation_set_and_valid_settings_for_residuals() {
     let run = |set: &'static str| ["run", "p.ron", "--out", "r", "-q", "--set", set];
     refuse(here, &run("residuals=Kriged(stride: 0)"), 2, &["`stride` is 0"]);
     refuse(here, &run("split=Official(validation: 0.0)"), 2, &["residuals", "`validation` share"]);
+    refuse(here, &run("residuals=Kriged(folds: true)"), 2, &["`folds` needs an experiment"]);
     assert!(!here.join("r").exists(), "refused before the training");
 }
 

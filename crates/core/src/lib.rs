@@ -25,7 +25,6 @@ mod method;
 mod metric;
 pub mod neighbours;
 pub mod npy;
-pub mod path_loss;
 pub mod plugin;
 mod pruner;
 mod rasterizer;

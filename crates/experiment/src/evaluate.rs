@@ -10,8 +10,7 @@ use crate::record::Confidence;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, check_stopped, staged};
 use crate::text::number;
-use pwrfgs_core::kriging::Correlation;
-use pwrfgs_core::path_loss::PathLoss;
+use pwrfgs_core::kriging::{Correlation, PathLoss};
 use pwrfgs_core::{
     Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
 };
@@ -110,7 +109,8 @@ fn note_of(residuals: &Residuals, data: &Dataset) -> String {
         let name = receivers.get(receiver).filter(|_| receivers.len() > 1);
         let name = name.map_or_else(String::new, |receiver| format!("{}: ", strip_control(&receiver.name)));
         let [x, y, z, noise] = [x, y, z, noise].map(number);
-        let path_loss = trend.path_loss.map_or_else(String::new, |(PathLoss { level, slope }, _)| {
+        let path_loss = trend.path_loss.filter(|_| trend.share < 1.0);
+        let path_loss = path_loss.map_or_else(String::new, |(PathLoss { level, slope }, _)| {
             format!(
                 " + {} x path loss of {} dBm at 1 m and {} dB per decade",
                 1.0 - trend.share,

@@ -83,7 +83,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let pipeline = prepared(pipeline, base)?;
     let (data, partition) = load(&pipeline, base, observer)?;
     pipeline.check_data(&data)?;
-    check_residuals(&pipeline, &data, &partition)?;
+    check_residuals(&pipeline, &data, &partition, false)?;
     let mut loaded_bytes = 0;
     let trainer = fitting(&pipeline, || {
         let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;

@@ -95,8 +95,7 @@ impl<'a> Calibrator<'a> {
         session: &mut Session<'_>,
     ) -> Result<()> {
         let task = self.data.task();
-        let of =
-            |prediction: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, prediction, deviation, truth);
+        let of = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
         let found = self.each("calibrating intervals", predictor, links, session, of)?;
         scores.extend(links.iter().copied().zip(found));
         Ok(())
@@ -146,11 +145,9 @@ impl<'a> Calibrator<'a> {
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let place = factors.iter().position(|(level, _)| *level == LEVEL);
-        let row = |own: &Vec<Measured>| {
-            let own = &own[place?];
-            Some(if task.has_pixels { vec![own.coverage, own.width, own.bound] } else { own.ends.to_vec() })
-        };
-        let rows = found.iter().filter_map(row).collect();
+        let columns =
+            |own: &Measured| if task.has_pixels { vec![own.coverage, own.width, own.bound] } else { own.ends.to_vec() };
+        let rows = found.iter().filter_map(|own| Some(columns(&own[place?]))).collect();
         let blocks = [calibration.blocks(), blocks.len()];
         Ok((IntervalScores { predictor: name.to_owned(), blocks, levels }, rows))
     }
@@ -207,9 +204,8 @@ impl Measured {
         let ends = || lower.pixels.iter().zip(&upper.pixels);
         let count = truth.pixels.len() as f64;
         let inside = ends().zip(&truth.pixels).filter(|((lower, upper), t)| (*lower..=*upper).contains(t)).count();
+        let (coverage, bound) = (inside as f64 / count, ssim.unwrap_or(0.0));
         let width = ends().map(|(lower, upper)| (*upper - *lower) as f64).sum::<f64>() / count;
-        let bound = ssim.unwrap_or(0.0);
-        let ends = [lower, upper].map(|end| end.pixels[0] as f64);
-        Self { coverage: inside as f64 / count, width, bound, is_above: score >= bound, ends }
+        Self { coverage, width, bound, is_above: score >= bound, ends: [lower, upper].map(|end| end.pixels[0] as f64) }
     }
 }

@@ -5,13 +5,17 @@ use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::{Ensemble, KnownLinks, LeftOutBy, Residuals};
 use pwrfgs_pipeline::Pipeline;
 
-/// Returns an error if a run of `pipeline` cannot predict the residuals of its model.
+/// Returns an error if the residuals of a model of `pipeline` cannot be predicted: of one run, or `joined` of several.
 ///
 /// # Errors
-/// As [`check_data`](pwrfgs_model::Kriged::check_data).
-pub(crate) fn check_residuals(pipeline: &Pipeline, data: &Dataset, partition: &Partition) -> Result<()> {
-    let residuals = pipeline.residuals.as_ref();
-    residuals.map_or(Ok(()), |residuals| residuals.check_data(data, !partition.validation.is_empty()))
+/// Folds of one run, or as [`check_data`](pwrfgs_model::Kriged::check_data).
+pub(crate) fn check_residuals(pipeline: &Pipeline, data: &Dataset, partition: &Partition, joined: bool) -> Result<()> {
+    let Some(residuals) = &pipeline.residuals else { return Ok(()) };
+    if residuals.folds && !joined {
+        let what = "residuals: `folds` needs an experiment with `join: true`; write `Kriged()`, or join several models";
+        return Err(Error::Config(what.into()));
+    }
+    residuals.check_data(data, residuals.folds || !partition.validation.is_empty())
 }
 
 /// Links that members did not train on: one list per member if a sweep gave each of `folds` members a fold, otherwise one
@@ -44,7 +48,7 @@ pub(crate) fn with_residuals(
 ) -> Result<Ensemble> {
     let (Some(settings), None) = (&pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
     let links = partition.known().all();
-    let mut left_out_by = vec![LeftOutBy::None; links.len()];
+    let mut left_out_by = vec![LeftOutBy::NoMember; links.len()];
     let lists = left_out(pipeline, (data, partition), folds)?;
     for (member, left_out) in lists.iter().enumerate() {
         for link in left_out {

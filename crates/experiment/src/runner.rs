@@ -109,7 +109,7 @@ fn attempt(
     }
     let (data, partition) = load(pipeline, base, session.observer)?;
     pipeline.check_data(&data)?;
-    check_residuals(pipeline, &data, &partition)?;
+    check_residuals(pipeline, &data, &partition, false)?;
     // Created before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,

@@ -81,10 +81,6 @@ pub fn execute(
     session: &mut Session<'_>,
 ) -> Result<SweepEnd> {
     drop(plan.claim()?);
-    if let Some((pipeline, residuals)) = plan.joined.as_ref().and_then(|own| Some((own, own.residuals.as_ref()?))) {
-        // Members train without residuals, so none of them checks the data for it.
-        residuals.check_data(&load(pipeline, Path::new(""), session.observer)?.0, true)?;
-    }
     let jobs = jobs.clamp(1, runs.len().max(1));
     let pools = (0..jobs).map(|_| pool(jobs)).collect::<Result<Vec<_>>>()?;
     let (stop, page) = (session.stop, session.page);

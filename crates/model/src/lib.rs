@@ -22,7 +22,7 @@ pub use calibration::{HeldOutScores, Interval, IntervalCalibration, IntervalFact
 pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;
-pub use residuals::{KnownLinks, Kriged, LeftOutBy, ProcessFit, ResidualProcess, Residuals, Trend};
+pub use residuals::{KnownLinks, Kriged, LeftOutBy, ProcessFit, ResidualProcess, ResidualTrend, Residuals};
 pub use snapshot::Snapshot;
 pub use trained::Trained;
 pub use training_positions::{TrainingDistances, TrainingPositions};

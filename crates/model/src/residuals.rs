@@ -20,9 +20,8 @@ pub use fit::{KnownLinks, Kriged, LeftOutBy};
 pub(crate) use grid::CoarseGrid;
 
 use crate::tensors::quantise;
-use pwrfgs_core::kriging::{Correlation, Place, Solution, in_space, solve};
+use pwrfgs_core::kriging::{Correlation, PathLoss, Place, Solution, in_space, log_distance, solve};
 use pwrfgs_core::neighbours::Nearest;
-use pwrfgs_core::path_loss::{PathLoss, log_distance};
 use pwrfgs_core::{Image, Origin, Query, Real};
 
 /// Residual processes of a model, one per receiver.
@@ -35,16 +34,16 @@ pub struct Residuals {
     pub(crate) processes: Vec<Option<ResidualProcess>>,
 }
 
-/// Expected value of a link without known links near it.
+/// What residuals are differences from. With a path-loss model, it is the prediction far from all known links.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Trend {
+pub struct ResidualTrend {
     /// Share b of the prediction of the model, 0 to 1.
     pub share: f64,
     /// For received powers, the path-loss model with share 1 − b, and the position of the receiver, metres from the origin.
     pub path_loss: Option<(PathLoss, [f64; 3])>,
 }
 
-impl Trend {
+impl ResidualTrend {
     /// Expected value for `predicted` by the model and a transmitter `at` a position (metres from the origin).
     fn at(&self, predicted: Real, at: [Real; 3]) -> Real {
         let law = |(law, receiver): (PathLoss, _)| law.at(log_distance(at.map(|v| v as f64), receiver));
@@ -56,7 +55,7 @@ impl Trend {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProcessFit {
     /// Expected value that residuals are differences from.
-    pub trend: Trend,
+    pub trend: ResidualTrend,
     /// Process variance of a value at a position that the model did not train on.
     pub variance: f64,
     /// Correlation of the residuals.
@@ -66,7 +65,7 @@ pub struct ProcessFit {
 /// Residual process at one receiver.
 #[derive(Clone, Debug)]
 pub struct ResidualProcess {
-    /// Trend, variance and correlation.
+    /// ResidualTrend, variance and correlation.
     pub fit: ProcessFit,
     /// Positions `[n,3]` of the known links, metres from the origin of the model.
     pub(crate) places: Vec<[Real; 3]>,
@@ -186,7 +185,11 @@ impl Residuals {
     pub(crate) fn deviation(&self, query: Query<'_>, origin: Origin) -> f64 {
         let far = |own: &ResidualProcess| own.fit.variance * (1.0 + own.fit.correlation.noise);
         let variance = match self.process(query.receiver) {
-            Some(own) => own.fit.variance * own.solve(origin.local(query.tx), self.neighbours).1.variance,
+            Some(own) => {
+                let solution = own.solve(origin.local(query.tx), self.neighbours).1;
+                let is_simple = own.fit.trend.path_loss.is_some();
+                own.fit.variance * if is_simple { solution.simple_variance } else { solution.variance }
+            }
             None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
         };
         variance.sqrt()

@@ -20,7 +20,6 @@ mod natural_selection;
 mod pup_3dgs;
 mod references;
 mod rounds;
-mod safeguard_gs;
 mod shares;
 mod thresholds;
 
@@ -36,9 +35,8 @@ pub use mini_splatting::{MiniSplatting, SelectionRule};
 pub use natural_selection::NaturalSelection;
 pub use pup_3dgs::Pup3dgs;
 pub use references::{GreedyElimination, RandomReference};
-pub use safeguard_gs::SafeguardGs;
 pub use shares::{LightGaussian, LinkReduction, SignalContribution, SpeedySplat};
-pub use thresholds::{ImportanceScore, OpacityThreshold, RadSplat, TopK};
+pub use thresholds::{ImportanceScore, OpacityThreshold, RadSplat, SafeguardGs, TopK};
 
 /// Gaussian clouds and pruning contexts for tests.
 #[cfg(test)]

@@ -3,10 +3,9 @@
 use super::log_distance::{log_distance, points};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, Place, SearchSpace, Solution, in_space, most_likely, solve,
+    Correlation, CorrelationKind, HeldOutCases, PathLoss, Place, SearchSpace, Solution, in_space, most_likely, solve,
 };
 use pwrfgs_core::neighbours::Nearest;
-use pwrfgs_core::path_loss::PathLoss;
 use pwrfgs_core::{
     Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Sample, Sampling, evenly,
     rng,
@@ -156,7 +155,7 @@ impl<'a> Trend<'a> {
             evenly(&validation, CASES).par_iter().map(case).collect()
         };
         let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
-        let cases = HeldOutCases::new(&cases, |i| place(self.data, i), |_, i| self.picture(i));
+        let cases = HeldOutCases::new(&cases, false, |i| place(self.data, i), |_, i| self.picture(i));
         let correlation = most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1;
         (correlation, cases.variance(&correlation))
     }
@@ -205,7 +204,9 @@ impl Predict for Process<'_> {
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
         let (_, variance) = self.fitted; // not a number if no sample of the receiver could be predicted from others
-        variance.is_finite().then(|| (variance * self.solve(query).1.variance).sqrt())
+        let Solution { variance: ordinary, simple_variance, .. } = self.solve(query).1;
+        let share = if self.trend.law.is_some() { simple_variance } else { ordinary };
+        variance.is_finite().then(|| (variance * share).sqrt())
     }
 
     fn is_oracle(&self) -> bool {

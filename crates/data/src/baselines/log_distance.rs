@@ -1,8 +1,8 @@
 //! `LogDistance`: path-loss model, in which power falls by 10 gamma decibels per decade of distance.
 
 use super::all_of;
+use pwrfgs_core::kriging::{self, PathLoss};
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::path_loss::{self, PathLoss};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
@@ -104,7 +104,7 @@ pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
     let receiver = data.scene.receivers.get(query.receiver).map_or([0.0; 3], |receiver| receiver.pose.position);
     let origin = data.scene.origin.0;
     let receiver = [0, 1, 2].map(|k| receiver[k] + origin[k]);
-    path_loss::log_distance(query.tx, receiver)
+    kriging::log_distance(query.tx, receiver)
 }
 
 /// (log10 of the distance, dBm) of power links.

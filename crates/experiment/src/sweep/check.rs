@@ -103,7 +103,7 @@ fn try_each<R>(
             // Baselines are scored only with the joined model.
             let mut scored = std::iter::once(pipeline).chain(&plan.joined);
             scored.try_for_each(|own| own.check_data(data)).map_err(named)?;
-            plan.joined.iter().try_for_each(|own| check_residuals(own, data, partition)).map_err(named)?;
+            plan.joined.iter().try_for_each(|own| check_residuals(own, data, partition, true)).map_err(named)?;
             let sketch = || Trainer::sketch(&pipeline.plan()?, data, partition);
             let trainer = fitting(pipeline, sketch).map_err(named)?;
             all.push(then(run, trainer).map_err(named)?);

@@ -1,9 +1,8 @@
 //! Residual processes in the model file: settings in the note, positions and residuals in tensors.
 
-use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualValues, Residuals, Trend};
+use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualTrend, ResidualValues, Residuals};
 use crate::tensors::Tensors;
-use pwrfgs_core::kriging::{Correlation, CorrelationKind};
-use pwrfgs_core::path_loss::PathLoss;
+use pwrfgs_core::kriging::{Correlation, CorrelationKind, PathLoss};
 use pwrfgs_core::plugin::Check as _;
 use pwrfgs_core::{MAX_COORDINATE_M, MeasurementSetup, Real, Receiver, Task};
 use serde::{Deserialize, Serialize};
@@ -15,6 +14,9 @@ const UNITS: &str = "residuals.units";
 
 /// Smallest length scale (metres) and noise: distances relative to it stay finite.
 const LEAST: f64 = 1e-12;
+
+/// Largest level (dBm) and slope (dB per decade) of a path-loss model.
+const MOST_DB: f64 = 1e4;
 
 /// Settings of residual processes.
 #[derive(Serialize, Deserialize)]
@@ -105,7 +107,7 @@ impl ResidualsNote {
 }
 
 impl ProcessNote {
-    /// Trend, variance and correlation at a `receiver`.
+    /// ResidualTrend, variance and correlation at a `receiver`.
     fn fitted(&self, task: Task, receiver: &Receiver) -> Result<ProcessFit, String> {
         let Self { share, variance, correlation, scales_m, noise, path_loss, .. } = *self;
         let is_scale = |v: &f64| v.is_finite() && *v >= LEAST;
@@ -117,13 +119,13 @@ impl ProcessNote {
                 "residuals: length scales of {scales_m:?} m and noise of {noise}, expected at least {LEAST:e}"
             ));
         }
-        if path_loss.is_some_and(|law| !task.is_scalar || law.iter().any(|v| !v.is_finite())) {
+        if path_loss.is_some_and(|law| !task.is_scalar || !law.iter().all(|v| v.abs() <= MOST_DB)) {
             return Err(format!("residuals: a path loss of {path_loss:?} for {}", task.plural));
         }
         let [x, y, z] = scales_m;
         let path_loss = path_loss.map(|[level, slope]| (PathLoss { level, slope }, receiver.pose.position));
         let correlation = Correlation { kind: correlation, scales: [x, y, z, f64::INFINITY], noise };
-        Ok(ProcessFit { trend: Trend { share, path_loss }, variance, correlation })
+        Ok(ProcessFit { trend: ResidualTrend { share, path_loss }, variance, correlation })
     }
 }
 

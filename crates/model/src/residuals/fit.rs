@@ -1,13 +1,14 @@
 //! Fit of residual processes to known links, and their update with new links.
 
-use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualValues, Residuals, Trend, place};
+use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualTrend, ResidualValues, Residuals, place};
+use crate::Ensemble;
 use crate::tensors::quantise;
-use crate::{Ensemble, Model};
-use pwrfgs_core::kriging::{CorrelationKind, HeldOutCases, SearchSpace, most_likely};
+use pwrfgs_core::kriging::{
+    Correlation, CorrelationKind, HeldOutCases, PathLoss, SearchSpace, log_distance, most_likely,
+};
 use pwrfgs_core::neighbours::Nearest;
-use pwrfgs_core::path_loss::{PathLoss, log_distance};
 use pwrfgs_core::plugin::Check;
-use pwrfgs_core::{Dataset, Error, JsonSchema, Progress, Query, Real, Result, evenly};
+use pwrfgs_core::{Dataset, Error, JsonSchema, MeasurementSetup, Progress, Query, Real, Receiver, Result, evenly};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Number of links that are predicted in the fit: of all receivers, and at least of each. Too few choose a wrong correlation
 /// (docs/lab/residuals.md).
 const CASES: usize = 600;
-const LEAST_CASES: usize = 160;
+const LEAST_CASES: usize = 40;
 /// Number of neighbours of such a link; half of it for received powers.
 const FROM: usize = 48;
 /// Shares of the prediction of the model that are compared.
@@ -27,6 +28,8 @@ const KINDS: [CorrelationKind; 2] = [CorrelationKind::Matern32, CorrelationKind:
 /// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
 const LOST: f64 = 1e-3;
 const EXAMPLES: usize = 64;
+/// Smallest number of known links of a receiver for a path-loss model.
+const LEAST_LINKS: usize = 10;
 /// Number of links per prediction call.
 const CHUNK: usize = 64;
 
@@ -40,7 +43,8 @@ const CHUNK: usize = 64;
 /// `join: true` gives all models the same validation set. With `folds`, it divides all known links into as many folds as
 /// there are models, and each model leaves one fold out.
 ///
-/// Data need transmitter positions. A receiver without known links keeps the prediction of the model.
+/// Data need transmitter positions. A receiver without known links keeps the prediction of the model. All receivers share b
+/// and the correlation.
 ///
 /// ```
 /// # use pwrfgs_core::{Checked, plugin::ron_options};
@@ -58,8 +62,8 @@ pub struct Kriged {
     pub stride: usize,
     /// Number of known links per prediction, 2 to 512; time grows with its cube.
     pub neighbours: usize,
-    /// Whether each model of a joined experiment leaves out its own fold, instead of the validation set. Every link is then
-    /// left out once, and the share b is that of a single model.
+    /// Whether each model of an experiment with `join: true` leaves out its own fold, instead of the validation set.
+    /// Every link is then left out once, and the share b is that of a single model.
     pub folds: bool,
 }
 
@@ -115,8 +119,8 @@ pub struct KnownLinks<'a> {
 /// Members of an ensemble that did not train on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LeftOutBy {
-    /// No member: the link is a training link of all.
-    None,
+    /// The link is a training link of all.
+    NoMember,
     /// One member, by its index.
     Member(usize),
     /// All members.
@@ -137,7 +141,7 @@ impl Residuals {
         progress: Progress<'_>,
     ) -> Result<Self> {
         let data = known.data;
-        settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::None))?;
+        settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::NoMember))?;
         let mut grid = CoarseGrid::new(ensemble.plane(), if data.task().has_pixels { settings.stride } else { 1 });
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
         while grid.stride > 1 && grid.lost(&examples) > LOST {
@@ -145,12 +149,11 @@ impl Residuals {
         }
         let samples = Samples::new(ensemble, known, &grid, stop, progress)?;
         data.observations.check()?;
-        let of_receiver = |receiver: usize| {
-            let own: Vec<usize> =
-                (0..known.links.len()).filter(|&k| data.links[known.links[k]].receiver == receiver).collect();
-            samples.process(&own)
-        };
-        let processes = (0..data.scene.receivers.len()).map(of_receiver).collect();
+        let mut of_each = vec![Vec::new(); data.scene.receivers.len()];
+        (0..known.links.len()).for_each(|k| of_each[data.links[known.links[k]].receiver].push(k));
+        let fit = samples.most_likely(&of_each);
+        let process = |own: &Vec<usize>| Some(samples.process(own, fit?)).filter(|process| !process.is_empty());
+        let processes = of_each.iter().map(process).collect();
         Ok(Self { grid, neighbours: settings.neighbours, processes })
     }
 
@@ -219,6 +222,7 @@ impl Residuals {
 /// Observations and predictions of all known links on the coarse grid.
 struct Samples<'a> {
     known: KnownLinks<'a>,
+    receivers: &'a [Receiver],
     places: Vec<[Real; 3]>,
     /// Numbers per link.
     of_each: usize,
@@ -234,7 +238,7 @@ struct Samples<'a> {
 
 impl<'a> Samples<'a> {
     fn new(
-        ensemble: &Ensemble,
+        ensemble: &'a Ensemble,
         known: KnownLinks<'a>,
         grid: &CoarseGrid,
         stop: &AtomicBool,
@@ -262,12 +266,21 @@ impl<'a> Samples<'a> {
             let what = "predicts numbers that are not finite; train it again with lower learning rates";
             return Err(Error::Config(format!("residuals: model {} {what}", member + 1)));
         }
-        let Model { stages, .. } = &ensemble.members()[0];
-        let places = links.iter().map(|&i| stages.origin.local(data.sample(i).tx)).collect();
+        let MeasurementSetup { origin, receivers, .. } = &ensemble.members()[0].stages.setup;
+        let places = links.iter().map(|&i| origin.local(data.sample(i).tx)).collect();
         let mut mean = vec![0.0; observed.len()];
         predicted.iter().for_each(|own| mean.iter_mut().zip(own).for_each(|(sum, v)| *sum += v));
         mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
-        Ok(Self { known, places, of_each: grid.len(), is_exact: grid.stride == 1, observed, predicted, mean })
+        Ok(Self {
+            known,
+            receivers,
+            places,
+            of_each: grid.len(),
+            is_exact: grid.stride == 1,
+            observed,
+            predicted,
+            mean,
+        })
     }
 
     /// Predictions of all links by the members that `left_out` a link: the mean of all, or one.
@@ -276,25 +289,27 @@ impl<'a> Samples<'a> {
     }
 
     /// Residuals of known link `k` from the trend of `predicted` values of all links.
-    fn residual(&self, k: usize, trend: &Trend, predicted: &[Real]) -> Vec<Real> {
+    fn residual(&self, k: usize, trend: &ResidualTrend, predicted: &[Real]) -> Vec<Real> {
         let own = k * self.of_each..(k + 1) * self.of_each;
         let pairs = self.observed[own.clone()].iter().zip(&predicted[own]);
         pairs.map(|(y, f)| y - trend.at(*f, self.places[k])).collect()
     }
 
-    /// Path-loss model of the known links `own` of a receiver, with its position: for received powers.
-    fn path_loss(&self, own: &[usize]) -> Option<(PathLoss, [f64; 3])> {
-        let KnownLinks { data, links, .. } = self.known;
-        let receiver = data.scene.receivers[data.links[links[*own.first()?]].receiver].pose.position;
+    /// Path-loss model of the known links `own` of a receiver without those `left_out`, with its position: for received
+    /// powers.
+    fn path_loss(&self, own: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
+        let KnownLinks { data, links, left_out_by } = self.known;
+        let receiver = self.receivers[data.links[links[*own.first()?]].receiver].pose.position;
+        let own: Vec<usize> = own.iter().copied().filter(|&k| Some(left_out_by[k]) != left_out).collect();
         let point = |&k: &usize| (log_distance(self.places[k].map(|v| v as f64), receiver), self.observed[k] as f64);
-        let points = || own.iter().map(point).collect::<Vec<_>>();
-        data.task().is_scalar.then(|| (PathLoss::fit(&points()), receiver))
+        let is_fitted = data.task().is_scalar && own.len() >= LEAST_LINKS;
+        is_fitted.then(|| (PathLoss::fit(&own.iter().map(point).collect::<Vec<_>>()), receiver))
     }
 
     /// Links to predict, evenly from `own`, each with the nearest links that the members trained on which left it out.
     fn cases(&self, own: &[usize]) -> Vec<(usize, Vec<usize>)> {
         let left_out_by = self.known.left_out_by;
-        let is_left_out = |k: &usize| left_out_by[*k] != LeftOutBy::None;
+        let is_left_out = |k: &usize| left_out_by[*k] != LeftOutBy::NoMember;
         let held_out: Vec<usize> = own.iter().copied().filter(is_left_out).collect();
         let mut trained: BTreeMap<LeftOutBy, Nearest> = BTreeMap::new();
         for by in held_out.iter().map(|&k| left_out_by[k]) {
@@ -312,29 +327,47 @@ impl<'a> Samples<'a> {
         evenly(&held_out, count).into_iter().filter_map(case).collect()
     }
 
-    /// Most likely process of the known links `own` of a receiver; `None` if none of them was left out.
-    fn process(&self, own: &[usize]) -> Option<ResidualProcess> {
-        let cases = self.cases(own);
-        if cases.is_empty() {
-            return None;
-        }
-        let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
-        let path_loss = self.path_loss(own);
+    /// Scale of the observations of a receiver with these known links: their root mean square about the path-loss model,
+    /// or 1 if there is one receiver.
+    fn scale(&self, own: &[usize]) -> Real {
+        let trend = ResidualTrend { share: 0.0, path_loss: self.path_loss(own, None) };
+        let squares = |&k: &usize| self.residual(k, &trend, &self.mean).iter().map(|v| v * v).sum::<Real>();
+        let mean = own.iter().map(squares).sum::<Real>() / (own.len() * self.of_each).max(1) as Real;
+        if self.receivers.len() == 1 || mean == 0.0 { 1.0 } else { mean.sqrt() }
+    }
+
+    /// Most likely fit to the known links of each receiver, for observations in units of their scales; `None` if no link
+    /// was left out. All receivers share it, since one receiver may have few links.
+    fn most_likely(&self, of_each: &[Vec<usize>]) -> Option<(f64, f64, Correlation)> {
+        let receiver_of = |k: usize| self.known.data.links[self.known.links[k]].receiver;
+        let cases: Vec<(usize, Vec<usize>)> = of_each.iter().flat_map(|own| self.cases(own)).collect();
+        let scales: Vec<Real> = of_each.iter().map(|own| self.scale(own)).collect();
+        let is_scalar = self.known.data.task().is_scalar;
+        let space = SearchSpace { kinds: &KINDS, isotropic: is_scalar, time: false };
+        // The path-loss model that decides about a left-out link is not fitted to it.
+        let group = |c: usize| (receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
+        let law = |(receiver, by): (usize, LeftOutBy)| self.path_loss(&of_each[receiver], Some(by));
+        let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c)))).collect();
         let fit = |share: f64| {
-            let trend = Trend { share, path_loss };
-            let values =
-                |c: usize, k: usize| self.residual(k, &trend, self.predictions(self.known.left_out_by[cases[c].0]));
-            let held_out = HeldOutCases::new(&cases, |k| place(self.places[k]), values);
+            let values = |c: usize, k: usize| {
+                let trend = ResidualTrend { share, path_loss: laws[&group(c)] };
+                let residual = self.residual(k, &trend, self.predictions(group(c).1));
+                residual.into_iter().map(|v| v / scales[group(c).0]).collect()
+            };
+            let held_out = HeldOutCases::new(&cases, is_scalar, |k| place(self.places[k]), values);
             let (likelihood, correlation) = most_likely(&held_out, space);
-            (
-                likelihood,
-                ProcessFit { trend, variance: held_out.variance(&correlation) / self.of_each as f64, correlation },
-            )
+            (likelihood, (share, held_out.variance(&correlation) / self.of_each as f64, correlation))
         };
         let better = |best: &f64, next: &f64| *next > *best + CLEARLY;
-        let found = SHARES.map(fit).into_iter().reduce(|best, next| if better(&best.0, &next.0) { next } else { best });
-        let (_, fit) = found.expect("shares are given");
-        let residuals: Vec<Real> = own.iter().flat_map(|&k| self.residual(k, &fit.trend, &self.mean)).collect();
+        let choose = |best: (f64, _), next: (f64, _)| if better(&best.0, &next.0) { next } else { best };
+        if cases.is_empty() { None } else { SHARES.map(fit).into_iter().reduce(choose).map(|(_, fit)| fit) }
+    }
+
+    /// Process of the known links `own` of a receiver, with this share, variance in units of the scale, and correlation.
+    fn process(&self, own: &[usize], (share, variance, correlation): (f64, f64, Correlation)) -> ResidualProcess {
+        let trend = ResidualTrend { share, path_loss: self.path_loss(own, None) };
+        let variance = variance * f64::from(self.scale(own) as f32).powi(2);
+        let residuals: Vec<Real> = own.iter().flat_map(|&k| self.residual(k, &trend, &self.mean)).collect();
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
@@ -342,6 +375,6 @@ impl<'a> Samples<'a> {
             ResidualValues::Short(short, units)
         };
         let places = own.iter().map(|&k| self.places[k]).collect();
-        Some(ResidualProcess::new(fit, places, values))
+        ResidualProcess::new(ProcessFit { trend, variance, correlation }, places, values)
     }
 }

@@ -47,7 +47,7 @@ fn data(base: &Ensemble, left: impl Fn(usize, [f64; 3]) -> Real) -> Dataset {
 /// Fit to the first 200 links, of which every fourth was left out.
 fn fit(settings: &Kriged, base: &Ensemble, data: &Dataset) -> pwrfgs_core::Result<Residuals> {
     let links: Vec<usize> = (0..200).collect();
-    let by = |i: &usize| if i.is_multiple_of(4) { LeftOutBy::Member(0) } else { LeftOutBy::None };
+    let by = |i: &usize| if i.is_multiple_of(4) { LeftOutBy::Member(0) } else { LeftOutBy::NoMember };
     let left_out_by: Vec<LeftOutBy> = links.iter().map(by).collect();
     let known = KnownLinks { data, links: &links, left_out_by: &left_out_by };
     Residuals::fit(settings, base, known, &AtomicBool::new(false), &|_, _| {})
@@ -90,7 +90,7 @@ fn kriged_residuals_predict_what_the_model_lacks() {
 #[test]
 fn power_far_from_known_links_is_the_trend() {
     let law = PathLoss { level: -40.0, slope: 20.0 };
-    let trend = Trend { share: 0.25, path_loss: Some((law, [0.0; 3])) };
+    let trend = ResidualTrend { share: 0.25, path_loss: Some((law, [0.0; 3])) };
     let correlation =
         Correlation { kind: CorrelationKind::Matern32, scales: [1.0, 1.0, 1.0, f64::INFINITY], noise: 1e-6 };
     let (known, measured, predicted) = ([10.0, 0.0, 0.0], -50.0, -70.0);
@@ -213,11 +213,14 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
         let known = KnownLinks { data, links: &links, left_out_by };
         Residuals::fit(&Kriged::default(), &base, known, &AtomicBool::new(stop), &|_, _| {}).unwrap_err()
     };
-    assert!(try_fit(&data, &[LeftOutBy::None; 3], false).to_string().contains("`validation` share"));
-    assert!(matches!(try_fit(&data, &[LeftOutBy::All, LeftOutBy::None, LeftOutBy::None], true), Error::Stopped));
+    assert!(try_fit(&data, &[LeftOutBy::NoMember; 3], false).to_string().contains("`validation` share"));
+    assert!(matches!(
+        try_fit(&data, &[LeftOutBy::All, LeftOutBy::NoMember, LeftOutBy::NoMember], true),
+        Error::Stopped
+    ));
     data.placed = false;
     assert!(
-        try_fit(&data, &[LeftOutBy::All, LeftOutBy::None, LeftOutBy::None], false)
+        try_fit(&data, &[LeftOutBy::All, LeftOutBy::NoMember, LeftOutBy::NoMember], false)
             .to_string()
             .contains("no transmitter positions")
     );

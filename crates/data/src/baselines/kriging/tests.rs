@@ -85,11 +85,11 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 }
 
 /// Cases of `validation` samples, each given its 24 nearest of `train`.
-fn cases_of(data: &Dataset, train: &[usize], validation: &[usize]) -> HeldOutCases {
+fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], is_centred: bool) -> HeldOutCases {
     let nearest = Nearest::new(train.to_vec(), 4, |i| place(data, i));
     let near = |i: usize| nearest.find(&place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
     let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
-    HeldOutCases::new(&cases, |i| place(data, i), |_, i| data.image(i).pixels)
+    HeldOutCases::new(&cases, is_centred, |i| place(data, i), |_, i| data.image(i).pixels)
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn likelihood_recovers_true_parameters() {
         let truth = Correlation { kind, scales: [0.3, 0.3, 1.2, f64::INFINITY], noise: 0.1 };
         let data = drawn(&truth, 260);
         let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
-        let cases = cases_of(&data, &train, &validation);
+        let cases = cases_of(&data, &train, &validation, false);
         let space = SearchSpace { kinds: &CorrelationKind::ALL, isotropic: false, time: false };
         let found = most_likely(&cases, space).1;
         println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
@@ -116,21 +116,25 @@ fn likelihood_recovers_true_parameters() {
 fn likelihood_equals_density_of_predictions() {
     let truth = Correlation { kind: CorrelationKind::Matern32, scales: [0.5; 4], noise: 0.2 };
     let data = drawn(&truth, 12);
-    let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11]);
-    let mut terms = Vec::new();
-    for i in [10, 11] {
-        let places: Vec<Place> = (0..10).map(|j| truth.scaled(place(&data, j))).collect();
-        let solution = solve(&truth, &places, truth.scaled(place(&data, i)));
-        let mut error = 0.0;
-        for k in 0..144 {
-            let mean: f64 = (0..10).map(|j| solution.weights[j] * data.image(j).pixels[k] as f64).sum();
-            error += (data.image(i).pixels[k] as f64 - mean).powi(2);
+    for is_centred in [false, true] {
+        let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11], is_centred);
+        let mut terms = Vec::new();
+        for i in [10, 11] {
+            let places: Vec<Place> = (0..10).map(|j| truth.scaled(place(&data, j))).collect();
+            let Solution { weights, variance, simple, simple_variance } =
+                solve(&truth, &places, truth.scaled(place(&data, i)));
+            let (weights, variance) = if is_centred { (simple, simple_variance) } else { (weights, variance) };
+            let mut error = 0.0;
+            for k in 0..144 {
+                let mean: f64 = (0..10).map(|j| weights[j] * data.image(j).pixels[k] as f64).sum();
+                error += (data.image(i).pixels[k] as f64 - mean).powi(2);
+            }
+            terms.push((error, variance));
         }
-        terms.push((error, solution.variance));
+        let strength = f64::midpoint(terms[0].0 / terms[0].1, terms[1].0 / terms[1].1);
+        let expected = -0.5 * (2.0 * strength.ln() + terms[0].1.ln() + terms[1].1.ln());
+        close(cases.log_likelihood(&truth), expected, 1e-4);
     }
-    let strength = f64::midpoint(terms[0].0 / terms[0].1, terms[1].0 / terms[1].1);
-    let expected = -0.5 * (2.0 * strength.ln() + terms[0].1.ln() + terms[1].1.ln());
-    close(cases.log_likelihood(&truth), expected, 1e-4);
 }
 
 #[test]
