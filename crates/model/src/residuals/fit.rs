@@ -23,6 +23,8 @@ const FROM: usize = 48;
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// Log-likelihood by which a smaller share must be better: differences below it are noise of the search.
 const CLEARLY: f64 = 0.5;
+/// Number of parameters of a correlation: its kind, three length scales and noise.
+const PARAMETERS: f64 = 5.0;
 /// Smoothness 3/2 and 1/2.
 const KINDS: [CorrelationKind; 2] = [CorrelationKind::Matern32, CorrelationKind::Exponential];
 /// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
@@ -306,23 +308,25 @@ impl<'a> Samples<'a> {
         is_fitted.then(|| (PathLoss::fit(&own.iter().map(point).collect::<Vec<_>>()), receiver))
     }
 
-    /// Links to predict, evenly from `own`, each with the nearest links that the members trained on which left it out.
-    fn cases(&self, own: &[usize]) -> Vec<(usize, Vec<usize>)> {
-        let left_out_by = self.known.left_out_by;
-        let is_left_out = |k: &usize| left_out_by[*k] != LeftOutBy::NoMember;
-        let held_out: Vec<usize> = own.iter().copied().filter(is_left_out).collect();
+    /// Links to predict, evenly from those in `own` that a member left out, each with the nearest links that the same
+    /// members trained on. If `is_observed`, all links of `own` with their nearest others.
+    fn cases(&self, own: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
+        let by = |k: usize| if is_observed { LeftOutBy::NoMember } else { self.known.left_out_by[k] };
+        let is_case = |k: &usize| is_observed || by(*k) != LeftOutBy::NoMember;
+        let held_out: Vec<usize> = own.iter().copied().filter(is_case).collect();
         let mut trained: BTreeMap<LeftOutBy, Nearest> = BTreeMap::new();
-        for by in held_out.iter().map(|&k| left_out_by[k]) {
-            trained.entry(by).or_insert_with(|| {
-                let others = own.iter().copied().filter(|&k| left_out_by[k] != by).collect();
+        for group in held_out.iter().map(|&k| by(k)) {
+            trained.entry(group).or_insert_with(|| {
+                let others = own.iter().copied().filter(|&k| is_observed || by(k) != group).collect();
                 Nearest::new(others, 4, |k| place(self.places[k]))
             });
         }
         let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES);
         let from = if self.of_each == 1 { FROM / 2 } else { FROM };
         let case = |k: usize| {
-            let near = trained[&left_out_by[k]].find(&place(self.places[k]), from).1;
-            (!near.is_empty()).then(|| (k, near.into_iter().map(|(_, j)| j).collect()))
+            let near = trained[&by(k)].find(&place(self.places[k]), from + 1).1.into_iter().map(|(_, j)| j);
+            let near: Vec<usize> = near.filter(|j| *j != k).take(from).collect();
+            (!near.is_empty()).then_some((k, near))
         };
         evenly(&held_out, count).into_iter().filter_map(case).collect()
     }
@@ -336,31 +340,58 @@ impl<'a> Samples<'a> {
         if self.receivers.len() == 1 || mean == 0.0 { 1.0 } else { mean.sqrt() }
     }
 
+    /// Cases of all receivers with their `values`, in units of the scales.
+    fn held_out(
+        &self,
+        cases: &[(usize, Vec<usize>)],
+        scales: &[Real],
+        values: impl Fn(usize, usize) -> Vec<Real> + Sync,
+    ) -> HeldOutCases {
+        let scaled = |c: usize, k: usize| values(c, k).into_iter().map(|v| v / scales[self.receiver_of(k)]).collect();
+        HeldOutCases::new(cases, self.known.data.task().is_scalar, |k| place(self.places[k]), scaled)
+    }
+
+    fn receiver_of(&self, k: usize) -> usize {
+        self.known.data.links[self.known.links[k]].receiver
+    }
+
     /// Most likely fit to the known links of each receiver, for observations in units of their scales; `None` if no link
     /// was left out. All receivers share it, since one receiver may have few links.
+    ///
+    /// The correlation is that of the observations, of which there are many. That of the residuals of left-out links
+    /// replaces it if it is more likely by the Bayesian information criterion.
     fn most_likely(&self, of_each: &[Vec<usize>]) -> Option<(f64, f64, Correlation)> {
-        let receiver_of = |k: usize| self.known.data.links[self.known.links[k]].receiver;
-        let cases: Vec<(usize, Vec<usize>)> = of_each.iter().flat_map(|own| self.cases(own)).collect();
+        let cases_of = |is_observed| of_each.iter().flat_map(|own| self.cases(own, is_observed)).collect::<Vec<_>>();
+        let cases = cases_of(false);
+        if cases.is_empty() {
+            return None;
+        }
         let scales: Vec<Real> = of_each.iter().map(|own| self.scale(own)).collect();
-        let is_scalar = self.known.data.task().is_scalar;
-        let space = SearchSpace { kinds: &KINDS, isotropic: is_scalar, time: false };
+        let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
+        let law = |receiver: usize, by| self.path_loss(&of_each[receiver], by);
+        let laws: Vec<_> = (0..of_each.len()).map(|receiver| law(receiver, None)).collect();
+        let observed =
+            |_, k| self.residual(k, &ResidualTrend { share: 0.0, path_loss: laws[self.receiver_of(k)] }, &self.mean);
+        let of_observations = most_likely(&self.held_out(&cases_of(true), &scales, observed), space).1;
         // The path-loss model that decides about a left-out link is not fitted to it.
-        let group = |c: usize| (receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
-        let law = |(receiver, by): (usize, LeftOutBy)| self.path_loss(&of_each[receiver], Some(by));
-        let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c)))).collect();
+        let group = |c: usize| (self.receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
+        let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c).0, Some(group(c).1)))).collect();
+        let least_gain = PARAMETERS / 2.0 * (cases.len() as f64).ln();
         let fit = |share: f64| {
             let values = |c: usize, k: usize| {
-                let trend = ResidualTrend { share, path_loss: laws[&group(c)] };
-                let residual = self.residual(k, &trend, self.predictions(group(c).1));
-                residual.into_iter().map(|v| v / scales[group(c).0]).collect()
+                self.residual(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
             };
-            let held_out = HeldOutCases::new(&cases, is_scalar, |k| place(self.places[k]), values);
-            let (likelihood, correlation) = most_likely(&held_out, space);
+            let held_out = self.held_out(&cases, &scales, values);
+            let (likelihood, own) = most_likely(&held_out, space);
+            let simple = held_out.log_likelihood(&of_observations);
+            let is_own = likelihood - least_gain > simple;
+            let (likelihood, correlation) =
+                if is_own { (likelihood - least_gain, own) } else { (simple, of_observations) };
             (likelihood, (share, held_out.variance(&correlation) / self.of_each as f64, correlation))
         };
         let better = |best: &f64, next: &f64| *next > *best + CLEARLY;
         let choose = |best: (f64, _), next: (f64, _)| if better(&best.0, &next.0) { next } else { best };
-        if cases.is_empty() { None } else { SHARES.map(fit).into_iter().reduce(choose).map(|(_, fit)| fit) }
+        SHARES.map(fit).into_iter().reduce(choose).map(|(_, fit)| fit)
     }
 
     /// Process of the known links `own` of a receiver, with this share, variance in units of the scale, and correlation.
