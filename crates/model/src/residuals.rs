@@ -5,9 +5,8 @@
 //! Geosciences 33, 2007). The weights w add up to 1. For received powers, (1 − b) times a path-loss model is added to
 //! b f(x), and the weights are those of a process with mean zero: far from all known links, they vanish.
 //!
-//! Residuals of a model at positions that it trained on are too small. The share, the correlation and the variance
-//! therefore maximise the likelihood of links that a model did not train on, each given the residuals of the same model at
-//! other links (`fit.rs`).
+//! Residuals of a model at positions that it trained on are too small. The share and the variance therefore maximise the
+//! likelihood of links that a model did not train on, each given the residuals of the same model at other links (`fit.rs`).
 
 mod file;
 mod fit;

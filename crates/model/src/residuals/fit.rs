@@ -39,11 +39,13 @@ const CHUNK: usize = 64;
 /// measurements and predictions, per receiver. The model file contains it.
 ///
 /// The prediction is b times that of the model, plus a weighted sum of residuals of the nearest known links. For received
-/// powers, 1 - b times a path-loss model is added, to which predictions far from all known links revert. The share b,
-/// the correlation (Matern 1/2 or 3/2, one length scale per axis for spectra and channels) and its variance maximise the
-/// likelihood of links that the model did not train on: its validation set, so the split needs one. An experiment with
-/// `join: true` gives all models the same validation set. With `folds`, it divides all known links into as many folds as
-/// there are models, and each model leaves one fold out.
+/// powers, 1 - b times a path-loss model is added, to which predictions far from all known links revert.
+///
+/// The share b and the variance maximise the likelihood of links that the model did not train on: its validation set, so
+/// the split needs one. An experiment with `join: true` gives all models the same validation set. With `folds`, it divides
+/// all known links into as many folds as there are models, and each model leaves one fold out. The correlation (Matern 1/2
+/// or 3/2, one length scale per axis for spectra and channels) is that of the observations, or that of the residuals of
+/// left-out links if the Bayesian information criterion prefers it.
 ///
 /// Data need transmitter positions. A receiver without known links keeps the prediction of the model. All receivers share b
 /// and the correlation.
