@@ -64,7 +64,7 @@ pub struct ProcessFit {
 /// Residual process at one receiver.
 #[derive(Clone, Debug)]
 pub struct ResidualProcess {
-    /// ResidualTrend, variance and correlation.
+    /// Trend, variance and correlation.
     pub fit: ProcessFit,
     /// Positions `[n,3]` of the known links, metres from the origin of the model.
     pub(crate) places: Vec<[Real; 3]>,
