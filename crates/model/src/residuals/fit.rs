@@ -378,7 +378,9 @@ impl<'a> Samples<'a> {
         // The path-loss model that decides about a left-out link is not fitted to it.
         let group = |c: usize| (self.receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
         let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c).0, Some(group(c).1)))).collect();
-        let least_gain = PARAMETERS / 2.0 * (cases.len() as f64).ln();
+        // Links of one transmitter are not independent: all of its receivers count as one case.
+        let receivers = of_each.len() as f64;
+        let least_gain = receivers * PARAMETERS / 2.0 * (cases.len() as f64 / receivers).max(1.0).ln();
         let fit = |share: f64| {
             let values = |c: usize, k: usize| {
                 self.residual(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
@@ -391,7 +393,7 @@ impl<'a> Samples<'a> {
                 if is_own { (likelihood - least_gain, own) } else { (simple, of_observations) };
             (likelihood, (share, held_out.variance(&correlation) / self.of_each as f64, correlation))
         };
-        let better = |best: &f64, next: &f64| *next > *best + CLEARLY;
+        let better = |best: &f64, next: &f64| *next > *best + receivers * CLEARLY;
         let choose = |best: (f64, _), next: (f64, _)| if better(&best.0, &next.0) { next } else { best };
         SHARES.map(fit).into_iter().reduce(choose).map(|(_, fit)| fit)
     }
