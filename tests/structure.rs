@@ -29,7 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit; 50,000 is the bound for all planned features.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_250;
-const IN_TOTAL: usize = 49_050;
+const IN_TOTAL: usize = 49_190;
 /// Files, and files of fewer than 50 code lines.
 const FILES: usize = 377;
 const SMALL: usize = 35;

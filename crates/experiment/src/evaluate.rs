@@ -10,7 +10,7 @@ use crate::record::Confidence;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, check_stopped, staged};
 use crate::text::number;
-use pwrfgs_core::kriging::{Correlation, PathLoss};
+use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
     Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
 };
@@ -66,7 +66,7 @@ pub fn evaluate(
         confidence = Some(Confidence::measure(model, data, &partition.test, session)?);
     }
     let (mut notes, mut oracles): (Vec<String>, Vec<String>) = Default::default();
-    notes.extend(ensemble.residuals().map(|residuals| note_of(residuals, data)));
+    notes.extend(ensemble.residuals().map(note_of));
     let (mut intervals, mut columns, mut calibrator) = (Vec::new(), Vec::new(), None);
     if let Some(calibration) = ensemble.calibration() {
         let own = Calibrator::new(pipeline, (data, partition), ensemble.members().len())?;
@@ -101,27 +101,17 @@ pub fn evaluate(
     Ok((scores, confidence))
 }
 
-/// Describes the residual processes of a model.
-fn note_of(residuals: &Residuals, data: &Dataset) -> String {
-    let receivers = &data.scene.receivers;
-    let of = |(receiver, process): (usize, &ResidualProcess)| {
+/// Describes the residual processes of a model, which share their fit.
+fn note_of(residuals: &Residuals) -> String {
+    let of = |process: &ResidualProcess| {
         let ProcessFit { trend, correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
-        let name = receivers.get(receiver).filter(|_| receivers.len() > 1);
-        let name = name.map_or_else(String::new, |receiver| format!("{}: ", strip_control(&receiver.name)));
         let [x, y, z, noise] = [x, y, z, noise].map(number);
-        let path_loss = trend.path_loss.filter(|_| trend.share < 1.0);
-        let path_loss = path_loss.map_or_else(String::new, |(PathLoss { level, slope }, _)| {
-            format!(
-                " + {} x path loss of {} dBm at 1 m and {} dB per decade",
-                1.0 - trend.share,
-                number(level),
-                number(slope)
-            )
-        });
-        format!("{name}{} x prediction{path_loss}, {} with {x}, {y}, {z} m, noise {noise}", trend.share, kind.words())
+        let law = trend.path_loss.map_or_else(String::new, |_| format!(" + {} x path loss", 1.0 - trend.share));
+        format!("{} x prediction{law}, {} with {x}, {y}, {z} m, noise {noise}", trend.share, kind.words())
     };
-    let processes = residuals.processes().iter().enumerate().filter_map(|(r, own)| Some((r, own.as_ref()?)));
-    format!("the residuals of the model are Kriged ({})", processes.map(of).collect::<Vec<_>>().join("; "))
+    let mut notes: Vec<String> = residuals.processes().iter().flatten().map(of).collect();
+    notes.dedup();
+    format!("the residuals of the model are Kriged ({})", notes.join("; "))
 }
 
 /// Mean of the first validation metric for each baseline, fitted on the training set alone, on the samples of

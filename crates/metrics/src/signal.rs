@@ -115,10 +115,6 @@ impl Metric for ChannelSnr {
     fn supports(&self, task: Task) -> bool {
         task.is_complex
     }
-
-    fn scope(&self) -> Scope {
-        Scope::All
-    }
 }
 
 #[cfg(test)]

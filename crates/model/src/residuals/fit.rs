@@ -23,8 +23,6 @@ const FROM: usize = 48;
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// Log-likelihood by which a smaller share must be better: differences below it are noise of the search.
 const CLEARLY: f64 = 0.5;
-/// Number of parameters of a correlation: its kind, three length scales and noise.
-const PARAMETERS: f64 = 5.0;
 /// Smoothness 3/2 and 1/2.
 const KINDS: [CorrelationKind; 2] = [CorrelationKind::Matern32, CorrelationKind::Exponential];
 /// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
@@ -44,8 +42,7 @@ const CHUNK: usize = 64;
 /// The share b and the variance maximise the likelihood of links that the model did not train on: its validation set, so
 /// the split needs one. An experiment with `join: true` gives all models the same validation set. With `folds`, it divides
 /// all known links into as many folds as there are models, and each model leaves one fold out. The correlation (Matern 1/2
-/// or 3/2, one length scale per axis for spectra and channels) is that of the observations, or that of the residuals of
-/// left-out links if the Bayesian information criterion prefers it.
+/// or 3/2, one length scale per axis for spectra and channels) is that of the observations.
 ///
 /// Data need transmitter positions. A receiver without known links keeps the prediction of the model. All receivers share b
 /// and the correlation.
@@ -357,11 +354,10 @@ impl<'a> Samples<'a> {
         self.known.data.links[self.known.links[k]].receiver
     }
 
-    /// Most likely fit to the known links of each receiver, for observations in units of their scales; `None` if no link
-    /// was left out. All receivers share it, since one receiver may have few links.
+    /// Share, variance and correlation for the known links of each receiver, for observations in units of their scales;
+    /// `None` if no link was left out. All receivers share them, since one receiver may have few links.
     ///
-    /// The correlation is that of the observations, of which there are many. That of the residuals of left-out links
-    /// replaces it if it is more likely by the Bayesian information criterion.
+    /// The correlation is that of the observations: of residuals of left-out links, there are too few.
     fn most_likely(&self, of_each: &[Vec<usize>]) -> Option<(f64, f64, Correlation)> {
         let cases_of = |is_observed| of_each.iter().flat_map(|own| self.cases(own, is_observed)).collect::<Vec<_>>();
         let cases = cases_of(false);
@@ -369,33 +365,27 @@ impl<'a> Samples<'a> {
             return None;
         }
         let scales: Vec<Real> = of_each.iter().map(|own| self.scale(own)).collect();
-        let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
         let law = |receiver: usize, by| self.path_loss(&of_each[receiver], by);
         let laws: Vec<_> = (0..of_each.len()).map(|receiver| law(receiver, None)).collect();
         let observed =
             |_, k| self.residual(k, &ResidualTrend { share: 0.0, path_loss: laws[self.receiver_of(k)] }, &self.mean);
-        let of_observations = most_likely(&self.held_out(&cases_of(true), &scales, observed), space).1;
+        let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
+        let correlation = most_likely(&self.held_out(&cases_of(true), &scales, observed), space).1;
         // The path-loss model that decides about a left-out link is not fitted to it.
         let group = |c: usize| (self.receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
         let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c).0, Some(group(c).1)))).collect();
-        // Links of one transmitter are not independent: all of its receivers count as one case.
-        let receivers = of_each.len() as f64;
-        let least_gain = receivers * PARAMETERS / 2.0 * (cases.len() as f64 / receivers).max(1.0).ln();
         let fit = |share: f64| {
             let values = |c: usize, k: usize| {
                 self.residual(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
             };
             let held_out = self.held_out(&cases, &scales, values);
-            let (likelihood, own) = most_likely(&held_out, space);
-            let simple = held_out.log_likelihood(&of_observations);
-            let is_own = likelihood - least_gain > simple;
-            let (likelihood, correlation) =
-                if is_own { (likelihood - least_gain, own) } else { (simple, of_observations) };
-            (likelihood, (share, held_out.variance(&correlation) / self.of_each as f64, correlation))
+            (held_out.log_likelihood(&correlation), share, held_out.variance(&correlation) / self.of_each as f64)
         };
-        let better = |best: &f64, next: &f64| *next > *best + receivers * CLEARLY;
-        let choose = |best: (f64, _), next: (f64, _)| if better(&best.0, &next.0) { next } else { best };
-        SHARES.map(fit).into_iter().reduce(choose).map(|(_, fit)| fit)
+        // Links of one transmitter are not independent: all of its receivers count as one case.
+        let least_gain = of_each.len() as f64 * CLEARLY;
+        let choose =
+            |best: (f64, f64, f64), next: (f64, f64, f64)| if next.0 > best.0 + least_gain { next } else { best };
+        SHARES.map(fit).into_iter().reduce(choose).map(|(_, share, variance)| (share, variance, correlation))
     }
 
     /// Process of the known links `own` of a receiver, with this share, variance in units of the scale, and correlation.

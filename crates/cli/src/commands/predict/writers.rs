@@ -71,7 +71,9 @@ pub(super) trait Writer {
     ) -> Result<()>;
 
     /// Completes all files except the list.
-    fn finish(self: Box<Self>) -> Result<()>;
+    fn finish(self: Box<Self>) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Creates the writer for `count` predictions of `model`, with intervals if `has_interval`.
@@ -204,10 +206,6 @@ impl Writer for Powers {
             }
             *list += &row.end(*milliseconds);
         }
-        Ok(())
-    }
-
-    fn finish(self: Box<Self>) -> Result<()> {
         Ok(())
     }
 }
