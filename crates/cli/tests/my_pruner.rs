@@ -89,7 +89,7 @@ fn published_pruners_work_outside_the_workspace() {
     let (tested, program) = built("more-pruners");
     assert!(tested.contains("training_reaches_exact_target_and_resumes_bit_identically ... ok"), "{tested}");
     for name in ["FastGs", "Reduced3dgs"] {
-        assert!(tested.contains(&format!("::{name} (line")), "its manual page is tested: {tested}");
+        assert!(tested.contains(&format!("- {name} (line")), "its manual page is tested: {tested}");
         let output = Command::new(&program).args(["plugins", name]).output().unwrap();
         assert!(crate::common::stdout(&output).contains("Pruner (field `pruners`)"), "{name}");
     }
