@@ -87,13 +87,14 @@ fn entries(folder: &Path) -> Vec<String> {
     names
 }
 
-/// A simulation that would take long, once its first picture is there.
+/// A simulation that would take long, once its first spectrum is written. A killed simulation may have left its folder.
 fn begun(folder: &Path) -> Child {
+    let earlier = entries(folder);
     let arguments = ["simulate", "closet.ron", "--samples", "99999", "--out", "out", "-q"];
     let mut child = pwrfgs(folder).args(arguments).stderr(Stdio::null()).spawn().unwrap();
     let end = Instant::now() + Duration::from_mins(1);
     let is_begun = || {
-        let folders = entries(folder).into_iter().filter(|name| name.starts_with(".out."));
+        let folders = entries(folder).into_iter().filter(|name| name.starts_with(".out.") && !earlier.contains(name));
         folders.into_iter().any(|name| folder.join(name).join("spectrum/00001.png").exists())
     };
     while !is_begun() {

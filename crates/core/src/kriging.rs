@@ -6,7 +6,7 @@
 mod likelihood;
 
 use crate::Cholesky;
-use crate::neighbours::distance;
+use crate::neighbours::{Nearest, distance};
 pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
 use serde::{Deserialize, Serialize};
 
@@ -18,22 +18,27 @@ pub fn in_space([x, y, z]: [f64; 3]) -> Place {
     [x, y, z, 0.0]
 }
 
+/// What is known of the mean of a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mean {
+    /// It is zero: the weights vanish far from all samples (simple kriging).
+    Zero,
+    /// It is unknown: the weights add up to 1 (ordinary kriging).
+    Unknown,
+}
+
 /// Prediction at one position from other samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
-    /// Weights of the samples; they add up to 1.
+    /// Weights of the samples.
     pub weights: Vec<f64>,
-    /// Weights for a process of known zero mean: zero far from all positions.
-    pub simple: Vec<f64>,
     /// Variance of a measurement at the position about the prediction, noise included, in units of the process
     /// variance.
     pub variance: f64,
-    /// The same for the weights in `simple`.
-    pub simple_variance: f64,
 }
 
 /// Predicts a measurement at `at` from at least one sample at `places`, in units of the length scales.
-pub fn solve(correlation: &Correlation, places: &[Place], at: Place) -> Solution {
+pub fn solve(correlation: &Correlation, mean: Mean, places: &[Place], at: Place) -> Solution {
     let n = places.len();
     let mut factor = vec![0.0; n * n];
     for i in 0..n {
@@ -45,17 +50,47 @@ pub fn solve(correlation: &Correlation, places: &[Place], at: Place) -> Solution
     // Rounding may cancel a pivot if positions coincide and noise is near zero.
     let factor = Cholesky::floored(factor, n, 1e-12);
     let towards: Vec<f64> = places.iter().map(|place| correlation.kind.at(distance(*place, at))).collect();
-    let (mut simple, mut ones) = (towards.clone(), vec![1.0; n]);
-    factor.solve(&mut simple);
-    factor.solve(&mut ones);
-    let total: f64 = ones.iter().sum();
-    let lacking = 1.0 - simple.iter().sum::<f64>();
-    let weights: Vec<f64> = simple.iter().zip(&ones).map(|(s, o)| s + o * lacking / total).collect();
-    let explained: f64 = towards.iter().zip(&simple).map(|(t, s)| t * s).sum();
-    let simple_variance = 1.0 + correlation.noise - explained;
-    let [variance, simple_variance] =
-        [simple_variance + lacking * lacking / total, simple_variance].map(|v| v.max(correlation.noise));
-    Solution { weights, simple, variance, simple_variance }
+    let mut weights = towards.clone();
+    factor.solve(&mut weights);
+    let explained: f64 = towards.iter().zip(&weights).map(|(t, s)| t * s).sum();
+    let mut variance = 1.0 + correlation.noise - explained;
+    if mean == Mean::Unknown {
+        let mut ones = vec![1.0; n];
+        factor.solve(&mut ones);
+        let (lacking, total) = (1.0 - weights.iter().sum::<f64>(), ones.iter().sum::<f64>());
+        weights.iter_mut().zip(&ones).for_each(|(s, o)| *s += o * lacking / total);
+        variance += lacking * lacking / total;
+    }
+    Solution { weights, variance: variance.max(correlation.noise) }
+}
+
+/// Samples of a process, each prediction from the nearest of them.
+#[derive(Clone, Debug)]
+pub struct LocalKriging {
+    /// Correlation of the process.
+    pub correlation: Correlation,
+    mean: Mean,
+    /// Places in units of the length scales.
+    places: Vec<Place>,
+    nearest: Nearest,
+}
+
+impl LocalKriging {
+    /// Creates the predictor from samples at `places` (metres).
+    pub fn new(correlation: Correlation, mean: Mean, places: impl Iterator<Item = Place>) -> Self {
+        let places: Vec<Place> = places.map(|place| correlation.scaled(place)).collect();
+        let nearest = Nearest::new((0..places.len()).collect(), 4, |i| places[i]);
+        Self { correlation, mean, places, nearest }
+    }
+
+    /// Returns the samples, at most `count`, that predict a measurement at `at` (metres), and their weights.
+    pub fn solve(&self, at: Place, count: usize) -> (Vec<usize>, Solution) {
+        let at = self.correlation.scaled(at);
+        let near: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
+        let places: Vec<Place> = near.iter().map(|&i| self.places[i]).collect();
+        let solution = solve(&self.correlation, self.mean, &places, at);
+        (near, solution)
+    }
 }
 
 /// Correlation function over distance in units of the length scale.

@@ -19,8 +19,7 @@ pub use fit::{KnownLinks, Kriged, LeftOutBy};
 pub(crate) use grid::CoarseGrid;
 
 use crate::tensors::quantise;
-use pwrfgs_core::kriging::{Correlation, PathLoss, Place, Solution, in_space, log_distance, solve};
-use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::kriging::{Correlation, LocalKriging, Mean, PathLoss, Place, in_space, log_distance};
 use pwrfgs_core::{Image, Origin, Query, Real};
 
 /// Residual processes of a model, one per receiver.
@@ -69,7 +68,7 @@ pub struct ResidualProcess {
     /// Positions `[n,3]` of the known links, metres from the origin of the model.
     pub(crate) places: Vec<[Real; 3]>,
     pub(crate) values: ResidualValues,
-    nearest: Nearest,
+    kriging: LocalKriging,
 }
 
 /// Residuals `[n, values]` on the coarse grid.
@@ -120,8 +119,9 @@ impl ResidualValues {
 
 impl ResidualProcess {
     pub(crate) fn new(fit: ProcessFit, places: Vec<[Real; 3]>, values: ResidualValues) -> Self {
-        let nearest = Nearest::new((0..places.len()).collect(), 4, |i| fit.correlation.scaled(place(places[i])));
-        Self { fit, places, values, nearest }
+        let mean = if fit.trend.path_loss.is_some() { Mean::Zero } else { Mean::Unknown };
+        let kriging = LocalKriging::new(fit.correlation, mean, places.iter().map(|&at| place(at)));
+        Self { fit, places, values, kriging }
     }
 
     /// Returns the number of known links.
@@ -132,16 +132,6 @@ impl ResidualProcess {
     /// Returns whether there is no known link.
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()
-    }
-
-    /// Nearest known links of a position (metres from the origin), with their weights.
-    fn solve(&self, at: [Real; 3], neighbours: usize) -> (Vec<usize>, Solution) {
-        let correlation = &self.fit.correlation;
-        let at = correlation.scaled(place(at));
-        let near: Vec<usize> = self.nearest.find(&at, neighbours).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<Place> = near.iter().map(|&i| correlation.scaled(place(self.places[i]))).collect();
-        let solution = solve(correlation, &places, at);
-        (near, solution)
     }
 }
 
@@ -170,11 +160,9 @@ impl Residuals {
     pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) {
         let Some(process) = self.process(query.receiver) else { return };
         let at = origin.local(query.tx);
-        let (near, solution) = process.solve(at, self.neighbours);
-        // With a path-loss model, residuals have mean zero: far from all known links, the prediction is the trend.
-        let weights = if process.fit.trend.path_loss.is_some() { &solution.simple } else { &solution.weights };
+        let (near, solution) = process.kriging.solve(place(at), self.neighbours);
         let mut sum = vec![0.0; self.grid.len()];
-        near.iter().zip(weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
+        near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
         image.pixels.iter_mut().for_each(|pixel| *pixel = process.fit.trend.at(*pixel, at));
         self.grid.add_to(&sum, &mut image.pixels);
     }
@@ -185,9 +173,7 @@ impl Residuals {
         let far = |own: &ResidualProcess| own.fit.variance * (1.0 + own.fit.correlation.noise);
         let variance = match self.process(query.receiver) {
             Some(own) => {
-                let solution = own.solve(origin.local(query.tx), self.neighbours).1;
-                let is_simple = own.fit.trend.path_loss.is_some();
-                own.fit.variance * if is_simple { solution.simple_variance } else { solution.variance }
+                own.fit.variance * own.kriging.solve(place(origin.local(query.tx)), self.neighbours).1.variance
             }
             None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
         };

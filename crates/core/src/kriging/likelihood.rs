@@ -1,6 +1,6 @@
 //! Maximum-likelihood fit of correlation, scales and noise.
 
-use super::{Correlation, CorrelationKind, Place, Solution, solve};
+use super::{Correlation, CorrelationKind, Mean, Place, Solution, solve};
 use crate::{Real, neighbours};
 use rayon::prelude::*;
 
@@ -20,8 +20,7 @@ pub struct HeldOutCases {
     all: Vec<HeldOutCase>,
     /// Median distance from a sample to its neighbours, metres.
     typical_m: f64,
-    /// Whether the process has mean zero; otherwise its mean is unknown.
-    is_centred: bool,
+    mean: Mean,
 }
 
 #[derive(Debug)]
@@ -35,10 +34,10 @@ struct HeldOutCase {
 
 impl HeldOutCases {
     /// Creates cases: a sample to predict with its neighbours, nearest first. `values` returns the values of one of them,
-    /// given the number of the case and the sample. The process has mean zero (`is_centred`) or an unknown mean.
+    /// given the number of the case and the sample.
     pub fn new(
         cases: &[(usize, Vec<usize>)],
-        is_centred: bool,
+        mean: Mean,
         place: impl Fn(usize) -> Place + Sync,
         values: impl Fn(usize, usize) -> Vec<Real> + Sync,
     ) -> Self {
@@ -47,18 +46,18 @@ impl HeldOutCases {
             HeldOutCase {
                 at: place(*sample),
                 places: from.iter().map(|i| place(*i)).collect(),
-                products: products(&values, is_centred),
+                products: products(&values, mean),
             }
         };
         let all: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
         let mut distances: Vec<f64> = all.iter().map(HeldOutCase::reach_m).filter(|reach| *reach > 0.0).collect();
         distances.sort_by(f64::total_cmp);
-        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, is_centred }
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, mean }
     }
 
     /// Squared prediction errors, summed over values, with the variances predicted by the process of variance 1.
     fn errors(&self, correlation: &Correlation) -> Vec<(f64, f64)> {
-        self.all.par_iter().map(|case| case.error(correlation, self.is_centred)).collect()
+        self.all.par_iter().map(|case| case.error(correlation, self.mean)).collect()
     }
 
     /// Returns the most likely process variance, summed over values: the mean of squared errors in units of the
@@ -82,10 +81,10 @@ fn strength(found: &[(f64, f64)]) -> f64 {
 }
 
 /// Sums of products of two of the given observations, square.
-fn products(values: &[Vec<Real>], is_centred: bool) -> Vec<f64> {
+fn products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
     let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
     // Differences from the first observation avoid cancellation for bright spectra.
-    let first = if is_centred { vec![0.0; values[0].len()] } else { values[0].clone() };
+    let first = if mean == Mean::Zero { vec![0.0; values[0].len()] } else { values[0].clone() };
     let less: Vec<Vec<Real>> =
         values.iter().map(|p| p.iter().zip(&first).map(|(p, first)| p - first).collect()).collect();
     less.iter().flat_map(|a| less.iter().map(|b| product(a, b))).collect()
@@ -100,20 +99,15 @@ impl HeldOutCase {
     }
 
     /// Squared prediction error, summed over values, and the variance predicted by the process.
-    fn error(&self, correlation: &Correlation, is_centred: bool) -> (f64, f64) {
+    fn error(&self, correlation: &Correlation, mean: Mean) -> (f64, f64) {
         let places: Vec<Place> = self.places.iter().map(|place| correlation.scaled(*place)).collect();
-        let solution = solve(correlation, &places, correlation.scaled(self.at));
-        let Solution { weights, variance, simple, simple_variance } = solution;
-        let (weights, variance) = if is_centred { (simple, simple_variance) } else { (weights, variance) };
-        // Ordinary weights add up to 1, so the error is the weighted sum of differences from the predicted sample.
-        let n = places.len() + 1;
-        let row = |(i, weight): (usize, &f64)| {
-            let products = &self.products[(i + 1) * n + 1..(i + 2) * n];
-            weight * products.iter().zip(&weights).map(|(p, w)| p * w).sum::<f64>()
+        let Solution { weights, variance } = solve(correlation, mean, &places, correlation.scaled(self.at));
+        // The error is the weighted sum of the neighbours minus the predicted sample.
+        let terms: Vec<f64> = std::iter::once(-1.0).chain(weights).collect();
+        let row = |(products, term): (&[f64], &f64)| {
+            term * products.iter().zip(&terms).map(|(product, other)| product * other).sum::<f64>()
         };
-        let with_first = self.products[1..].iter().zip(&weights).map(|(p, w)| p * w).sum::<f64>(); // 0 for differences
-        let error = weights.iter().enumerate().map(row).sum::<f64>() + self.products[0] - 2.0 * with_first;
-        (error.max(0.0), variance)
+        (self.products.chunks_exact(terms.len()).zip(&terms).map(row).sum::<f64>().max(0.0), variance)
     }
 }
 

@@ -3,7 +3,8 @@
 use super::log_distance::{log_distance, points};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, PathLoss, Place, SearchSpace, Solution, in_space, most_likely, solve,
+    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
+    most_likely,
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
@@ -155,7 +156,7 @@ impl<'a> Trend<'a> {
             evenly(&validation, CASES).par_iter().map(case).collect()
         };
         let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
-        let cases = HeldOutCases::new(&cases, false, |i| place(self.data, i), |_, i| self.picture(i));
+        let cases = HeldOutCases::new(&cases, Mean::Unknown, |i| place(self.data, i), |_, i| self.picture(i));
         let correlation = most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1;
         (correlation, cases.variance(&correlation))
     }
@@ -179,34 +180,33 @@ fn place(data: &Dataset, i: usize) -> Place {
 struct Process<'a> {
     trend: Trend<'a>,
     samples: Vec<usize>,
-    nearest: Nearest,
+    kriging: LocalKriging,
     /// Samples by position alone, for a process over time.
     in_space: Option<Nearest>,
-    /// Correlation, and process variance summed over values.
-    fitted: (Correlation, f64),
+    /// Process variance summed over values.
+    variance: f64,
     settings: Kriging,
 }
 
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let (samples, solution) = self.solve(query);
+        let (near, Solution { weights, .. }) = self.solve(query);
+        let weighted = near.into_iter().map(|k| self.samples[k]).zip(weights);
         if self.trend.law.is_none() {
-            return weighted_mean(self.trend.data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
+            return weighted_mean(self.trend.data, &weighted.collect::<Vec<_>>());
         }
-        let residual = |(&i, weight): (&usize, f64)| {
+        let residual = |(i, weight): (usize, f64)| {
             let mut one = [0.0];
             self.trend.residual(i, 1, &mut one);
             weight * one[0] as f64
         };
-        let dbm = self.trend.at(query) + samples.iter().zip(solution.simple).map(residual).sum::<f64>();
+        let dbm = self.trend.at(query) + weighted.map(residual).sum::<f64>();
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        let (_, variance) = self.fitted; // not a number if no sample of the receiver could be predicted from others
-        let Solution { variance: ordinary, simple_variance, .. } = self.solve(query).1;
-        let share = if self.trend.law.is_some() { simple_variance } else { ordinary };
-        variance.is_finite().then(|| (variance * share).sqrt())
+        // Not a number if no sample of the receiver could be predicted from others.
+        self.variance.is_finite().then(|| (self.variance * self.solve(query).1.variance).sqrt())
     }
 
     fn is_oracle(&self) -> bool {
@@ -216,21 +216,16 @@ impl Predict for Process<'_> {
 
 impl<'a> Process<'a> {
     fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
-        let data = trend.data;
+        let (data, (correlation, variance)) = (trend.data, fitted);
         let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).tx));
-        let nearest = Nearest::new(samples.clone(), 4, |i| fitted.0.scaled(place(data, i)));
-        Self { trend, samples, nearest, in_space, fitted, settings }
+        let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
+        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| place(data, i)));
+        Self { trend, samples, kriging, in_space, variance, settings }
     }
 
-    /// Nearest samples of a query, with their weights.
+    /// Nearest samples of a query, by their numbers in `samples`, with their weights.
     fn solve(&self, query: Query<'_>) -> (Vec<usize>, Solution) {
-        let (correlation, _) = &self.fitted;
-        let at = correlation.scaled(self.place_of(query));
-        let near = self.nearest.find(&at, self.settings.neighbours).1;
-        let samples: Vec<usize> = near.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<Place> = samples.iter().map(|&i| correlation.scaled(place(self.trend.data, i))).collect();
-        let solution = solve(correlation, &places, at);
-        (samples, solution)
+        self.kriging.solve(self.place_of(query), self.settings.neighbours)
     }
 
     /// Place of a query. Without an id, its time is that of the nearest sample in space.
@@ -254,14 +249,15 @@ impl ReceiverPredictor for Process<'_> {
     fn leaving_out(&self, links: &[usize]) -> Option<Self> {
         let samples: Vec<usize> =
             self.samples.iter().copied().filter(|sample| links.binary_search(sample).is_err()).collect();
-        (!samples.is_empty()).then(|| Self::new(self.trend, self.fitted, samples, self.settings.clone()))
+        let fitted = (self.kriging.correlation, self.variance);
+        (!samples.is_empty()).then(|| Self::new(self.trend, fitted, samples, self.settings.clone()))
     }
 }
 
 impl Process<'_> {
     /// Description of the fit for a single receiver.
     fn note_of_one(&self) -> String {
-        let Correlation { kind, scales, noise } = &self.fitted.0;
+        let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, time] = scales.map(digits);
         let time = if self.in_space.is_some() { format!(", a time scale of {time} samples") } else { String::new() };
         let law = self.trend.law.map_or_else(String::new, |law| {
@@ -278,7 +274,7 @@ impl Process<'_> {
 
     /// Short description of the fit for one of several receivers, in the order of [`note_of_many`].
     fn in_short(&self) -> String {
-        let Correlation { kind, scales, noise } = &self.fitted.0;
+        let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, _] = scales.map(digits);
         let scales = if x == y && y == z { x } else { format!("{x} x {y} x {z}") };
         let law = self.trend.law.map(|law| [digits(law.level), digits(law.slope)]);

@@ -4,7 +4,7 @@ use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualTrend, ResidualValu
 use crate::Ensemble;
 use crate::tensors::quantise;
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, PathLoss, SearchSpace, log_distance, most_likely,
+    Correlation, CorrelationKind, HeldOutCases, Mean, PathLoss, SearchSpace, log_distance, most_likely,
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::plugin::Check;
@@ -347,7 +347,8 @@ impl<'a> Samples<'a> {
         values: impl Fn(usize, usize) -> Vec<Real> + Sync,
     ) -> HeldOutCases {
         let scaled = |c: usize, k: usize| values(c, k).into_iter().map(|v| v / scales[self.receiver_of(k)]).collect();
-        HeldOutCases::new(cases, self.known.data.task().is_scalar, |k| place(self.places[k]), scaled)
+        let mean = if self.known.data.task().is_scalar { Mean::Zero } else { Mean::Unknown };
+        HeldOutCases::new(cases, mean, |k| place(self.places[k]), scaled)
     }
 
     fn receiver_of(&self, k: usize) -> usize {

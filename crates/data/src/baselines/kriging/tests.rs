@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::splits::testing::line_of_samples;
+use pwrfgs_core::kriging::solve;
 use pwrfgs_core::{Pose, Sample, Spectra, rng};
 
 const PLACES: [Place; 6] = [
@@ -30,7 +31,7 @@ fn kriging_predictions_match_scikit_learn() {
     for (kind, mean, variance) in known {
         let correlation = Correlation { kind, scales: [0.5, 0.8, 1.2, f64::INFINITY], noise: 0.05 };
         let places = PLACES.map(|place| correlation.scaled(place));
-        let found = solve(&correlation, &places, correlation.scaled([0.6, 0.5, 0.3, 0.0]));
+        let found = solve(&correlation, Mean::Unknown, &places, correlation.scaled([0.6, 0.5, 0.3, 0.0]));
         close(found.weights.iter().sum(), 1.0, 1e-12);
         close(found.weights.iter().zip(values).map(|(w, v)| w * v).sum(), mean, 1e-6);
         close(found.variance, variance, 1e-6);
@@ -41,10 +42,10 @@ fn kriging_predictions_match_scikit_learn() {
 #[test]
 fn kriging_of_one_and_two_positions_has_closed_form() {
     let correlation = Correlation { kind: CorrelationKind::Exponential, scales: [1.0; 4], noise: 0.25 };
-    let one = solve(&correlation, &[[0.0; 4]], [0.7, 0.0, 0.0, 0.0]);
+    let one = solve(&correlation, Mean::Unknown, &[[0.0; 4]], [0.7, 0.0, 0.0, 0.0]);
     assert_eq!(one.weights, [1.0]);
     close(one.variance, 2.0 * (1.0 + 0.25 - (-0.7f64).exp()), 1e-12);
-    let two = solve(&correlation, &[[-1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], [0.0; 4]);
+    let two = solve(&correlation, Mean::Unknown, &[[-1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], [0.0; 4]);
     close(two.weights[0], 0.5, 1e-12);
     close(two.variance, 1.25 + 0.5 * (1.25 + (-2.0f64).exp()) - 2.0 * (-1.0f64).exp(), 1e-12);
 }
@@ -53,9 +54,9 @@ fn kriging_of_one_and_two_positions_has_closed_form() {
 fn kriging_without_noise_interpolates_and_accepts_coincident_positions() {
     for kind in CorrelationKind::ALL {
         let correlation = Correlation { kind, scales: [1.0; 4], noise: 1e-9 };
-        let found = solve(&correlation, &PLACES, PLACES[3]);
+        let found = solve(&correlation, Mean::Unknown, &PLACES, PLACES[3]);
         close(found.weights[3], 1.0, 1e-4);
-        let same = solve(&Correlation { noise: 1e-4, ..correlation }, &[[1.0; 4]; 40], [2.0; 4]);
+        let same = solve(&Correlation { noise: 1e-4, ..correlation }, Mean::Unknown, &[[1.0; 4]; 40], [2.0; 4]);
         assert!(same.weights.iter().all(|w| (w - 1.0 / 40.0).abs() < 1e-6) && same.variance > 0.0);
     }
 }
@@ -70,7 +71,8 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     let mut pixels: Vec<Vec<f64>> = Vec::new();
     for i in 0..count {
         let places: Vec<Place> = samples[..i].iter().map(|s| correlation.scaled(in_space(s.tx))).collect();
-        let solution = (i > 0).then(|| solve(correlation, &places, correlation.scaled(in_space(samples[i].tx))));
+        let solution =
+            (i > 0).then(|| solve(correlation, Mean::Unknown, &places, correlation.scaled(in_space(samples[i].tx))));
         let (weights, variance) = solution.map_or((vec![], 1.0 + correlation.noise), |s| (s.weights, s.variance));
         let pixel = |k: usize| {
             let mean: f64 = weights.iter().enumerate().map(|(j, w): (usize, &f64)| w * pixels[j][k]).sum();
@@ -85,11 +87,11 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 }
 
 /// Cases of `validation` samples, each given its 24 nearest of `train`.
-fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], is_centred: bool) -> HeldOutCases {
+fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], mean: Mean) -> HeldOutCases {
     let nearest = Nearest::new(train.to_vec(), 4, |i| place(data, i));
     let near = |i: usize| nearest.find(&place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
     let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
-    HeldOutCases::new(&cases, is_centred, |i| place(data, i), |_, i| data.image(i).pixels)
+    HeldOutCases::new(&cases, mean, |i| place(data, i), |_, i| data.image(i).pixels)
 }
 
 #[test]
@@ -98,7 +100,7 @@ fn likelihood_recovers_true_parameters() {
         let truth = Correlation { kind, scales: [0.3, 0.3, 1.2, f64::INFINITY], noise: 0.1 };
         let data = drawn(&truth, 260);
         let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
-        let cases = cases_of(&data, &train, &validation, false);
+        let cases = cases_of(&data, &train, &validation, Mean::Unknown);
         let space = SearchSpace { kinds: &CorrelationKind::ALL, isotropic: false, time: false };
         let found = most_likely(&cases, space).1;
         println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
@@ -116,18 +118,16 @@ fn likelihood_recovers_true_parameters() {
 fn likelihood_equals_density_of_predictions() {
     let truth = Correlation { kind: CorrelationKind::Matern32, scales: [0.5; 4], noise: 0.2 };
     let data = drawn(&truth, 12);
-    for is_centred in [false, true] {
-        let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11], is_centred);
+    for mean in [Mean::Unknown, Mean::Zero] {
+        let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11], mean);
         let mut terms = Vec::new();
         for i in [10, 11] {
             let places: Vec<Place> = (0..10).map(|j| truth.scaled(place(&data, j))).collect();
-            let Solution { weights, variance, simple, simple_variance } =
-                solve(&truth, &places, truth.scaled(place(&data, i)));
-            let (weights, variance) = if is_centred { (simple, simple_variance) } else { (weights, variance) };
+            let Solution { weights, variance } = solve(&truth, mean, &places, truth.scaled(place(&data, i)));
             let mut error = 0.0;
             for k in 0..144 {
-                let mean: f64 = (0..10).map(|j| weights[j] * data.image(j).pixels[k] as f64).sum();
-                error += (data.image(i).pixels[k] as f64 - mean).powi(2);
+                let predicted: f64 = (0..10).map(|j| weights[j] * data.image(j).pixels[k] as f64).sum();
+                error += (data.image(i).pixels[k] as f64 - predicted).powi(2);
             }
             terms.push((error, variance));
         }
