@@ -88,6 +88,19 @@ fn reports_mask_that_cannot_close_in_time() {
 }
 
 #[test]
+fn warns_of_more_gaussians_than_trained_pixels() {
+    let folder = folder();
+    let fixed = ["check", "p.ron", "--set", "training.stride=4", "--set", "training.moving_stride=false"];
+    let many = [&fixed[..], &["--set", "initializer.count=40"]].concat();
+    let message = stderr(&succeed(folder.path(), &many));
+    assert!(message.contains("40 Gaussians train on 36 of 576 pixels"), "{message}");
+    for other in [&fixed[..], &[&many[..], &["--set", "training.moving_stride=true"]].concat()] {
+        let message = stderr(&succeed(folder.path(), other));
+        assert!(!message.contains("moving_stride"), "{message}");
+    }
+}
+
+#[test]
 fn shorter_training_still_prunes() {
     let folder = folder();
     let here = folder.path();

@@ -210,8 +210,8 @@ settings! {
         /// array are smooth: with 3, a step is nine times cheaper and learns as much. The projector's filter and the
         /// window of SSIM stay those of the whole image. Scores always use whole images.
         stride: usize = 1,
-        /// Whether each step draws a new first row and column for `stride`, so that every pixel is trained. Gaussians
-        /// narrower than the stride need it; for a few wide Gaussians, `false` has less noise.
+        /// Whether each step draws a new first row and column for `stride`, so that every pixel is trained. Narrow
+        /// Gaussians and thousands of them need it; for a few wide Gaussians, `false` has less noise.
         moving_stride: bool = true,
         /// Pixels of the strided spectra used in a step.
         rays: Rays = Rays::All,

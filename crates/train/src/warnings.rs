@@ -1,4 +1,4 @@
-//! Warnings before the first step about settings without effect, and a report of large removals.
+//! Warnings before the first step about settings without effect or with too little data, and a report of large removals.
 
 use crate::adam::BETAS;
 use crate::densify::{self, extent_of, largest};
@@ -6,13 +6,13 @@ use crate::plan::idle_target;
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::name_of;
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, ImagePlane, Real, Result};
 
 impl Trainer<'_> {
-    /// Returns one sentence per setting that has no effect with the initial Gaussians.
+    /// Returns one sentence per setting that has no effect, or too few pixels, with the initial Gaussians.
     pub fn warnings(&self) -> Vec<String> {
         let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask(k));
-        self.idle_target().into_iter().chain(masks).chain(self.oversized()).collect()
+        self.idle_target().into_iter().chain(masks).chain(self.oversized()).chain(self.skipped_pixels()).collect()
     }
 
     /// Warns about a target that is met from the start.
@@ -23,6 +23,20 @@ impl Trainer<'_> {
             "pruners: training.target_count is {target}, but training starts with {n} Gaussians, so pruning removes none; \
              lower training.target_count or raise the initial count"
         ))
+    }
+
+    /// Warns about more Gaussians than trained pixels: no loss determines the pixels between fixed rows and columns.
+    fn skipped_pixels(&self) -> Option<String> {
+        let (training, traits) = (&self.plan.training, self.stages.method.traits());
+        let pixels = |plane: &ImagePlane| plane.width * plane.height;
+        let (trained, all) = (pixels(&self.stages.setup.plane), pixels(&self.plane));
+        let n = self.goal.map_or(self.cloud.len(), |goal| goal.target.min(self.cloud.len()));
+        (trained < all && !training.moving_stride && traits.blends && n > trained).then(|| {
+            format!(
+                "training.moving_stride: {n} Gaussians train on {trained} of {all} pixels, which leaves the other pixels \
+                 undetermined; set training.moving_stride: true"
+            )
+        })
     }
 
     /// Warns about a mask that cannot fall from its initial value to its threshold before pruning ends.
