@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, List
 
-from . import baselines, datasets, metrics, plot, settings
+from . import baselines, convert, datasets, metrics, plot, settings
 from ._errors import Error, InputError
 from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
 from ._pwrfgs import Dataset, Model, __version__
 from ._run import Run, evaluate, report, run, simulate
+from ._spectrum import spectrum
 from ._strategies import Baseline, Deformation, Initializer, Metric, Pruner, Split
 from ._sweep import SweepError, sweep
 from ._trainer import Trainer
@@ -33,8 +34,9 @@ from . import _plugins
 __all__: List[str] = [
     "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Gaussians", "Initializer", "InputError", "Links",
     "Metric", "Model", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Sample", "Splats", "Split",
-    "Stats", "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "datasets", "evaluate", "metrics",
-    "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate", "sweep",
+    "Stats", "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
+    "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate",
+    "spectrum", "sweep",
 ]
 __all__ += _plugins.__all__
 

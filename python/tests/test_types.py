@@ -108,6 +108,10 @@ pwrfgs.run(pipeline, sets={})  # error
 model = run.model
 model = pwrfgs.Model.load("runs/a", Path("runs/b"))
 print(model.predict([1.2, 0.3, 1.0]).shape, model.predict(dataset.tx, receiver=0), model.gaussians().means)
+image: NDArray[np.float32] = pwrfgs.spectrum(np.ones(1, complex), pwrfgs.Receiver(), 2.4e9)
+dataset = pwrfgs.convert.from_deepmimo(Path("scenario"), observe="channel", receiver=pwrfgs.Receiver(), pair=(0, 0, 1))
+pwrfgs.convert.from_deepmimo("scenario", observe="spectra")  # error
+pwrfgs.convert.from_sionna(object(), [0.0])  # error
 score = pwrfgs.metrics.ssim(model.predict(dataset.tx), dataset.spectra)
 trainer = pwrfgs.Trainer(pipeline, dataset)
 while not trainer.finished:

@@ -119,7 +119,7 @@ const PUBLIC: [PublicData; 5] = [
         source: "https://www.deepmimo.net",
         download: "pip install deepmimo && python3 -c 'import deepmimo; deepmimo.download(\"asu_campus_3p5\")'",
         folder: "any",
-        pipelines: UNREADABLE,
+        pipelines: "none: pwrfgs.convert.from_deepmimo, in Python, converts a scenario",
         digests: &[],
     },
 ];

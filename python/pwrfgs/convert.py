@@ -1,0 +1,375 @@
+"""Data sets from Sionna RT and DeepMIMO, and scenarios for DeepMIMO.
+
+Antennas of Sionna RT and DeepMIMO are in the y-z plane and face x. A receiver of pwrfgs has its antennas in the x-y plane
+and faces z. The orientation of a converted receiver contains this rotation.
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+import json
+import os
+import re
+import shutil
+import tempfile
+import warnings
+from typing import Any, Dict, List, Literal, Mapping, Optional, Sequence, Tuple, Union
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _pwrfgs
+from ._errors import InputError
+from ._spectrum import SPEED_OF_LIGHT, spectrum
+from ._types import Array, Receiver
+
+__all__ = ["from_deepmimo", "from_sionna", "to_deepmimo"]
+
+PathLike = Union[str, "os.PathLike[str]"]
+Observed = Literal["spectrum", "channel", "power"]
+
+# Receiver axes x, y, z (boresight) are the axes y, z, x of an array in the y-z plane. Quaternion x, y, z, w.
+_FACING_X = (0.5, 0.5, 0.5, 0.5)
+# Spectra per block; numbers of the largest intermediate arrays.
+_SPECTRA, _BLOCK = 256, 1 << 22
+# Matrices of a DeepMIMO pair that a channel needs: of the paths [U, P], and positions [U, 3] and [1, 3].
+_PATHS = ("power", "phase", "delay", "aod_az", "aod_el")
+# Paths per user in DeepMIMO, and its digits for interactions.
+_MOST_PATHS, _DIGITS = 25, {"R": "1", "D": "2", "S": "3", "T": "4"}
+# Columns of paths.csv that DeepMIMO needs.
+_ANGLES = [f"{end}_{angle}_deg" for end in ("departure", "arrival") for angle in ("azimuth", "elevation")]
+_ROW = [("interactions", "U32"), *((name, "f8") for name in ("id", "gain_re", "gain_im", "length_m", *_ANGLES))]
+
+
+def from_sionna(
+    paths: Any,
+    frequencies: ArrayLike,
+    scene: Any,
+    *,
+    observe: Observed = "spectrum",
+    receiver: Optional[str] = None,
+    power_dbm: float = 0.0,
+) -> "_pwrfgs.Dataset":
+    """Convert the paths of Sionna RT to a data set: ``from_sionna(solver(scene), [0.0], scene)``.
+
+    Every transmitter of the scene is a sample and has one antenna. Transmitters without a path are left out, with a warning.
+
+    Parameters
+    ----------
+    paths : ``sionna.rt.Paths``, from ``PathSolver``
+    frequencies : [F], Hz relative to the carrier ``scene.frequency``, as for ``Paths.cfr``; ``[0.0]`` is the carrier
+    scene : ``sionna.rt.Scene`` of the paths, unchanged since then: orientation, names and array of the receivers
+    observe : "spectrum" (90 x 360, from the mean power over frequencies), "channel", or "power" at all receivers
+    receiver : name of the receiver; may be omitted for one receiver, and for "power"
+    power_dbm : transmit power for "power"
+    """
+    offsets, carrier = np.atleast_1d(np.asarray(frequencies, float)), float(np.ravel(scene.frequency)[0])
+    if offsets.ndim != 1 or not offsets.size or not (np.abs(offsets) < carrier / 2).all():
+        raise InputError(
+            f"frequencies must be relative to the carrier of {carrier:g} Hz, as for Paths.cfr, such as [0.0]; subtract "
+            "scene.frequency from absolute frequencies"
+        )
+    h = np.asarray(paths.cfr(frequencies=offsets, normalize_delays=False, out_type="numpy"))[..., 0, :]
+    antennas = np.array(scene.rx_array.positions(scene.wavelength), float).T
+    tx = np.array(paths.sources, float).T
+    wanted = (len(scene.receivers), len(antennas), len(tx), 1, offsets.size)
+    if h.shape != wanted:
+        raise InputError(
+            f"channels of the paths have shape {list(h.shape)} (receivers, antennas, transmitters, antennas, frequencies), "
+            f"expected {list(wanted)}; trace the paths of this scene, with one antenna per transmitter and one polarisation "
+            "per antenna"
+        )
+    names = list(scene.receivers)
+    if receiver is not None and receiver not in names:
+        raise InputError(f"unknown receiver {receiver!r} (expected one of {', '.join(names)})")
+    chosen = names if receiver is None else [receiver]
+    receivers = [_sionna_receiver(name, scene.receivers[name], antennas) for name in chosen]
+    h = np.moveaxis(h[[names.index(name) for name in chosen], :, :, 0], 2, 1)
+    return _dataset(tx, h, receivers, carrier + offsets, observe, power_dbm, "Sionna RT")
+
+
+def _sionna_receiver(name: str, device: Any, antennas: Array) -> Receiver:
+    """Receiver of Sionna RT, whose orientation is given by rotations around z, y and x; ``antennas`` [A, 3] in its frame."""
+    halves = np.ravel(device.orientation).astype(float) / 2
+    turns = [(*(np.sin(half) * np.eye(3)[axis]), np.cos(half)) for half, axis in zip(halves, (2, 1, 0))]
+    orientation = functools.reduce(_product, map(np.array, [*turns, _FACING_X]))
+    return _receiver(name, np.ravel(device.position), orientation, antennas[:, [1, 2, 0]])
+
+
+def from_deepmimo(
+    source: Any,
+    frequencies_hz: Optional[ArrayLike] = None,
+    *,
+    receiver: Optional[Receiver] = None,
+    pair: Optional[Sequence[int]] = None,
+    every: int = 1,
+    observe: Observed = "spectrum",
+    power_dbm: float = 0.0,
+) -> "_pwrfgs.Dataset":
+    """Convert a scenario of DeepMIMO v4 to a data set: ``from_deepmimo("deepmimo_scenarios/asu_campus_3p5")``.
+
+    The base station is the receiver and each user is a transmitter; channels are reciprocal. The array receives plane waves.
+    Paths with a NaN are ignored. Users without a path are left out, with a warning. Meshes are not read.
+
+    Phases of paths contain the phase of their delay, or not (scenarios from Sionna RT). If all direct paths have the same
+    phase, or its opposite, they do not contain it and it is added.
+
+    Parameters
+    ----------
+    source : folder of a scenario, or a ``deepmimo`` data set of one base station and one set of users
+    frequencies_hz : [F], absolute; default: the carrier of the scenario
+    receiver : antennas and orientation of the base station, whose position is that of the scenario; default: 4 x 4 antennas at
+        a spacing of 0.49 wavelengths that face the x axis of the world
+    pair : set of the base station, its index in this set, and set of users, for a folder with several: (0, 0, 1)
+    every : use every k-th user; a spectrum takes 32 kB
+    observe : "spectrum" (90 x 360, from the mean power over frequencies), "channel" or "power"
+    power_dbm : transmit power for "power"
+    """
+    is_folder = isinstance(source, (str, os.PathLike))
+    found = _read_deepmimo(os.fspath(source), pair) if is_folder else _deepmimo_dataset(source)
+    carrier: float = found["frequency"]
+    frequencies = np.atleast_1d(np.asarray(carrier if frequencies_hz is None else frequencies_hz, float))
+    if frequencies.ndim != 1 or not frequencies.size or not (np.abs(frequencies - carrier) < carrier / 2).all():
+        raise InputError(f"frequencies_hz must be near the carrier of the scenario, {carrier:g} Hz")
+    if found["power"].ndim != 2 or found["tx_pos"].size != 3:
+        raise InputError("power must have the axes users and paths, and tx_pos three coordinates; pass one base station")
+    found["tx_pos"], paths = found["tx_pos"].reshape(1, 3), found["power"].shape
+    wanted_shapes = {**dict.fromkeys((*_PATHS, "inter"), paths), "rx_pos": (paths[0], 3), "tx_pos": (1, 3)}
+    for name, wanted in wanted_shapes.items():
+        if np.shape(found[name]) != wanted and not (name == "inter" and found[name] is None):
+            raise InputError(f"{name} has shape {list(np.shape(found[name]))}, expected {list(wanted)}")
+    if every < 1:
+        raise InputError(f"every is {every}, expected 1 or more")
+    found.update({name: found[name][::every] for name in (*_PATHS, "rx_pos", "inter") if found[name] is not None})
+    if receiver is None:
+        steps = 0.49 * SPEED_OF_LIGHT / carrier * (np.arange(4) - 1.5)
+        receiver = Receiver("base-station", orientation=_FACING_X, antennas=[(x, y, 0.0) for y in steps for x in steps])
+    base = _receiver(receiver.name, found["tx_pos"][0], receiver.orientation, np.array(receiver.antennas))
+    h = _channels(found, carrier, frequencies, _rotated(np.array(base.antennas), base.orientation))
+    return _dataset(np.asarray(found["rx_pos"], float), h[None], [base], frequencies, observe, power_dbm, found["title"])
+
+
+def _channels(found: Mapping[str, Any], carrier: float, frequencies: Array, antennas: Array) -> Array:
+    """Channels [U, A, F] of paths at antennas [A, 3] relative to the base station, world axes."""
+    power, phase, delay, azimuth, zenith = (np.asarray(found[name], float) for name in _PATHS)
+    usable = np.isfinite(power + phase + delay + azimuth + zenith)
+    power, phase, delay, azimuth, zenith = (np.where(usable, x, 0.0) for x in (power, phase, delay, azimuth, zenith))
+    phase, azimuth, zenith = np.deg2rad(phase), np.deg2rad(azimuth), np.deg2rad(zenith)
+    lag = 2 * np.pi * carrier * delay
+    direct = usable & (np.array(found["inter"], float) == 0)
+    if direct.any() and _agreement(phase[direct]) > 0.9 > _agreement((phase + lag)[direct]):
+        phase = phase - lag
+    gain = np.where(usable, 10 ** (power / 20), 0.0) * np.exp(1j * phase)
+    across = np.sin(zenith)
+    directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(zenith)], axis=-1)
+    h = np.empty((len(gain), len(antennas), len(frequencies)), np.complex64)
+    rows = max(_BLOCK // max(len(antennas) * gain.shape[1], 1), 1)
+    for start in range(0, len(gain), rows):
+        block = slice(start, start + rows)
+        early = directions[block] @ antennas.T / SPEED_OF_LIGHT
+        for column, frequency in enumerate(frequencies):
+            wave = gain[block] * np.exp(-2j * np.pi * (frequency - carrier) * delay[block])
+            h[block, :, column] = np.einsum("up,upa->ua", wave, np.exp(2j * np.pi * frequency * early))
+    return h
+
+
+def _agreement(phases: Array) -> float:
+    """Length of the mean phasor of doubled phases: 1 if all phases are equal up to the sign of the amplitude."""
+    return float(abs(np.exp(2j * phases).mean()))
+
+
+def _deepmimo_dataset(source: Any) -> Dict[str, Any]:
+    """Matrices of a data set of the package ``deepmimo``."""
+    if "datasets" in getattr(source, "__dict__", {}):  # `hasattr` raises a KeyError
+        raise InputError("the data set has several base stations or sets of users; pass one of them, such as dataset[0]")
+    try:
+        found: Dict[str, Any] = {name: np.array(source[name], float) for name in (*_PATHS, "rx_pos", "tx_pos")}
+        found["inter"] = source["inter"]
+        return {**found, "frequency": float(source["rt_params"]["frequency"]), "title": "DeepMIMO"}
+    except (KeyError, AttributeError, TypeError, ValueError) as error:
+        raise InputError(f"no DeepMIMO data set: {error}; pass a folder, or the result of deepmimo.load(..)") from None
+
+
+def _read_deepmimo(folder: str, pair: Optional[Sequence[int]]) -> Dict[str, Any]:
+    """Matrices of one pair in the folder of a scenario."""
+    places = [os.path.join(where, "params.json") for where in (folder, os.path.dirname(os.path.abspath(folder)))]
+    place = next(filter(os.path.isfile, places), None)
+    pattern = re.compile(r"power_t(\d+)_tx(\d+)_r(\d+)\.(?:npz|mat)")
+    names = [pattern.fullmatch(name) for name in sorted(os.listdir(folder))] if os.path.isdir(folder) else []
+    pairs = [tuple(int(part) for part in name.groups()) for name in names if name]
+    if place is None or not pairs:
+        raise InputError(
+            f"{folder}: no params.json and power_t000_tx000_r000.npz of DeepMIMO v4; give the folder of a scenario, such as "
+            "deepmimo_scenarios/asu_campus_3p5"
+        )
+    try:
+        with open(place, encoding="utf-8") as file:
+            params = json.load(file)
+        frequency = float(params["rt_params"]["frequency"])
+        senders = {s["id"] for s in params["txrx_sets"].values() if isinstance(s, dict) and s["is_tx"]}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise _at(place, f"not the parameters of a DeepMIMO v4 scenario ({error!r})") from None
+    candidates = [p for p in pairs if (p[2] not in senders if pair is None else p == tuple(pair))]
+    if len(candidates) != 1:
+        raise InputError(f"{folder}: pass pair=.., one of {', '.join(map(str, pairs))}")
+    ending = "_t{:03}_tx{:03}_r{:03}".format(*candidates[0])
+    found = {name: _matrix(os.path.join(folder, name + ending), name) for name in (*_PATHS, "rx_pos", "tx_pos", "inter")}
+    return {**found, "frequency": frequency, "title": os.path.basename(os.path.abspath(folder))}
+
+
+def _at(path: str, problem: str) -> InputError:
+    """Error in a file."""
+    error = InputError(f"{path}: {problem}")
+    error.path = path
+    return error
+
+
+def _matrix(stem: str, name: str) -> Any:
+    """Matrix in an ``.npz`` or ``.mat`` file; None if interactions are missing."""
+    path = next((stem + ending for ending in (".npz", ".mat") if os.path.isfile(stem + ending)), None)
+    if path is None and name == "inter":
+        return None
+    if path is None:
+        raise _at(f"{stem}.npz", "no such file; download the scenario again")
+    try:
+        if path.endswith(".npz"):
+            with np.load(path) as arrays:
+                return np.asarray(arrays[name], float)
+        from scipy.io import loadmat
+
+        return np.asarray(loadmat(path)[name], float)
+    except ImportError:
+        raise _at(path, "MATLAB files need SciPy: pip install scipy") from None
+    except Exception as error:  # of many kinds, by the kind of damage
+        raise _at(path, f"no readable matrix `{name}` ({error!r})") from None
+
+
+def to_deepmimo(folder: PathLike, out: PathLike) -> None:
+    """Write a folder of ``pwrfgs simulate`` with ``paths.csv`` and one receiver as a scenario of DeepMIMO v4.
+
+    The receiver becomes the base station, and transmitters become users. Each user keeps its 25 strongest paths. Positions of
+    interactions are NaN, and the scene has no objects. ``deepmimo.load("NAME")`` reads ``deepmimo_scenarios/NAME``; NAME must
+    be in lower case.
+    """
+    folder, out = os.fspath(folder), os.path.abspath(os.fspath(out))
+    data = _pwrfgs.Dataset.load(folder)
+    try:
+        with open(os.path.join(folder, "manifest.json"), encoding="utf-8") as file:
+            carrier = float(json.load(file)["carrier_hz"])
+        with open(os.path.join(folder, "paths.csv"), encoding="utf-8", newline="") as file:
+            lines = (tuple(row[name] for name, _ in _ROW) for row in csv.DictReader(file))
+            rows = np.fromiter(lines, np.dtype(_ROW))
+        rows["interactions"] = np.char.replace(rows["interactions"], "LOS", "")
+        matrices = _deepmimo_matrices(data, rows, carrier)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}: no manifest.json and paths.csv of one receiver ({error}); simulate with paths") from None
+    if os.path.lexists(out):
+        raise InputError(f"{out} exists; give a new folder")
+    points = {"num_points": len(data.tx), "num_active_points": int(np.isfinite(matrices["power"]).any(axis=1).sum())}
+    sets = [("base station", True, {"num_points": 1, "num_active_points": 1}), ("users", False, points)]
+    kinds = zip("RDST", ("reflections", "diffractions", "scattering", "transmissions"))
+    most = {f"max_{kind}": int(np.char.count(rows["interactions"], letter).max()) for letter, kind in kinds}
+    params = {
+        "version": "4.0.5",
+        "rt_params": {
+            "raytracer_name": "pwrfgs", "raytracer_version": _pwrfgs.__version__, "frequency": carrier,
+            "max_path_depth": sum(most.values()), **most,
+        },
+        "scene": {"num_scenes": 1, "n_objects": 0, "n_vertices": 0, "n_faces": 0, "n_triangular_faces": 0},
+        "materials": {},
+        "txrx_sets": {
+            f"txrx_set_{i}": {"name": name, "id": i, "id_orig": i, "is_tx": is_tx, "is_rx": not is_tx, **more}
+            for i, (name, is_tx, more) in enumerate(sets)
+        },
+    }  # fmt: skip
+    os.makedirs(os.path.dirname(out), exist_ok=True)
+    made = tempfile.mkdtemp(dir=os.path.dirname(out))
+    try:
+        os.chmod(made, 0o755)
+        for name, values in matrices.items():
+            np.savez_compressed(os.path.join(made, f"{name}_t000_tx000_r001.npz"), **{name: values})
+        np.savez_compressed(os.path.join(made, "vertices.npz"), vertices=np.zeros((0, 3), np.float32))
+        for name, value in [("params.json", params), ("objects.json", [])]:
+            with open(os.path.join(made, name), "w", encoding="utf-8") as file:
+                json.dump(value, file, indent=2)
+        os.rename(made, out)
+    except BaseException:
+        shutil.rmtree(made, ignore_errors=True)
+        raise
+
+
+def _deepmimo_matrices(data: "_pwrfgs.Dataset", rows: Array, carrier: float) -> Dict[str, Any]:
+    """Matrices of a pair, by name, from rows of ``paths.csv``. Seen from the base station, departures are our arrivals."""
+    places = {int(number): place for place, number in enumerate(data.ids)}
+    user = np.array([places[int(number)] for number in rows["id"]])
+    gain, length = rows["gain_re"] + 1j * rows["gain_im"], rows["length_m"]
+    codes = ["".join(_DIGITS[letter] for letter in reversed(letters)) for letters in rows["interactions"]]
+    values = {
+        "power": 20 * np.log10(np.abs(gain)),
+        "phase": np.rad2deg(np.angle(gain * np.exp(-2j * np.pi * carrier / SPEED_OF_LIGHT * length))),
+        "delay": length / SPEED_OF_LIGHT,
+        "aod_az": rows["arrival_azimuth_deg"], "aod_el": 90 - rows["arrival_elevation_deg"],
+        "aoa_az": rows["departure_azimuth_deg"], "aoa_el": 90 - rows["departure_elevation_deg"],
+        "inter": np.array([float(code or 0) for code in codes]),
+    }  # fmt: skip
+    order = np.lexsort((-np.abs(gain), user))
+    rank = np.arange(len(rows)) - np.searchsorted(user[order], user[order])
+    order, rank = order[rank < _MOST_PATHS], rank[rank < _MOST_PATHS]
+    shape = (len(data.tx), rank.max() + 1)
+    found: Dict[str, Any] = {name: np.full(shape, np.nan, np.float32) for name in values}
+    for name, value in values.items():
+        found[name][user[order], rank] = value[order]
+    depth = max(1, int(np.char.str_len(rows["interactions"][order]).max()))
+    found["inter_pos"] = np.full((*shape, depth, 3), np.nan, np.float32)
+    return {**found, "rx_pos": data.tx, "tx_pos": np.array([data.receivers[0].position])}
+
+
+def _dataset(
+    tx: Array, h: Array, receivers: List[Receiver], frequencies: Array, observe: str, power_dbm: float, title: str
+) -> "_pwrfgs.Dataset":
+    """Data set of observations of channels [R, T, A, F]; transmitters that no receiver receives are left out."""
+    if observe not in ("spectrum", "channel", "power"):
+        raise InputError(f"observe is {observe!r}, expected 'spectrum', 'channel' or 'power'")
+    if observe != "power" and len(receivers) > 1:
+        names = ", ".join(receiver.name for receiver in receivers)
+        raise InputError(f"there are {len(receivers)} receivers; pass receiver=.., one of {names}")
+    received = (h != 0).any(axis=(0, 2, 3))
+    if not received.any():
+        raise InputError("no transmitter has a path to the receiver; check the scene and the positions")
+    if not received.all():
+        words = f"{(~received).sum()} of {len(tx)} transmitters have no path and are left out"
+        warnings.warn(words, UserWarning, stacklevel=3)
+    tx, h = tx[received], h[:, received]
+    common: Dict[str, Any] = {"title": title, "simulated": True}
+    if observe == "power":
+        with np.errstate(divide="ignore"):
+            rssi = 10 * np.log10((np.abs(h) ** 2).mean(axis=(2, 3))).T + power_dbm
+        alone = [Receiver(r.name, r.position, r.orientation) for r in receivers]
+        rssi = np.where(np.isfinite(rssi), rssi, np.nan)
+        return _pwrfgs.Dataset.from_arrays(tx, rssi=rssi, receivers=alone, **common)
+    if observe == "channel":
+        return _pwrfgs.Dataset.from_arrays(tx, csi=h[0], receivers=receivers, frequencies_hz=frequencies, **common)
+    blocks = (h[0, start : start + _SPECTRA] for start in range(0, len(tx), _SPECTRA))
+    spectra = np.concatenate([(255 * spectrum(block, receivers[0], frequencies)).astype(np.uint8) for block in blocks])
+    return _pwrfgs.Dataset.from_arrays(tx, spectra, receivers=receivers, **common)
+
+
+def _receiver(name: str, position: Any, orientation: Any, antennas: Array) -> Receiver:
+    """Receiver of arrays."""
+    x, y, z = (float(value) for value in position)
+    qx, qy, qz, qw = (float(value) for value in orientation)
+    return Receiver(name, (x, y, z), (qx, qy, qz, qw), [(p[0], p[1], p[2]) for p in antennas.tolist()])
+
+
+def _product(p: Array, q: Array) -> Array:
+    """Product of two quaternions x, y, z, w: rotation by q, then by p."""
+    return np.append(p[3] * q[:3] + q[3] * p[:3] + np.cross(p[:3], q[:3]), p[3] * q[3] - p[:3] @ q[:3])
+
+
+def _rotated(vectors: Array, quaternion: Any) -> Array:
+    """Vectors [N, 3] rotated by a quaternion x, y, z, w."""
+    axis = np.asarray(quaternion[:3], float)
+    twice = 2 * np.cross(axis, vectors)
+    rotated: Array = vectors + quaternion[3] * twice + np.cross(axis, twice)
+    return rotated
