@@ -201,10 +201,10 @@ fn reports_line_and_column_of_invalid_positions() {
     };
     csv("x,y\n1,2\n", &["tx.csv:1:1", "no column `z`"]);
     csv("1,2,3\n", &["tx.csv:1:1", "no column `x`"]);
-    csv("x,y,z\n1,2,3\n1,2\n", &["tx.csv:3:1", "2 fields"]);
-    csv("x,y,z\n1,NaN,3\n", &["tx.csv:2:2", "`NaN`", "`y`"]);
-    csv("x,y,z\n1,2,inf\n", &["tx.csv:2:3"]);
-    csv("x,y,z\n", &["tx.csv", "no positions"]);
+    csv("x,y,z\n1,2,3\n1,2\n", &["tx.csv:3:4", "2 of the 3 columns"]);
+    csv("x,y,z\n1,NaN,3\n", &["tx.csv:2:3", "`NaN` is not finite"]);
+    csv("x,y,z\n1,2,inf\n", &["tx.csv:2:5"]);
+    csv("x,y,z\n", &["tx.csv", "no row"]);
     csv("", &["tx.csv"]);
     refuse(here, &["predict", model, "--tx", "1,2", "--out", "o"], 2, &["--tx 1,2"]);
     refuse(here, &["predict", model, "--out", "o"], 2, &["--tx"]);

@@ -144,3 +144,53 @@ fn import_rejects_shape_that_contradicts_angles() {
     let message = stdout(&succeed(here, &["init", "mine", "--out", "mine.ron"]));
     assert!(message.contains("20 spectra of 36 x 18 pixels"), "{message}");
 }
+
+#[test]
+fn table_of_links_becomes_folder_of_powers() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let row = |k: usize, receiver: &str, rx: &str, dbm: f64| format!("{receiver},{rx},{dbm},{k}.5,1,-0.0,x\n");
+    let table = |rows: &str| write(&here.join("links.csv"), format!("receiver,rx_x,rx_y,rx_z,dbm,x,y,z,note\n{rows}"));
+    let near: String = (0..6).map(|k| row(k, "hall", "0,0,2.5", -50.0 - k as f64)).collect();
+    let far: String =
+        (0..6).map(|k| row(k, "\"door, left\"", "9,4,2.5", if k == 2 { -100.0 } else { -70.25 })).collect();
+    let import = ["import", "--links", "links.csv", "--out", "hall"];
+    table(&(near.clone() + &far));
+    let message = stderr(&succeed(here, &[&import[..], &["--simulated"]].concat()));
+    assert!(message.contains("11 received powers at 2 receivers in hall"), "{message}");
+    let read = |name: &str| fs::read_to_string(here.join("hall").join(name)).unwrap();
+    let powers = read("gateway_rssi.csv");
+    assert_eq!(powers.lines().nth(3), Some("-52.0,-100.0"), "{powers}");
+    assert!(powers.starts_with("hall,\"door, left\"\n-50.0,-70.25\n"), "{powers}");
+    assert_eq!(read("tx_pos.csv").lines().nth(1), Some("0.5,1.0,0.0"));
+    let message = stdout(&succeed(here, &["inspect", "hall"]));
+    assert!(message.contains("2: hall, door, left") && message.contains("simulated"), "{message}");
+    for (rows, words) in [
+        (near.clone() + &near, "links.csv:8:1: `hall` received this transmitter in line 2 too; average repeated"),
+        (
+            near.clone() + &row(7, "hall", "0,0,2", -60.0),
+            "links.csv:8:1: `hall` has another position in line 2; give one",
+        ),
+        (near.clone() + "hall,0,0,2.5,loud,1,1,1\n", "links.csv:8:14: `loud` is not a number; give the power in dBm"),
+        (near.clone() + "hall,0,0\n", "links.csv:8:9: the row ends after 3 of the 6 columns that `x` needs"),
+        (row(1, "hall", "0,0,2", -100.0), "links.csv: holds no received power; write one row per link"),
+        (String::new(), "links.csv: holds no received power"),
+    ] {
+        table(&rows);
+        refuse(here, &["import", "--links", "links.csv", "--out", "bad"], 2, &[words]);
+    }
+    write(&here.join("links.csv"), "x,y,z,receiver,rx_x,rx_y,dbm\n");
+    refuse(
+        here,
+        &["import", "--links", "links.csv", "--out", "bad"],
+        2,
+        &["links.csv:1:1: no column `rx_z`; the first"],
+    );
+    refuse(here, &["import", "--links", "none.csv", "--out", "bad"], 2, &["no such file; write one row per link"]);
+    table(&near);
+    refuse(here, &import, 2, &["hall is not empty"]);
+    assert!(!here.join("bad").exists());
+    for wrong in [&["--links", "a", "--spectra", "b"][..], &["--links", "a", "--receiver", "0,0,0"], &["--tx", "a"]] {
+        assert_eq!(call(here, &[&["import", "--out", "bad"][..], wrong].concat()).status.code(), Some(2));
+    }
+}

@@ -34,7 +34,7 @@ pub use channels::{Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use geometry::{read_mesh, read_points};
-pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum};
+pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_transmitters};
 pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::save;

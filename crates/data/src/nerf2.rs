@@ -13,7 +13,7 @@ pub use rssi::Nerf2Rssi;
 
 use crate::checks::shape_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
+use crate::text::{place, read_text, table};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files,
     messages::strip_control,
@@ -133,23 +133,16 @@ pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size:
     shape_fault(elevation, stated, size, advice).map_or(Ok(()), |what| Err(Error::input(path, what)))
 }
 
-/// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.
-pub(crate) fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = read_text(path, files::MAX_TEXT, LAYOUT)?;
-    let mut rows = lines(&text);
-    let Some((line, header)) = rows.next() else {
-        return Err(Error::input(path, "is empty; write a header x,y,z and one row a sample, in metres"));
-    };
-    let header = split_commas(header);
-    let columns = XyzColumns::from_header(path, line, &header)?;
-    let read = |(line, row)| {
-        let row = split_commas(row);
-        no_longer(path, line, &row, header.len())?;
-        columns.read(path, line, &row, "give every row x, y and z in metres")
-    };
-    let positions = rows.map(read).collect::<Result<Vec<_>>>()?;
-    if positions.is_empty() {
+/// Reads transmitter positions `[rows,3]` from a table with the columns x, y and z, metres, such as `tx_pos.csv`.
+///
+/// # Errors
+/// An invalid table, with line and column.
+pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
+    let advice = "give every row x, y and z in metres";
+    let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y and z, in metres")?;
+    let rows = table(path, &text, ["x", "y", "z"], advice)?;
+    if rows.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row a sample, in metres"));
     }
-    Ok(positions)
+    rows.into_iter().map(|(line, fields)| place(path, line, fields, advice)).collect()
 }

@@ -13,6 +13,7 @@ use std::{fmt::Display, io::ErrorKind, path::Path};
 pub(crate) const MAX_YAML: u64 = 1 << 20;
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
+const DBM_ADVICE: &str = "give the power in dBm, or -100 if the gateway received no signal";
 pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
 
 /// Field of a line.
@@ -157,16 +158,64 @@ fn cell<'a>(
 }
 
 /// Power in the column of the receiver `name`, dBm; -100 if no signal was received.
-pub(crate) fn power(path: &Path, line: usize, row: &[TextField<'_>], (column, name): (usize, &str)) -> Result<f64> {
-    let advice = "give the power in dBm, or -100 if the gateway received no signal";
-    let field = cell(path, line, row, (column, name), advice)?;
-    let dbm = number(path, line, field, advice)?;
+pub(crate) fn power(path: &Path, line: usize, row: &[TextField<'_>], column: (usize, &str)) -> Result<f64> {
+    dbm(path, line, cell(path, line, row, column, DBM_ADVICE)?)
+}
+
+/// Power in a field, dBm; -100 if no signal was received.
+pub(crate) fn dbm(path: &Path, line: usize, field: TextField<'_>) -> Result<f64> {
+    let dbm = number(path, line, field, DBM_ADVICE)?;
     let stored = dbm as Real as f64; // rounding may give the marker of a missing link
     if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
-        let what = format!("{} is not a power in dBm; {advice}", quoted(field.text));
+        let what = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
         return Err(Error::at(path, line, field.column, what));
     }
     Ok(dbm)
+}
+
+/// Finds the column `name` in a header, in either case; `all` names every column that the file needs.
+fn column(path: &Path, line: usize, header: &[TextField<'_>], name: &str, all: &str) -> Result<usize> {
+    let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
+    let (column, _) = found.next().ok_or_else(|| {
+        Error::at(path, line, 1, format!("no column `{name}`; the first line must name the columns {all}"))
+    })?;
+    match found.next() {
+        Some((_, twice)) => {
+            let what = format!("a second column `{name}`; name each of {all} once");
+            Err(Error::at(path, line, twice.column, what))
+        }
+        None => Ok(column),
+    }
+}
+
+/// Lines of a table with the fields of these columns, which its header names among others.
+pub(crate) fn table<'a, const N: usize>(
+    path: &Path,
+    text: &'a str,
+    names: [&str; N],
+    advice: &str,
+) -> Result<Vec<(usize, [TextField<'a>; N])>> {
+    let mut rows = lines(text);
+    let (first, header) = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {advice}")))?;
+    let (header, all) = (split_commas(header), names.join(", "));
+    let columns = names.map(|name| column(path, first, &header, name, &all));
+    let columns = columns.into_iter().collect::<Result<Vec<usize>>>()?;
+    let read = |(line, row)| {
+        let row = split_commas(row);
+        no_longer(path, line, &row, header.len())?;
+        let mut fields = [TextField { text: "", column: 1 }; N];
+        for (k, field) in fields.iter_mut().enumerate() {
+            *field = cell(path, line, &row, (columns[k], names[k]), advice)?;
+        }
+        Ok((line, fields))
+    };
+    rows.map(read).collect()
+}
+
+/// Position in three fields, metres.
+pub(crate) fn place(path: &Path, line: usize, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
+    let [x, y, z] = fields.map(|field| coordinate(path, line, field, advice));
+    Ok([x?, y?, z?])
 }
 
 /// Columns of x, y and z.
@@ -176,19 +225,7 @@ pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 impl XyzColumns {
     /// Finds the columns in a header, in any order and either case, among other columns.
     pub(crate) fn from_header(path: &Path, line: usize, header: &[TextField<'_>]) -> Result<Self> {
-        let find = |name: &str| {
-            let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
-            let (column, _) = found.next().ok_or_else(|| {
-                Error::at(path, line, 1, format!("no column `{name}`; the first line must name the columns x, y and z"))
-            })?;
-            match found.next() {
-                Some((_, twice)) => {
-                    let what = format!("a second column `{name}`; name each of x, y and z once");
-                    Err(Error::at(path, line, twice.column, what))
-                }
-                None => Ok(column),
-            }
-        };
+        let find = |name| column(path, line, header, name, "x, y and z");
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }
 

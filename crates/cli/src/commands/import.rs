@@ -1,13 +1,14 @@
-//! `pwrfgs import`: converts spectra and positions into a data folder.
+//! `pwrfgs import`: converts spectra and positions, or a table of links, into a data folder.
 
 use super::options::{numbers, position};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::import::Import as Work;
-use pwrfgs::experiment::{equality_warning, position_warning, staged};
+use pwrfgs::data::import::{Import as Work, links};
+use pwrfgs::data::save;
+use pwrfgs::experiment::{data_warnings, equality_warning, observed, position_warning, staged};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -21,11 +22,17 @@ EXAMPLES
   python3 -c \"from numpy import *; r = random.rand; savez('my.npz', spectra=r(9,90,360), tx=r(9,3))\"
   pwrfgs import --spectra my.npz --receiver 5,1,0 --orientation 0,0,0,1 --out data/my
   pwrfgs import --spectra s.npy --tx tx.npy --receiver 5,1,0 --orientation 0,0,0,1 --out data/my2
-  pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3")]
+  pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3
+  printf 'x,y,z,receiver,rx_x,rx_y,rx_z,dbm\\n1,2,1,hall,0,0,2,-61\\n2,2,1,hall,0,0,2,-64\\n' > links.csv
+  pwrfgs import --links links.csv --out data/my4")]
+#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "links"])))]
 pub(crate) struct Import {
     /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
-    #[arg(long, value_name = "PATH")]
-    pub(crate) spectra: PathBuf,
+    #[arg(long, value_name = "PATH", requires_all = ["receiver", "orientation"])]
+    pub(crate) spectra: Option<PathBuf>,
+    /// Received powers: .csv with one row per link (columns: see example)
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["tx", "receiver", "orientation", "elevation", "scale"])]
+    pub(crate) links: Option<PathBuf>,
     /// Transmitter positions in metres.
     #[arg(
         long,
@@ -35,10 +42,10 @@ pub(crate) struct Import {
     pub(crate) tx: Option<PathBuf>,
     /// Receiver position in metres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
-    pub(crate) receiver: String,
+    pub(crate) receiver: Option<String>,
     /// Unit quaternion x,y,z,w, receiver to world; 0,0,0,1: no rotation
     #[arg(long, value_name = "QUAT", allow_hyphen_values = true)]
-    pub(crate) orientation: String,
+    pub(crate) orientation: Option<String>,
     /// Elevation of the top and bottom edge, degrees [default: 0,90]
     #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true)]
     pub(crate) elevation: Option<String>,
@@ -57,16 +64,20 @@ pub(crate) struct Import {
 }
 
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
-    let name = || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+    let own_name = || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+    let name = arguments.name.clone().unwrap_or_else(own_name);
+    if let Some(path) = &arguments.links {
+        return import_links(arguments, path, &name, verbosity);
+    }
     let work = Work {
-        spectra: arguments.spectra.clone(),
+        spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
         receiver: Pose {
-            position: position("--receiver", &arguments.receiver)?,
-            orientation: quaternion(&arguments.orientation)?,
+            position: position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
+            orientation: quaternion(arguments.orientation.as_deref().unwrap_or_default())?,
         },
         elevation: arguments.elevation.as_deref().map(elevation).transpose()?,
-        name: arguments.name.clone().unwrap_or_else(name),
+        name,
         scale: arguments.scale,
         simulated: arguments.simulated,
     };
@@ -89,6 +100,15 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         output::note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
         output::note("    split: Random(test: 0.2),");
     }
+    Ok(())
+}
+
+/// Converts a table of links.
+fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
+    let data = links(path, name, arguments.simulated)?;
+    save(&data, &arguments.out)?;
+    data_warnings(&data, None).iter().for_each(|warning| output::warning(warning));
+    verbosity.note(&format!("{} in {}", observed(&data), arguments.out.display()));
     Ok(())
 }
 

@@ -6,8 +6,7 @@ use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::threads::COUNTS;
-use pwrfgs_core::{Error, Receiver, Result, did_you_mean, files};
-use pwrfgs_core::{coordinate_fault, place_fault};
+use pwrfgs_core::{Error, Receiver, Result, did_you_mean, place_fault};
 use std::path::{Path, PathBuf};
 
 /// Maximum number of names in an error.
@@ -77,46 +76,6 @@ pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong =
         || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
     numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
-}
-
-/// Reads columns x, y, z of a CSV file.
-pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = files::read_at_most(path, files::MAX_TEXT).map_err(|e| Error::read(path, e))?;
-    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
-    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
-    let broken = |e: csv::Error| {
-        let line = e.position().map_or(1, csv::Position::line) as usize;
-        Error::at(path, line, 1, format!("not CSV text: {e}"))
-    };
-    let headers = reader.headers().map_err(broken)?.clone();
-    let mut columns = [0; 3];
-    for (column, name) in columns.iter_mut().zip(["x", "y", "z"]) {
-        *column = headers.iter().position(|h| h.eq_ignore_ascii_case(name)).ok_or_else(|| {
-            let found = headers.iter().collect::<Vec<_>>().join(",");
-            Error::at(path, 1, 1, format!("no column `{name}` (found `{found}`); the first line must name x, y and z"))
-        })?;
-    }
-    let mut txs = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(broken)?;
-        let line = record.position().map_or(1, csv::Position::line) as usize;
-        let mut tx = [0.0; 3];
-        for (value, &column) in tx.iter_mut().zip(&columns) {
-            let field = record.get(column).ok_or_else(|| {
-                let (has, needs) = (record.len(), headers.len());
-                Error::at(path, line, 1, format!("row has {has} fields, expected {needs} as in the first line"))
-            })?;
-            *value = field.parse().ok().filter(|v| coordinate_fault(*v).is_none()).ok_or_else(|| {
-                let what = format!("column `{}`: expected metres, at most 1e8, found `{field}`", &headers[column]);
-                Error::at(path, line, column + 1, what)
-            })?;
-        }
-        txs.push(tx);
-    }
-    if txs.is_empty() {
-        return Err(Error::input(path, "no positions; write one per line"));
-    }
-    Ok(txs)
 }
 
 /// Reads all models as one ensemble; a file may contain several. Members of several files get numbers as names.

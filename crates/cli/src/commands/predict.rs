@@ -2,10 +2,11 @@
 
 mod writers;
 
-use super::options::{check_positions, chosen, position, positions, read_models};
+use super::options::{check_positions, chosen, position, read_models};
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
+use pwrfgs::data::read_transmitters;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
@@ -70,7 +71,7 @@ pub(crate) struct Predict {
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let txs = match (&arguments.tx, &arguments.tx_csv) {
         (Some(text), _) => vec![position("--tx", text)?],
-        (_, Some(path)) => positions(path)?,
+        (_, Some(path)) => read_transmitters(path)?,
         _ => return Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     };
     let ensemble = read_models(&arguments.models)?;

@@ -197,7 +197,8 @@ fn reports_missing_file() {
         folder.fault()
     };
     assert_eq!(of("s/gateway_info.yml"), format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}"));
-    assert_eq!(of("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {LAYOUT}"));
+    let table = "write a table with the columns x, y and z, in metres";
+    assert_eq!(of("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {table}"));
     assert_eq!(
         of("s/train_index.txt"),
         "DIR/s/test_index.txt: this file comes without train_index.txt; give both or neither (then use a split such as Random())"
@@ -241,10 +242,10 @@ fn reports_unreadable_file() {
 fn reports_line_and_column_in_tx_pos() {
     let advice = "give every row x, y and z in metres";
     let cases: [(&str, String); 9] = [
-        ("", ": is empty; write a header x,y,z and one row a sample, in metres".into()),
+        ("", format!(": is empty; {advice}")),
         ("x,y,z\n", ": has a header but no row; write one row a sample, in metres".into()),
-        ("x,y\n1,2\n", ":1:1: no column `z`; the first line must name the columns x, y and z".into()),
-        ("1,2,3\n", ":1:1: no column `x`; the first line must name the columns x, y and z".into()),
+        ("x,y\n1,2\n", ":1:1: no column `z`; the first line must name the columns x, y, z".into()),
+        ("1,2,3\n", ":1:1: no column `x`; the first line must name the columns x, y, z".into()),
         ("x,y,z\n1,2,3\n4,5\n", format!(":3:4: the row ends after 2 of the 3 columns that `z` needs; {advice}")),
         ("x,y,z\r\n1,nan,3\r\n", format!(":2:3: `nan` is not finite; {advice}")),
         ("x,y,z\n1,2, -inf\n", format!(":2:6: `-inf` is not finite; {advice}")),
