@@ -1,4 +1,4 @@
-//! Pipelines and scenes of the repository, stored in the program: `pwrfgs run quickstart` needs no file.
+//! Pipelines, scenes and the methods of `pwrfgs compare`, stored in the program: `pwrfgs run quickstart` needs no file.
 //!
 //! The scene `conference` is not among them, because it reads a mesh file.
 
@@ -21,6 +21,8 @@ ship! {
         "ablation-wrfgs", "ablation", "ble", "dense", "nerf2-ble", "nerf2-csi", "nerf2-laptop", "nerf2",
         "newrf", "office-channel", "office-init", "office-links", "paper", "pwrfgs", "quickstart",
         "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs-laptop", "wrfgs";
+    "experiments":
+        "methods-channels", "methods-powers", "methods-uplink", "methods";
     "scenes":
         "lab-s23", "office-channel", "office-csi", "office-links", "office";
 }

@@ -28,11 +28,11 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// Code lines of a file, of a crate, and of all Rust files. A change that needs more states the new total and the reason in its
 /// commit; 50,000 is the bound for all planned features.
 const OF_FILE: usize = 300;
-const OF_CRATE: usize = 5_250;
-const IN_TOTAL: usize = 49_190;
+const OF_CRATE: usize = 5_255;
+const IN_TOTAL: usize = 49_587;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 377;
-const SMALL: usize = 35;
+const FILES: usize = 380;
+const SMALL: usize = 36;
 /// A Rust file that is no test.
 pub(crate) struct Source {
     /// Such as `crates/train`, and `train/trainer` as `["train", "trainer"]`.

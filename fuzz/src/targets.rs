@@ -2,6 +2,7 @@
 //! far as they stay small.
 
 use crate::mutate::Form;
+use pwrfgs::data::{Predictions, check, import::links};
 use pwrfgs::experiment::sweep::SweepPlan;
 use pwrfgs::experiment::{self, Session, read_pipeline};
 use pwrfgs::model::export::{npz, ply};
@@ -75,6 +76,11 @@ pub const TARGETS: &[Target] = &[
     of(40, "data/spectrum/00002.png", &["data/spectrum"], Png, |bench| step(bench, "measured.ron")),
     of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
     of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
+    of(8, "links.csv", &[], Plain, |bench| {
+        links(&bench.join("links.csv"), "links", false).and_then(|data| check(&data))
+    }),
+    of(8, "predicted/00004.npy", &[], Plain, |bench| predicted(bench, "measured.ron")),
+    of(8, "predicted/predictions.csv", &[], Plain, |bench| predicted(bench, "powers.ron")),
     of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, |bench| step(bench, "powers.ron")),
     of(16, "channels/receiver.yml", &[], Plain, channels),
     of(16, "channels/channel.npy", &[], Plain, channels),
@@ -165,6 +171,13 @@ fn channels(bench: &Path) -> Result<()> {
 fn csi(bench: &Path) -> Result<()> {
     load(bench, "Nerf2Csi(root: \"csi\")")?;
     load(bench, "Nerf2Csi(root: \"csi\", together: true)")
+}
+
+/// Checks predictions for the test set of a pipeline on the bench.
+fn predicted(bench: &Path, name: &str) -> Result<()> {
+    let pipeline = read_pipeline(&bench.join(name), &[])?;
+    let (data, partition) = experiment::load(&pipeline, bench, &mut NoopObserver)?;
+    Predictions { root: bench.join("predicted"), ..Predictions::default() }.check_test(&data, &partition.test)
 }
 
 fn load(bench: &Path, source: &str) -> Result<()> {

@@ -1,6 +1,7 @@
 //! The commands, one file each: arguments, help text and action.
 
 mod check;
+mod compare;
 mod completions;
 mod compress;
 mod data;
@@ -40,6 +41,8 @@ pub(crate) enum Command {
     Check(check::Check),
     /// Run all combinations and seeds of an experiment
     Sweep(sweep::Sweep),
+    /// Compare all methods, baselines and your predictions on a data folder
+    Compare(compare::Compare),
     /// Predict spectra, received powers or channels at transmitter positions
     Predict(predict::Predict),
     #[cfg(feature = "report")]
@@ -59,7 +62,7 @@ pub(crate) enum Command {
     Compress(compress::Compress),
     /// Convert a trained model for splat viewers or Python
     Export(export::Export),
-    /// Import your own spectra from NumPy arrays or PNG images
+    /// Import your own spectra or received powers from NumPy, PNG or CSV
     Import(import::Import),
     #[cfg(feature = "raytrace")]
     /// Simulate a data set in a room by ray tracing
@@ -89,6 +92,7 @@ impl Command {
         match self {
             Self::Run(run) => return run::run(run, verbosity),
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
+            Self::Compare(compare) => return compare::compare(compare, verbosity),
             #[cfg(feature = "raytrace")]
             Self::Simulate(simulate) => return simulate::simulate(simulate, verbosity),
             Self::Check(check) => check::check(check, verbosity),

@@ -2,9 +2,10 @@
 
 #![cfg(all(feature = "report", feature = "viewer"))]
 
-use crate::common::{refuse, succeed, write};
+use crate::common::{refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::{base_station_yaml, npy_header_as, save};
-use pwrfgs_core::{Channels, Dataset, Observations, Pose, Real, Receiver, Sample, Spectra};
+use pwrfgs_core::{Channels, Dataset, Image, Observations, Pose, Real, Receiver, Sample, Spectra, gains_of, recognise};
+use std::fmt::Write as _;
 use std::path::Path;
 
 const COUNT: usize = 40;
@@ -118,4 +119,188 @@ fn every_command_accepts_or_rejects_every_data_kind() {
         refuse(here, &["run", &format!("{kind}.ron"), "--set", data, "--out", "other"], 2, &["the data are"]);
     }
     refuse(here, &["check", "powers"], 2, &["name a pipeline file or a run folder"]);
+}
+
+/// Mean of the three nearest known links of the same receiver, weighted by inverse distance, as another program
+/// computes it.
+fn three_nearest(data: &Dataset, known: &[usize], i: usize) -> Image {
+    let place = |i: usize| -> Vec<f64> {
+        let of = |features: &pwrfgs_core::Features| features.of(i).iter().map(|v| *v as f64).collect();
+        data.features.as_ref().map_or_else(|| data.sample(i).tx.to_vec(), of)
+    };
+    let distance = |k: usize| place(k).iter().zip(place(i)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+    let own = known.iter().filter(|&&k| data.links[k].receiver == data.links[i].receiver);
+    let mut near: Vec<(f64, usize)> = own.map(|&k| (distance(k), k)).collect();
+    near.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    let total: f64 = near[..3].iter().map(|(d, _)| 1.0 / d).sum();
+    let mut mean = vec![0.0; data.width * data.height];
+    for (d, k) in &near[..3] {
+        mean.iter_mut().zip(data.image(*k).pixels).for_each(|(sum, v)| *sum += v as f64 / d / total);
+    }
+    Image { width: data.width, height: data.height, pixels: mean.into_iter().map(|v| v as Real).collect() }
+}
+
+/// Writes predictions of the test ids in `split`, the text of `--split-csv`, into `out`.
+fn predict(data: &Dataset, split: &str, out: &Path) {
+    let set =
+        |line: &str| ["train", "validation", "test"].iter().position(|set| line.split(',').any(|word| word == *set));
+    let sets: Vec<Option<usize>> = split.lines().skip(1).map(set).collect();
+    let known: Vec<usize> = (0..data.len()).filter(|&i| sets[i] < Some(2)).collect();
+    let mut table = format!("{},dbm\n", split.split(',').next().unwrap());
+    for i in (0..data.len()).filter(|&i| sets[i] == Some(2)) {
+        let image = three_nearest(data, &known, i);
+        let bytes = |values: &[Real]| values.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect::<Vec<u8>>();
+        let (descr, shape, bytes) = if data.task().is_complex {
+            let gains = gains_of(&image.pixels, image.width);
+            ("<c8", [image.height / 2, image.width], bytes(gains.as_flattened()))
+        } else {
+            ("<f4", [image.height, image.width], bytes(&image.pixels))
+        };
+        _ = writeln!(table, "{},{}", data.label(i), image.pixels[0]);
+        if !data.task().is_scalar {
+            write(&out.join(format!("{:05}.npy", data.label(i))), [npy_header_as(descr, &shape), bytes].concat());
+        }
+    }
+    if data.task().is_scalar {
+        write(&out.join("predictions.csv"), table);
+    }
+}
+
+/// Value of a row, metric and statistic of `report.csv`.
+fn value_in(report: &Path, row: &str, metric: &str, statistic: &str) -> f64 {
+    let mut reader = csv::Reader::from_path(report.join("report.csv")).unwrap();
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    let found = rows.iter().find(|r| (&r[2], &r[4], &r[6]) == (row, metric, statistic));
+    found.unwrap_or_else(|| panic!("{row}, {metric}, {statistic} in {rows:?}"))[7].parse().unwrap()
+}
+
+#[test]
+fn compare_scores_predictions_of_other_program_like_baseline() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    folders(here);
+    let search = ["--set", "initializer=MatchingPursuit(most: 2, reach: 1.0, hold_out: 0)"];
+    for (kind, methods, more, metric) in [
+        ("spectra", "P-WRFGS,waves", &[][..], "ssim"),
+        ("powers", "P-WRFGS,NeRF2", &[], "power_error_db"),
+        ("channels", "virtual transmitters", &search, "snr_db"),
+        ("uplinks", "splatted channel", &[], "snr_db"),
+    ] {
+        let split = format!("{kind}.csv");
+        let message = stdout(&succeed(here, &["compare", kind, "--split-csv", &split]));
+        assert!(message.contains(" train, ") && message.contains(" test\n"), "{message}");
+        assert!(!here.join("runs").join(format!("compare-{kind}")).exists(), "nothing has run");
+        let data = recognise(&here.join(kind)).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+        let split = std::fs::read_to_string(here.join(split)).unwrap();
+        predict(&data, &split, &here.join("mine").join(kind));
+        let predictions = format!("mine=mine/{kind}");
+        let short =
+            ["compare", kind, "--methods", methods, "--seeds", "1", "--scale", "0.005", "--predictions", &predictions];
+        let arguments = [&short[..], more].concat();
+        let table = stdout(&succeed(here, &arguments));
+        for words in ["mine (external)", "3-NN (baseline)", "Paired differences from mine", "report.html"] {
+            assert!(table.contains(words), "{kind}: `{words}` is not in {table}");
+        }
+        assert!(methods.split(',').all(|name| table.contains(name)), "{table}");
+        let report = here.join("runs").join(format!("compare-{kind}")).join("report");
+        for statistic in ["mean", "median", "tail10"] {
+            let [mine, ours] = ["mine", "3-NN"].map(|row| value_in(&report, row, metric, statistic));
+            assert!((mine - ours).abs() <= 1e-4 * ours.abs().max(1.0), "{kind}, {statistic}: {mine} and {ours}");
+        }
+        assert!(value_in(&report, "3-NN", metric, "difference").abs() < 1e-4, "{kind}");
+        assert_eq!(stderr(&succeed(here, &arguments)).matches("already finished").count(), methods.split(',').count());
+    }
+    // Other predictions are scored again, and no model is trained again.
+    let (model, list) = ("runs/compare-powers/method=P-WRFGS,seed=0/model.safetensors", "mine/powers/predictions.csv");
+    let written = || here.join(model).metadata().unwrap().modified().unwrap();
+    let (before, text) = (written(), std::fs::read_to_string(here.join(list)).unwrap());
+    let worse: Vec<String> = text.lines().map(|line| line.replace(",-", ",-1")).collect();
+    write(&here.join(list), worse.join("\n"));
+    let again = ["compare", "powers", "--methods", "P-WRFGS,NeRF2", "--seeds", "1", "--scale", "0.005"];
+    let again = succeed(here, &[&again[..], &["--predictions", "mine=mine/powers"]].concat());
+    assert_eq!((stderr(&again).matches("already finished").count(), written()), (1, before));
+    assert!(value_in(&here.join("runs/compare-powers/report"), "mine", "power_error_db", "mean") > 50.0);
+    let fewer = ["compare", "powers", "--methods", "NeRF2", "--seeds", "1", "--scale", "0.005"];
+    refuse(here, &fewer, 2, &["holds the run `method=P-WRFGS,seed=0`; add its method"]);
+}
+
+/// Damages the prediction of test sample `id`.
+fn damage(mine: &Path, id: &str, broken: &str) {
+    let (file, table) = (mine.join(format!("{id:0>5}.npy")), mine.join("predictions.csv"));
+    let text = std::fs::read_to_string(&table).unwrap_or_default();
+    let mut lines: Vec<&str> = text.lines().collect();
+    let array = |descr: &str, shape: [usize; 2], second: f32| {
+        let values = (0..6 * shape[1]).map(|i| if i == 1 { second } else { 0.5 }).flat_map(f32::to_le_bytes);
+        write(&file, npy_header_as(descr, &shape).into_iter().chain(values).collect::<Vec<u8>>());
+    };
+    let odd = format!("{id},NaN");
+    match (broken, table.is_file()) {
+        ("missing", true) => _ = lines.remove(1),
+        ("twice", true) => lines.insert(1, lines[1]),
+        ("nan", true) => lines[1] = &odd,
+        ("header", true) => lines[0] = "link,power",
+        ("missing", false) => std::fs::remove_file(&file).unwrap(),
+        ("extra", false) => _ = std::fs::copy(&file, mine.join("00099.npy")).unwrap(),
+        ("twice", false) => _ = std::fs::copy(&file, mine.join(format!("{id}.npy"))).unwrap(),
+        ("shape", false) => array("<f4", [6, 12], 0.5),
+        ("type", false) => array("<c8", [6, 24], 0.5),
+        ("nan", false) => array("<f4", [6, 24], f32::NAN),
+        ("decibels", false) => array("<f4", [6, 24], -60.0),
+        ("short", false) => write(&file, npy_header_as("<f4", &[6, 24])),
+        other => panic!("{other:?}"),
+    }
+    if table.is_file() {
+        write(&table, lines.join("\n"));
+    }
+}
+
+#[test]
+fn compare_rejects_invalid_predictions() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    folders(here);
+    let compare = |kind: &'static str, more: &[&'static str]| [&["compare", kind][..], more].concat();
+    let of = |kind: &'static str| compare(kind, &["--predictions", "mine=mine"]);
+    for (kind, broken, words) in [
+        ("spectra", "missing", "mine: 1 test ids have no prediction, such as ID; give one prediction per test id"),
+        ("spectra", "extra", "mine: 1 predictions are not for test ids, such as 99; give one prediction per test id"),
+        ("spectra", "twice", "is id ID as well; remove one of the two"),
+        (
+            "spectra",
+            "shape",
+            "has shape [6, 12], expected [6, 24] in C order; save numpy.ascontiguousarray(a), one array [elev",
+        ),
+        ("spectra", "type", "has numbers of type `<c8`, expected `<f4`; save a.astype('<f4')"),
+        ("spectra", "nan", "the value at [0, 1] is NaN; give finite numbers, linear, 0 to 1"),
+        ("spectra", "decibels", "the value at [0, 1] is -60; give finite numbers, linear"),
+        ("spectra", "short", "does not have the length of its shape"),
+        ("powers", "missing", "1 test ids have no prediction, such as ID"),
+        ("powers", "twice", "predictions.csv:3:1: link `ID` occurs twice"),
+        ("powers", "nan", "`NaN` is not finite; give the power in dBm"),
+        ("powers", "header", "predictions.csv:1:1: no column `dbm`; the first line must name the columns link, dbm"),
+    ] {
+        let (split, mine) = (here.join("split.csv"), here.join("mine"));
+        _ = std::fs::remove_dir_all(&mine);
+        succeed(here, &compare(kind, &["--split-csv", "split.csv"]));
+        let data = recognise(&here.join(kind)).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+        let text = std::fs::read_to_string(&split).unwrap();
+        std::fs::remove_file(split).unwrap();
+        predict(&data, &text, &mine);
+        let test: Vec<&str> = text.lines().filter(|line| line.contains(",test,")).collect();
+        let id = test[0].split(',').next().unwrap();
+        damage(&mine, id, broken);
+        refuse(here, &of(kind), 2, &[&words.replace("ID", id)]);
+    }
+    for (arguments, words) in [
+        (compare("nowhere", &[]), "nowhere: no such folder"),
+        (compare(".", &[]), "no known layout of data"),
+        (of("channels"), "test ids have no prediction"),
+        (compare("spectra", &["--predictions", "mine"]), "--predictions mine: expected NAME=FOLDER"),
+        (compare("spectra", &["--predictions", "3-NN=mine"]), "the table has another row `3-NN`; choose another name"),
+        (compare("spectra", &["--predictions", "mine=none"]), "cannot read none"),
+        (compare("spectra", &["--methods", "NeRF"]), "no such method for these data; did you mean `NeRF2`?"),
+    ] {
+        refuse(here, &arguments, 2, &[words]);
+    }
+    assert!(!here.join("runs").exists());
 }

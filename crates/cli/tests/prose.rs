@@ -15,6 +15,7 @@ const IN_CODE: f64 = 5.0;
 /// Commands whose help is counted.
 const COMMANDS: &[&str] = &[
     "check",
+    "compare",
     "data",
     "evaluate",
     "export",

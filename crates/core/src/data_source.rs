@@ -122,6 +122,20 @@ pub trait Baseline:
     /// Fits to all `known` links. Choices use the validation set; if it is empty, samples held out of the training set.
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>>;
 
+    /// Returns whether its predictions come from another program and are for the test set alone.
+    fn is_external(&self) -> bool {
+        false
+    }
+
+    /// Checks that predictions of exactly the links `test` exist. Commands call this before the first training step.
+    ///
+    /// # Errors
+    /// Missing or invalid predictions of an external baseline.
+    fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {
+        let _ = (data, test);
+        Ok(())
+    }
+
     /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -6,10 +6,10 @@ use crate::error::{Error, Result, did_you_mean};
 use crate::files::read_text_at_most;
 use std::path::Path;
 
-/// Pipeline or scene of the repository, stored in the program.
+/// Pipeline, experiment or scene of the repository, stored in the program.
 #[derive(Debug)]
 pub struct ShippedFile {
-    /// Folder in the repository: [`Self::PIPELINES`] or [`Self::SCENES`].
+    /// Folder in the repository: [`Self::PIPELINES`], [`Self::EXPERIMENTS`] or [`Self::SCENES`].
     pub folder: &'static str,
     /// File name without extension.
     pub name: &'static str,
@@ -22,6 +22,8 @@ inventory::collect!(ShippedFile);
 impl ShippedFile {
     /// Folder of pipelines.
     pub const PIPELINES: &'static str = "pipelines";
+    /// Folder of experiments, whose axes `pwrfgs compare` uses.
+    pub const EXPERIMENTS: &'static str = "experiments";
     /// Folder of scenes.
     pub const SCENES: &'static str = "scenes";
 

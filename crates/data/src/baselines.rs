@@ -7,6 +7,7 @@ mod kriging;
 mod link_tests;
 mod log_distance;
 mod neighbours;
+mod predictions;
 mod ridge;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ mod tests;
 pub use kriging::Kriging;
 pub use log_distance::LogDistance;
 pub use neighbours::{NearestNeighbours, Neighbours};
+pub use predictions::Predictions;
 pub use ridge::Ridge;
 
 use pwrfgs_core::messages::strip_control;

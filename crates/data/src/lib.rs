@@ -29,7 +29,7 @@ mod teacher;
 mod text;
 
 pub use arrays::Arrays;
-pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Ridge, Zero};
+pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Predictions, Ridge, Zero};
 pub use channels::{Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};

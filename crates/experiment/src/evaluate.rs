@@ -12,7 +12,8 @@ use crate::session::{Session, check_stopped, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
-    Dataset, Error, FittingSet, Image, ImagePlane, ModelFacts, Partition, Result, evenly, messages::strip_control,
+    Dataset, Error, FittingSet, Image, ImagePlane, Metric, ModelFacts, Partition, Plugin, Result, Scope, evenly,
+    messages::strip_control,
 };
 use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -75,9 +76,13 @@ pub fn evaluate(
     }
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
+        baseline.check_test(data, &partition.test)?;
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.task());
-        let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
+        // Reading a file has no latency of a method.
+        let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
+        let metrics: Vec<_> = pipeline.metrics.iter().filter(is_measured).cloned().collect();
+        let measured = test.baseline(&name, &*fitted, &metrics, session)?;
         oracles.extend(fitted.is_oracle().then(|| name.clone()));
         if let Some(calibrator) = calibrator.as_ref().filter(|_| !fitted.is_oracle())
             && let Some(calibration) = calibrator.of_baseline(&*fitted, session)?
@@ -132,7 +137,7 @@ pub(crate) fn validation_baselines(
     }
     let (bench, metrics) = (EvaluationSet::new(data, &part, plane), defaults::validation(data.task()));
     let mut all = Vec::new();
-    for baseline in &pipeline.baselines {
+    for baseline in pipeline.baselines.iter().filter(|baseline| !baseline.is_external()) {
         session.check_stopped()?;
         let fitted = baseline.fit(data, FittingSet::train(&partition.train))?;
         let name = baseline.name_for(data.task());

@@ -257,7 +257,8 @@ fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
 fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
     let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
     let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
-    let names: Vec<String> = pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task())).collect();
+    let baselines = || pipeline.baselines.iter().filter(|baseline| !baseline.is_external());
+    let names: Vec<String> = baselines().map(|baseline| baseline.name_for(data.task())).collect();
     let head = ["split", "train", "test", "nearest training"].map(str::to_owned).into_iter();
     let mut lines: Vec<Vec<String>> = vec![head.chain(names.clone()).chain([CEILING.to_owned()]).collect()];
     let (mut refused, mut key, plane) = (String::new(), String::new(), data.plane());
@@ -273,7 +274,7 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
         let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
         line.push(length(test_distance(data, &partition)));
         let bench = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
-        for (baseline, name) in pipeline.baselines.iter().zip(&names) {
+        for (baseline, name) in baselines().zip(&names) {
             let fitted = baseline.fit(data, partition.known())?;
             let found = bench.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
             found.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));

@@ -20,8 +20,8 @@ pub fn data_key(pipeline: &Pipeline) -> String {
 /// Content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the nearest other
 /// training transmitter in metres (empty if there is none). With several receivers a row is a link: its number, as in
 /// `scores.csv`, is the first column, and the receiver name follows the id.
-/// `intervals` are those of the test samples, which add the columns [`interval_columns`]; empty without intervals.
-pub(crate) fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
+/// `intervals` are those of the test samples, which add columns; empty without intervals.
+pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
     {

@@ -118,6 +118,10 @@ impl Pipeline {
         };
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
+            if baseline.is_external() {
+                let test = self.partition(data)?.test;
+                baseline.check_test(data, &test).map_err(|error| named("baselines", error))?;
+            }
         }
         for metric in &self.metrics {
             metric.check_data(data).map_err(|error| named("metrics", error))?;

@@ -191,8 +191,9 @@ impl ViewPane {
         };
         let task = known.data.task();
         let name = baseline.name_for(task);
-        if !baseline.supports(task) {
-            return Err(Error::Config(format!("baseline {name}: not available for {}", task.plural)));
+        if !baseline.supports(task) || baseline.is_external() {
+            let what = if baseline.is_external() { "positions outside its test set" } else { task.plural };
+            return Err(Error::Config(format!("baseline {name}: not available for {what}")));
         }
         let fitted =
             FittedBaseline::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;

@@ -105,7 +105,7 @@ pub(super) fn unknown_folder(folder: &Path) -> Error {
 }
 
 /// Suggests a pipeline for the data.
-fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> {
+pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> {
     // Paths in a pipeline are relative to its file.
     let beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
     let root =
@@ -199,10 +199,10 @@ fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
 }
 
 /// Content of a data folder, with a suitable split.
-struct DataSurvey {
+pub(super) struct DataSurvey {
     /// Plugin that reads the folder.
     source: Plugin<dyn DataSource>,
-    data: Dataset,
+    pub(super) data: Dataset,
     /// Suggested split, as RON.
     split: String,
     partition: Partition,
@@ -214,7 +214,7 @@ struct DataSurvey {
 
 impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
-    fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+    pub(super) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
@@ -230,7 +230,7 @@ impl DataSurvey {
     }
 
     /// Batch size: the number of training transmitters, at most `most`.
-    fn batch(&self, most: usize) -> usize {
+    pub(super) fn batch(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].transmitter);
         train.collect::<BTreeSet<_>>().len().clamp(1, most)
     }

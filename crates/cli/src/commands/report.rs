@@ -53,8 +53,8 @@ pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Writes the report of a sweep after its last run.
-pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
-    compare(&Study::read(&[folder.into()])?, None, &folder.join(FOLDER), verbosity)
+pub(super) fn of_sweep(folder: &Path, reference: Option<&str>, verbosity: Verbosity) -> Result<()> {
+    compare(&Study::read(&[folder.into()])?, reference, &folder.join(FOLDER), verbosity)
 }
 
 /// Rebuilds the page of a run; without its data, it warns and keeps the old page.

@@ -103,7 +103,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     let open = RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
     match arguments.launcher {
         Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
-        None => here(&plan, &runs, arguments.jobs, verbosity),
+        None => here(&plan, &runs, arguments.jobs, (None, verbosity)),
     }
 }
 
@@ -124,8 +124,9 @@ fn chosen(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
 }
 
-/// Runs all runs in this process.
-fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
+/// Runs all runs in this process; the last report has this reference of paired differences.
+pub(super) fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, to: (Option<&str>, Verbosity)) -> Result<u8> {
+    let (reference, verbosity) = to;
     let stop = stop_flag();
     let board = SweepTable::new(plan, runs.len(), verbosity);
     let end = RunProgress::during(verbosity, |progress| {
@@ -137,7 +138,7 @@ fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> 
     #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
         let _held = plan.claim()?; // if the last runs of two processes end together, one writes after the other
-        super::report::of_sweep(&plan.folder, verbosity)?;
+        super::report::of_sweep(&plan.folder, reference, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
@@ -163,7 +164,7 @@ fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> 
 }
 
 /// Lists all runs with estimated times.
-fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
+pub(super) fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
     let pool = pool(jobs)?;
     let seconds = RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
     output::result(&table::plan(plan, runs, &seconds, jobs))?;

@@ -21,13 +21,19 @@ const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Images in a folder by id: files named by a number with `.png`; others are ignored.
 pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
+    let found = numbered(folder, "png", advice)?;
+    match found.get(&0) {
+        Some(path) => Err(Error::input(path, "invalid id 0; ids count from 1, so number the images from 00001")),
+        None => Ok(found),
+    }
+}
+
+/// Files in a folder by id: those named by a number with this `extension`.
+pub(crate) fn numbered(folder: &Path, extension: &str, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(|e| unreadable(folder, e, "folder", advice))? {
         let path = entry.map_err(|e| Error::read(folder, e))?.path();
-        let Some(id) = id_of(&path) else { continue };
-        if id == 0 {
-            return Err(Error::input(&path, "invalid id 0; ids count from 1, so number the images from 00001"));
-        }
+        let Some(id) = id_of(&path, extension) else { continue };
         if let Some(other) = found.insert(id, path.clone()) {
             // The folder order is arbitrary; the message must not depend on it.
             let (first, second) = if other < path { (other, path) } else { (path, other) };
@@ -38,10 +44,10 @@ pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>
     Ok(found)
 }
 
-fn id_of(path: &Path) -> Option<u32> {
+fn id_of(path: &Path, extension: &str) -> Option<u32> {
     let stem = path.file_stem()?.to_str()?;
-    let is_png = path.extension()?.eq_ignore_ascii_case("png");
-    (is_png && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
+    let is_one = path.extension()?.eq_ignore_ascii_case(extension);
+    (is_one && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
 }
 
 /// Decodes all images; the first sets the size. Errors are about the first bad file in the given order.

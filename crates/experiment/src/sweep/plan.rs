@@ -70,11 +70,25 @@ impl SweepPlan {
     /// An invalid experiment (with line and column), base, or combination (with axis and label).
     pub fn read(path: &Path, set: &[String], out: Option<&Path>) -> Result<Self> {
         let text = read_text(path)?;
-        let experiment = Experiment::parse(&text, path)?;
+        Self::of(&Experiment::parse(&text, path)?, (path, &text), None, set, out)
+    }
+
+    /// As [`Self::read`], for an `experiment` of the file `path` with this `text`; `base` replaces its base pipeline.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn of(
+        experiment: &Experiment,
+        (path, text): (&Path, &str),
+        base: Option<&Pipeline>,
+        set: &[String],
+        out: Option<&Path>,
+    ) -> Result<Self> {
         let here = path.parent().unwrap_or(Path::new(""));
-        let tree = RonTree::parse(&text).map_err(|why| Error::input(path, why))?;
-        let source = ExperimentSource { path, here, experiment: &experiment, text: &text, tree: &tree, set };
-        let draft = source.base(&experiment.base)?;
+        let tree = RonTree::parse(text).map_err(|why| Error::input(path, why))?;
+        let source = ExperimentSource { path, here, experiment, text, tree: &tree, set };
+        let own = || read_base(here, &experiment.base);
+        let draft = source.changed(base.map_or_else(own, |base| Ok(PipelineEdit::of(base)))?)?;
         source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
         for axis in 0..experiment.axes.len() {
@@ -161,10 +175,8 @@ struct ExperimentSource<'a> {
 }
 
 impl ExperimentSource<'_> {
-    /// Reads the pipeline in `file`, relative to the experiment file, with the settings of all runs. Values are
-    /// validated later, together with those of the axes.
-    fn base(&self, file: &Path) -> Result<PipelineEdit> {
-        let mut draft = read_base(self.here, file)?;
+    /// Applies the settings of all runs to a base. Values are validated later, together with those of the axes.
+    fn changed(&self, mut draft: PipelineEdit) -> Result<PipelineEdit> {
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
         change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
         set_all(&mut draft, self.set)?;
@@ -188,7 +200,9 @@ impl ExperimentSource<'_> {
                 let tree = axis.as_ref().and_then(|axis| item(axis, "variants", k));
                 let set = variant.set.located(&title, tree.as_ref().and_then(|tree| tree.field("set")), self.text);
                 let mut draft = match &variant.base {
-                    Some(file) => self.base(file).map_err(|e| Error::input(self.path, format!("{title}: {e}")))?,
+                    Some(file) => read_base(self.here, file)
+                        .and_then(|base| self.changed(base))
+                        .map_err(|e| Error::input(self.path, format!("{title}: {e}")))?,
                     None => combination.draft.clone(),
                 };
                 change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;

@@ -1,5 +1,6 @@
 //! `Comparison`: rows of a setting (variants, then baselines) with all their numbers, as in `report.csv`.
 
+use pwrfgs_core::{Baseline, Plugin};
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
 use pwrfgs_experiment::{CEILING, Record, Setting, StudyVariant, distinct, text::Lines};
@@ -17,6 +18,8 @@ pub(super) const TRAINED_ON: &str = "trained_on";
 pub(super) enum RowKind {
     /// Trained models.
     Variant,
+    /// Predictions of another program.
+    External,
     /// Baseline.
     Baseline,
     /// Oracle baseline, which uses the scene of simulated data: not ranked.
@@ -28,7 +31,7 @@ pub(super) enum RowKind {
 impl RowKind {
     /// Value in the CSV file.
     pub(super) fn name(self) -> &'static str {
-        ["variant", "baseline", "oracle", "ceiling"][self as usize]
+        ["variant", "external", "baseline", "oracle", "ceiling"][self as usize]
     }
 }
 
@@ -114,7 +117,7 @@ impl ComparisonRow<'_> {
                 match self.kind {
                     RowKind::Variant => Some(train as f64),
                     RowKind::Baseline => Some((train + validation) as f64),
-                    RowKind::Oracle | RowKind::Ceiling => None,
+                    RowKind::External | RowKind::Oracle | RowKind::Ceiling => None,
                 }
             }
             _ => run.scores.table.numbers(self.predictor, &metric.key)?.get(statistic.place()).copied(),
@@ -182,13 +185,16 @@ impl<'a> Comparison<'a> {
                     Some(row) => row.runs.push(run),
                     None => {
                         let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
-                        let kind = if oracle { RowKind::Oracle } else { RowKind::Baseline };
+                        let is_it = |own: &Plugin<dyn Baseline>| own.is_external() && own.name() == name;
+                        let external = run.pipeline.baselines.iter().any(is_it);
+                        let known = if oracle { RowKind::Oracle } else { RowKind::Baseline };
+                        let kind = if external { RowKind::External } else { known };
                         rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
                     }
                 }
             }
         }
-        rows[variants..].sort_by_key(|row| row.kind == RowKind::Oracle);
+        rows[variants..].sort_by_key(|row| row.kind as usize);
         let mut ceiling: Vec<&Record> = Vec::new();
         for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {
             if !ceiling.iter().any(|other| other.facts.seed == run.facts.seed) {
@@ -280,7 +286,7 @@ const HEADER: &str = "setting simulated variant kind metric unit statistic value
 
 /// `report.csv`: one line per number: all metrics of all rows of all settings, with references.
 ///
-/// Columns: setting, simulated, variant, kind (`variant`, `baseline`, `oracle` for an oracle baseline,
+/// Columns: setting, simulated, variant, kind (`variant`, `external`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
 /// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
 /// seeds, empty for one), n (seeds), reference, low and high (ends of the interval of a difference).

@@ -81,13 +81,14 @@ fn title(words: &str, setting: &Setting) -> String {
 }
 
 impl TableLine {
-    /// Creates a row. The label marks baselines, oracle baselines (with a dagger) and variants whose models are
+    /// Creates a row. The label marks external predictions, baselines, oracle baselines (with a dagger) and variants whose models are
     /// bit-identical to those of an earlier variant.
     fn new(row: &ComparisonRow<'_>, cells: Vec<FormattedValue>) -> Self {
         let ComparisonRow { label, kind, .. } = *row;
         let label = match (kind, row.twin) {
             (_, Some(twin)) => format!("{label} ≡ {twin}"),
             (RowKind::Variant | RowKind::Ceiling, None) => label.to_owned(),
+            (RowKind::External, None) => format!("{label} (external)"),
             (RowKind::Baseline, None) => format!("{label} (baseline)"),
             (RowKind::Oracle, None) => format!("{label} †"),
         };

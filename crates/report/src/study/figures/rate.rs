@@ -64,7 +64,9 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
         let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
         Ok(ChartLine::new(curve(&measured), Style::baseline(k)).named_at_end(&name))
     };
-    run.pipeline.baselines.iter().enumerate().map(line).collect()
+    // The files of an external baseline may have been moved since the run.
+    let is_there = |baseline: &&Plugin<dyn pwrfgs_core::Baseline>| baseline.check_test(data, &partition.test).is_ok();
+    run.pipeline.baselines.iter().filter(is_there).enumerate().map(line).collect()
 }
 
 /// Signal-to-noise ratios at which η is computed, dB.

@@ -82,7 +82,7 @@ fn column(
     let mut cells: Vec<FormattedValue> = spreads.iter().map(shown).collect();
     if ranked {
         let rivals =
-            |row: &ComparisonRow<'_>| [RowKind::Variant, RowKind::Baseline].contains(&row.kind) && row.twin.is_none();
+            |row: &ComparisonRow<'_>| ![RowKind::Oracle, RowKind::Ceiling].contains(&row.kind) && row.twin.is_none();
         mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {
@@ -221,6 +221,7 @@ fn table(
         baselines => table.has(RowKind::Baseline),
         marked => table.is_marked(),
         oracles => table.has(RowKind::Oracle),
+        external => table.has(RowKind::External),
         twins => !comparison.twins().is_empty(),
         ceiling => table.has(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,

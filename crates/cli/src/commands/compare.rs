@@ -1,0 +1,166 @@
+//! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
+
+use super::init::{DataSurvey, name_of, pipeline as pipeline_of};
+use super::options::{ChangeOptions, count};
+use super::sweep;
+use crate::output::{self, SUCCESS, Verbosity};
+use crate::progress::RunProgress;
+use clap::Args;
+use pwrfgs::data::Predictions;
+use pwrfgs::experiment::sweep::{Experiment, ListedRun, Listing, PlannedRun, SweepPlan, check};
+use pwrfgs::experiment::{CEILING, distinct, samples, scores::MODEL};
+use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::plugin::{name_of as plugin_name, registered};
+use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+All rows have one split. Repeat the command to resume, or with new predictions: trained models are
+kept. Another program trains on the ids that --split-csv lists as train and validation, and predicts
+the test ids: NNNNN.npy per id as `pwrfgs predict` writes them, or predictions.csv with id and dbm.
+
+EXAMPLES
+  pwrfgs compare data/s23 --dry-run
+  pwrfgs compare data/s23 --split-csv split.csv
+  pwrfgs compare data/s23 --methods P-WRFGS,waves --predictions U-Net=predicted")]
+pub(crate) struct Compare {
+    /// Folder with the data
+    #[arg(value_name = "FOLDER")]
+    pub(crate) folder: PathBuf,
+    /// Score the predictions in this folder as NAME; repeatable
+    #[arg(long, value_name = "NAME=FOLDER")]
+    pub(crate) predictions: Vec<String>,
+    /// Train only these methods, separated by commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(crate) methods: Vec<String>,
+    /// Number of seeds per method
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = count)]
+    pub(crate) seeds: usize,
+    #[command(flatten)]
+    pub(crate) changes: ChangeOptions,
+    /// Output folder [default: runs/compare-NAME, from the data folder]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// List all runs with estimated times; run nothing
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    /// Write id, position and set of all samples to a file; run nothing
+    #[arg(long, value_name = "FILE", conflicts_with = "dry_run")]
+    pub(crate) split_csv: Option<PathBuf>,
+}
+
+pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
+    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
+    let mut plan = plan(arguments, &survey)?;
+    let partition = plan.runs[0].pipeline.partition(&survey.data)?;
+    if let Some(path) = &arguments.split_csv {
+        check_new_file(path)?;
+        write_atomically(path, samples::to_csv(&survey.data, &partition, &[]).as_bytes())?;
+        let [train, validation, test] = partition.sizes();
+        output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
+        return Ok(SUCCESS);
+    }
+    let external = external(arguments, &plan, (&survey.data, &partition))?;
+    // Baselines and predictions are equal for all methods: the runs of the first method score them.
+    let first = plan.runs[0].combination;
+    for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
+        if *combination == first {
+            pipeline.baselines.extend(external.iter().cloned());
+        } else {
+            pipeline.baselines.clear();
+        }
+    }
+    let runs: Vec<usize> = (0..plan.runs.len()).collect();
+    if arguments.dry_run {
+        return sweep::dry_run(&plan, &runs, 1, verbosity);
+    }
+    RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
+    sweep::here(&plan, &runs, 1, (external.first().map(|own| own.name()).as_deref(), verbosity))
+}
+
+/// Runs of the chosen methods, all with the same split.
+fn plan(arguments: &Compare, survey: &DataSurvey) -> Result<SweepPlan> {
+    let (data, task) = (&survey.data, survey.data.task());
+    let name = match &data.features {
+        Some(_) => "methods-uplink",
+        None if task.is_scalar => "methods-powers",
+        None if task.is_complex => "methods-channels",
+        None => "methods",
+    };
+    let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
+    let text = file.expect("the facade registers its experiments").source;
+    let path = PathBuf::from(format!("{}/{name}.ron", ShippedFile::EXPERIMENTS));
+    let mut experiment = Experiment::parse(text, &path)?;
+    experiment.name = format!("compare-{}", name_of(&arguments.folder));
+    experiment.seeds = (0..arguments.seeds as u64).collect();
+    let folder = arguments.folder.canonicalize().map_err(|e| Error::read(&arguments.folder, e))?;
+    let mut base = pipeline_of(survey, &folder, Path::new("compare.ron"))?;
+    (base.split_seed, base.baselines) = (Some(0), baselines(data));
+    let set = arguments.changes.all();
+    let mut plan = SweepPlan::of(&experiment, (&path, text), Some(&base), &set, arguments.out.as_deref())?;
+    let known = distinct(plan.runs.iter().map(|run| run.labels[0].1.clone()));
+    if let Some(name) = arguments.methods.iter().find(|name| !known.contains(name)) {
+        let near = did_you_mean(name, known.iter().map(String::as_str));
+        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", known.join(", "));
+        return Err(Error::Config(why));
+    }
+    plan.runs.retain(|run| arguments.methods.is_empty() || arguments.methods.contains(&run.labels[0].1));
+    for PlannedRun { pipeline, .. } in &mut plan.runs {
+        let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
+        let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
+        pipeline.set_all(&[vec![batch], if is_rays { rays(data) } else { Vec::new() }].concat())?;
+    }
+    let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
+    // Baselines and predictions of other runs would remain in the report.
+    match earlier.iter().flat_map(|there| &there.runs).find(|run| !planned.contains(run)) {
+        Some(ListedRun { folder, .. }) => {
+            let why = format!("holds the run `{folder}`; add its method and seed, or choose another --out");
+            Err(Error::input(&plan.folder, why))
+        }
+        None => Ok(plan),
+    }
+}
+
+/// Settings of NeRF2 for the size of the site: rays reach its longest side; beyond a room it is the unit of length.
+fn rays(data: &Dataset) -> Vec<String> {
+    let (low, high) = data.scene.bounds;
+    let far = (0..3).map(|k| high[k] - low[k]).fold(5.0, Real::max).ceil();
+    let unit = if far > 20.0 { far } else { 1.0 };
+    [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into()
+}
+
+/// All registered baselines for the data, and further numbers of neighbours.
+fn baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
+    let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
+    let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
+    let is_apt =
+        |own: &Plugin<dyn Baseline>| own.supports(data.task()) && !own.is_external() && own.check_data(data).is_ok();
+    texts.filter_map(|text| Plugin::parse(&text).ok()).filter(is_apt).collect()
+}
+
+/// Checked predictions of other programs.
+fn external(arguments: &Compare, plan: &SweepPlan, known: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
+    let (data, partition) = known;
+    let known = plan.runs[0].pipeline.baselines.iter().map(|own| own.name_for(data.task()));
+    let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
+    let mut taken: Vec<String> = known.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
+    let mut all = Vec::new();
+    for text in &arguments.predictions {
+        let refuse = |what: &str| Error::Config(format!("--predictions {text}: {what}"));
+        let (name, root) = text
+            .split_once('=')
+            .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
+            .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
+        if taken.iter().any(|other| other == name) {
+            return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
+        }
+        taken.push(name.to_owned());
+        let root = Path::new(root).canonicalize().map_err(|e| Error::read(Path::new(root), e))?;
+        let mut own = Predictions { name: name.into(), root, ..Predictions::default() };
+        own.check_test(data, &partition.test)?;
+        own.seal(data)?;
+        all.push(Plugin::from(Box::new(own) as Box<dyn Baseline>));
+    }
+    Ok(all)
+}

@@ -1,0 +1,204 @@
+//! `Predictions`: predictions of another program for the test set, read from a folder.
+
+use crate::nerf2::pictures::numbered;
+use crate::npy::MAX_BYTES;
+use crate::text::{number, read_bytes, read_text, table};
+use pwrfgs_core::messages::quoted;
+use pwrfgs_core::npy::Header;
+use pwrfgs_core::{
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, files, rows_of,
+};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// File with the predictions of received powers.
+const POWERS: &str = "predictions.csv";
+/// Next step if files and test set differ.
+const ADVICE: &str = "give one prediction per test id; `pwrfgs compare DATA --split-csv FILE` lists the ids";
+/// Largest absolute value of a predicted spectrum, whose values are from 0 to 1.
+const LARGEST: Real = 2.0;
+
+/// Predictions of another program for the test set, scored like a baseline.
+///
+/// The folder holds one file per test id, such as `00012.npy`, and no file for other ids:
+///
+/// - spectra: float32 [elevation, azimuth], linear, 0 to 1;
+/// - channels: complex64 [antennas, subcarriers].
+///
+/// Received powers are in `predictions.csv`, with the columns `id` and `dbm`. With several receivers, the column `link`
+/// replaces `id`, and files have the number of the link. `pwrfgs compare` lists all ids and sets this baseline. The
+/// training set of the predictions is not checked.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_data as _;
+/// let baseline = Plugin::<dyn Baseline>::parse(r#"Predictions(name: "U-Net", root: "../predicted")"#).unwrap();
+/// assert_eq!(baseline.name(), "U-Net");
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Predictions {
+    /// Name in tables.
+    pub name: String,
+    /// Folder of the predictions, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
+    pub root: PathBuf,
+    /// Digest of all files, which `pwrfgs compare` sets so that changed predictions are scored again.
+    pub digest: String,
+}
+
+impl Default for Predictions {
+    fn default() -> Self {
+        Self { name: "predictions".into(), root: "predicted".into(), digest: String::new() }
+    }
+}
+
+/// One prediction.
+#[derive(Clone, Debug)]
+enum Prediction {
+    File(PathBuf),
+    Power(Real),
+}
+
+impl Predictions {
+    /// Sets the digest from the files of predictions for `data`.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn seal(&mut self, data: &Dataset) -> Result<()> {
+        let mut all = String::new();
+        for (id, prediction) in self.of_ids(data)? {
+            let content = match prediction {
+                Prediction::File(path) => files::digest(&files::read(&path).map_err(|e| Error::read(&path, e))?),
+                Prediction::Power(dbm) => dbm.to_string(),
+            };
+            _ = writeln!(all, "{id} {content}");
+        }
+        self.digest = files::digest(all.as_bytes());
+        Ok(())
+    }
+
+    /// Predictions by label of the sample.
+    fn of_ids(&self, data: &Dataset) -> Result<BTreeMap<u32, Prediction>> {
+        if data.task().is_scalar {
+            let key = if data.scene.receivers.len() > 1 { "link" } else { "id" };
+            return powers(&self.root.join(POWERS), key);
+        }
+        let found = numbered(&self.root, "npy", ADVICE)?;
+        Ok(found.into_iter().map(|(id, path)| (id, Prediction::File(path))).collect())
+    }
+}
+
+/// Reads a table with the columns `key` and `dbm`.
+fn powers(path: &Path, key: &str) -> Result<BTreeMap<u32, Prediction>> {
+    let text = read_text(path, files::MAX_TEXT, ADVICE)?;
+    let mut found = BTreeMap::new();
+    for (line, [id, power]) in table(path, &text, [key, "dbm"], ADVICE)? {
+        let fault = |what| Error::at(path, line, id.column, format!("{key} {} {what}; {ADVICE}", quoted(id.text)));
+        let label = id.text.parse().ok().ok_or_else(|| fault("is not a whole number"))?;
+        let power = Prediction::Power(number(path, line, power, "give the power in dBm")? as Real);
+        if found.insert(label, power).is_some() {
+            return Err(fault("occurs twice"));
+        }
+    }
+    Ok(found)
+}
+
+impl Prediction {
+    /// Reads it as an observation like those of `data`.
+    fn image(&self, data: &Dataset) -> Result<Image> {
+        let (task, width, height) = (data.task(), data.width, data.height);
+        let path = match self {
+            Self::Power(dbm) => return Ok(Image { width, height, pixels: vec![*dbm] }),
+            Self::File(path) => path,
+        };
+        let refuse = |what: String| Err(Error::input(path, what));
+        let bytes = read_bytes(path, MAX_BYTES, ADVICE)?;
+        let Header { descr, fortran, shape, offset } = Header::read(path, &mut &bytes[..])?;
+        let (wanted, size, axes, parts) = if task.is_complex {
+            ("<c8", [height / 2, width], "[antennas, subcarriers]", 2)
+        } else {
+            ("<f4", [height, width], "[elevation, azimuth]", 1)
+        };
+        if descr != wanted {
+            return refuse(format!("has numbers of type `{descr}`, expected `{wanted}`; save a.astype('{wanted}')"));
+        }
+        if shape != size || fortran {
+            let advice = format!("save numpy.ascontiguousarray(a), one array {axes} per id");
+            return refuse(format!("has shape {shape:?}, expected {size:?} in C order; {advice}"));
+        }
+        let numbers = bytes[offset as usize..].as_chunks().0;
+        let pixels: Vec<Real> = numbers.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
+        if 4 * pixels.len() as u64 + offset != bytes.len() as u64 || pixels.len() != width * height {
+            return refuse("does not have the length of its shape; the file is damaged: save it again".into());
+        }
+        let is_wrong = |v: &Real| !v.is_finite() || (task.has_pixels && v.abs() > LARGEST);
+        if let Some(i) = pixels.iter().position(is_wrong) {
+            let (at, range) =
+                ([i / parts / width, i / parts % width], if parts == 1 { ", linear, 0 to 1" } else { "" });
+            return refuse(format!("the value at {at:?} is {}; give finite numbers{range}", pixels[i]));
+        }
+        let pixels = if task.is_complex { rows_of(pixels.as_chunks().0, width) } else { pixels };
+        Ok(Image { width, height, pixels })
+    }
+}
+
+#[typetag::serde]
+impl Baseline for Predictions {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn is_external(&self) -> bool {
+        true
+    }
+
+    fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {
+        let found = self.of_ids(data)?;
+        let (given, wanted): (BTreeSet<u32>, BTreeSet<u32>) =
+            (found.keys().copied().collect(), test.iter().map(|&i| data.label(i)).collect());
+        for (what, ids) in [
+            ("test ids have no prediction", wanted.difference(&given).collect::<Vec<_>>()),
+            ("predictions are not for test ids", given.difference(&wanted).collect()),
+        ] {
+            if let Some(first) = ids.first() {
+                let message = format!("{} {what}, such as {first}; {ADVICE}", ids.len());
+                return Err(Error::input(&self.root, message));
+            }
+        }
+        found.values().try_for_each(|own| own.image(data).map(drop))
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, _: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+        let found = self.of_ids(data)?;
+        let of = |i: usize| {
+            let sample = data.sample(i);
+            Some(((sample.id, sample.receiver), found.get(&data.label(i))?.clone()))
+        };
+        Ok(Box::new(External { data, name: self.name.clone(), of: (0..data.len()).filter_map(of).collect() }))
+    }
+}
+
+/// Predictions by id and receiver. Files are read when needed, so that memory does not grow with their number.
+struct External<'a> {
+    data: &'a Dataset,
+    name: String,
+    of: BTreeMap<(u32, usize), Prediction>,
+}
+
+impl Predict for External<'_> {
+    fn predict(&self, query: Query<'_>) -> Image {
+        let found = query.id.and_then(|id| self.of.get(&(id, query.receiver)));
+        // A file that has disappeared since the check: callers refuse numbers that are not finite.
+        found.and_then(|own| own.image(self.data).ok()).unwrap_or_else(|| {
+            let (width, height) = (self.data.width, self.data.height);
+            Image { width, height, pixels: vec![Real::NAN; width * height] }
+        })
+    }
+
+    fn note(&self) -> Option<String> {
+        Some(format!("{}: predictions of another program; its training set is not checked", self.name))
+    }
+}
