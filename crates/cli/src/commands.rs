@@ -67,6 +67,9 @@ pub(crate) enum Command {
     #[cfg(feature = "raytrace")]
     /// Simulate a data set in a room by ray tracing
     Simulate(simulate::Simulate),
+    #[cfg(feature = "raytrace")]
+    /// Write a scene as Mitsuba XML and PLY for Sionna RT
+    ExportScene(simulate::ExportScene),
     /// List plugins and settings, or describe one of them
     Plugins(plugins::Plugins),
     /// List public data sets, or check a downloaded one
@@ -95,6 +98,8 @@ impl Command {
             Self::Compare(compare) => return compare::compare(compare, verbosity),
             #[cfg(feature = "raytrace")]
             Self::Simulate(simulate) => return simulate::simulate(simulate, verbosity),
+            #[cfg(feature = "raytrace")]
+            Self::ExportScene(export) => simulate::export_scene(export, verbosity),
             Self::Check(check) => check::check(check, verbosity),
             Self::Predict(predict) => predict::predict(predict, verbosity),
             #[cfg(feature = "report")]

@@ -19,6 +19,7 @@ const COMMANDS: &[&str] = &[
     "data",
     "evaluate",
     "export",
+    "export-scene",
     "import",
     "init",
     "inspect",

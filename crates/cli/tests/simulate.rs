@@ -47,6 +47,27 @@ fn simulated_data_set_is_trainable() {
 }
 
 #[test]
+fn exported_scene_is_simulated_with_given_carrier_and_receiver() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("closet.ron"), SCENE).unwrap();
+    let made = call(folder, &["export-scene", "closet.ron", "--out", "closet"]);
+    assert!(stderr(&made).contains("3 meshes in closet; open scene.xml with sionna.rt"), "{}", stderr(&made));
+    let more = ["--carrier-hz", "2.4e9", "--receiver", "0.2,1,1.5"];
+    let simulate = ["simulate", "closet/scene.xml", "--samples", "5", "--points", "9", "--out", "again"];
+    let made = call(folder, &[&simulate[..], &more].concat());
+    let expected = "3 meshes; carrier 2.4e9 Hz, receiver at [0.2, 1.0, 1.5], transmitters from [0.3, 0.2, 1.25] to [2.7, \
+                    1.8, 1.25]";
+    assert!(made.status.success() && stderr(&made).contains(expected), "{}", stderr(&made));
+    fs::remove_file(folder.join("closet/meshes/walls.ply")).unwrap();
+    let refused = call(folder, &["simulate", "closet/scene.xml", "--out", "third"]);
+    assert_eq!(refused.status.code(), Some(2));
+    let expected = "scene.xml:4:9: mesh `meshes/walls.ply` is missing";
+    assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
+    assert!(!folder.join("third").exists());
+}
+
+#[test]
 fn invalid_scenes_leave_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -12,6 +12,7 @@
 pub mod array;
 pub mod images;
 pub mod mesh;
+pub mod mitsuba;
 mod observe;
 pub mod output;
 mod patches;

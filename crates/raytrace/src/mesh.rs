@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::{collections::HashMap, fs, path::Path};
 
@@ -44,6 +44,54 @@ pub fn read(path: &Path) -> Result<Mesh> {
     let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();
     mesh.check(path)?;
     Ok(mesh)
+}
+
+/// Reads the mesh of the object `name` and maps it by `matrix`; normals of a closed surface then point outwards.
+///
+/// # Errors
+/// Errors of [`read`]; a solid that is not closed, or whose triangles run in different directions.
+pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -> Result<Mesh> {
+    let mut mesh = read(file)?;
+    mesh.vertices.iter_mut().for_each(|vertex| *vertex = matrix.transform_point3(*vertex));
+    if solid && mesh.is_closed() && !is_consistent(&mesh) {
+        return Err(Error::input(
+            file,
+            format!(
+                "the triangles of `{name}` run in different directions, so that inside and outside are unclear; let the \
+                 modelling program recalculate its normals"
+            ),
+        ));
+    }
+    if mesh.is_closed() && volume(&mesh) < 0.0 {
+        mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
+    }
+    if solid && !mesh.is_closed() {
+        let open = mesh.boundary_edges();
+        return Err(Error::input(
+            file,
+            format!(
+                "the surface of `{name}` is open ({open} sides of triangles have no neighbour), and a solid needs a closed \
+                 one; close it, or give its finish a `thickness_m` to make it a thin sheet"
+            ),
+        ));
+    }
+    Ok(mesh)
+}
+
+/// Whether neighbouring triangles traverse their common edge in opposite directions.
+fn is_consistent(mesh: &Mesh) -> bool {
+    let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
+    edges.sort_unstable();
+    let mut reversed: Vec<[u32; 2]> = edges.iter().map(|[a, b]| [*b, *a]).collect();
+    reversed.sort_unstable();
+    edges == reversed
+}
+
+/// Volume of a closed surface, m³; negative if the normals point inwards.
+fn volume(mesh: &Mesh) -> f64 {
+    let origin = mesh.vertices.first().copied().unwrap_or_default();
+    let corner = |i: u32| mesh.vertices[i as usize] - origin;
+    mesh.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
 impl Mesh {

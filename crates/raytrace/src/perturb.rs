@@ -27,7 +27,9 @@ pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
     if errors.positions_m > 0.0 {
         let mut rng = rng::stream(errors.seed, "wrong places", errors.draw);
         let mut error = || errors.positions_m * rng::normal(&mut rng) as f64;
-        move_walls(&mut wrong.room.outline, &mut error);
+        if let Some(room) = &mut wrong.room {
+            move_walls(&mut room.outline, &mut error);
+        }
         wrong.objects.iter_mut().for_each(|object| move_object(object, [error(), error()]));
         move_openings(scene, &mut wrong);
     }
@@ -42,9 +44,8 @@ fn finishes(scene: &mut SceneFile, errors: &SceneErrors) {
     let truth = scene.clone();
     let mut rng = rng::stream(errors.seed, "wrong materials", errors.draw);
     let factor = |rng: &mut Rng| (errors.materials * rng::normal(rng) as f64).exp();
-    let room = &mut scene.room;
-    let all = [&mut room.walls, &mut room.floor, &mut room.ceiling].into_iter();
-    for (i, finish) in all.chain(scene.objects.iter_mut().filter_map(Object::finish_mut)).enumerate() {
+    let room = scene.room.iter_mut().flat_map(|room| [&mut room.walls, &mut room.floor, &mut room.ceiling]);
+    for (i, finish) in room.chain(scene.objects.iter_mut().filter_map(Object::finish_mut)).enumerate() {
         let mut material = truth.material(&finish.material).expect("materials were looked up when the scene was read");
         material.a = (material.a * factor(&mut rng)).max(1.0);
         material.c *= factor(&mut rng);
@@ -83,9 +84,10 @@ fn move_object(object: &mut Object, by: [f64; 2]) {
 
 /// Moves each opening together with its host.
 fn move_openings(truth: &SceneFile, wrong: &mut SceneFile) {
-    let top = |scene: &SceneFile| match &scene.room.outline {
-        Outline::Box { high, .. } => high[2],
-        Outline::Plan { ceiling, .. } => *ceiling,
+    let top = |scene: &SceneFile| match scene.room.as_ref().map(|room| &room.outline) {
+        Some(Outline::Box { high, .. }) => high[2],
+        Some(Outline::Plan { ceiling, .. }) => *ceiling,
+        None => f64::INFINITY,
     };
     for k in 0..truth.objects.len() {
         let Object::Opening { from, to, heights, .. } = &truth.objects[k] else { continue };
@@ -112,9 +114,10 @@ fn uprights(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
         let middle = 0.5 * (corners[0] + corners[2]);
         ring(&corners.map(|p| middle + DVec2::from_angle(yaw_deg.to_radians()).rotate(p - middle)))
     };
-    let mut sides = match &scene.room.outline {
-        Outline::Box { low, high } => rectangle(low, high, 0.0),
-        Outline::Plan { corners, .. } => ring(&corners.iter().copied().map(DVec2::from).collect::<Vec<_>>()),
+    let mut sides = match scene.room.as_ref().map(|room| &room.outline) {
+        Some(Outline::Box { low, high }) => rectangle(low, high, 0.0),
+        Some(Outline::Plan { corners, .. }) => ring(&corners.iter().copied().map(DVec2::from).collect::<Vec<_>>()),
+        None => Vec::new(),
     };
     for object in &scene.objects[..count] {
         match object {

@@ -11,13 +11,15 @@ pub use room::{Finish, Object, Outline, Room};
 
 use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
+use crate::mitsuba::MitsubaScene;
 use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
+use crate::transmitters::Transmitters;
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Pose, Result, ShippedFile, did_you_mean};
+use pwrfgs_core::{Error, Pose, Result, ShippedFile, did_you_mean, files};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Longest name, characters.
 const LONGEST_NAME: usize = 200;
@@ -28,6 +30,10 @@ const LEAST_PERMITTIVITY: f64 = 1e-6;
 const MOST_PERMITTIVITY: f64 = 1e70;
 /// Largest number of the scene's own materials listed in a message.
 const LISTED: usize = 20;
+/// Scene of a Mitsuba file, before its meshes are known.
+const MITSUBA_DEFAULTS: &str = "(name: \"\", carrier_hz: 3.5e9, \
+    receiver: (position: (0, 0, 0), orientation: Facing(direction: (1, 0, 0))), \
+    transmitter: (positions: Uniform(low: (0, 0, 0), high: (0, 0, 0))))";
 /// Largest number of receivers; each has its own images and beams.
 const MOST_RECEIVERS: usize = 200;
 
@@ -42,8 +48,12 @@ pub struct SceneFile {
     pub about: String,
     /// Carrier frequency, Hz.
     pub carrier_hz: f64,
-    /// Walls, floor and ceiling.
-    pub room: Room,
+    /// Walls, floor and ceiling; without them, the scene is open, as outdoors.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub room: Option<Room>,
+    /// Mitsuba XML file, relative to the scene file: its meshes and radio materials are added to the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mitsuba: Option<PathBuf>,
     /// Materials in addition to those of ITU-R P.2040; equal names replace them.
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
@@ -73,11 +83,15 @@ pub struct SceneFile {
 }
 
 impl SceneFile {
-    /// Reads a scene file, or the shipped scene of this name; mesh paths become relative to the current directory.
+    /// Reads a scene file, or the shipped scene of this name; mesh paths become relative to the current directory. A
+    /// Mitsuba XML file is a scene with a default carrier, receiver and transmitter region.
     ///
     /// # Errors
     /// Reports file, line and column of an error.
     pub fn read(path: &Path) -> Result<Self> {
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
+            return Self::read_mitsuba(path);
+        }
         let mut scene = Self::parse(&ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
@@ -85,7 +99,38 @@ impl SceneFile {
                 *file = folder.join(&*file);
             }
         }
-        Ok(scene)
+        let Some(file) = scene.mitsuba.take() else { return Ok(scene) };
+        let file = folder.join(file);
+        scene.with_meshes(MitsubaScene::read(&file)?, &file)
+    }
+
+    /// Scene of a Mitsuba file, with isotropic antennas at positions that suit its size.
+    fn read_mitsuba(path: &Path) -> Result<Self> {
+        let meshes = MitsubaScene::read(path)?;
+        let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
+        scene.name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let [receiver, low, high] = meshes.antennas()?;
+        scene.receiver.position = receiver;
+        scene.transmitter.positions = Transmitters::Uniform { low, high };
+        scene.with_meshes(meshes, path)
+    }
+
+    /// The scene with the meshes and materials of the Mitsuba file `path`; its own materials have precedence.
+    fn with_meshes(mut self, meshes: MitsubaScene, path: &Path) -> Result<Self> {
+        self.objects.extend(meshes.objects);
+        self.materials = meshes.materials.into_iter().chain(self.materials).collect();
+        self.check_in(path, &files::read_text(path)?)
+    }
+
+    /// The scene with another carrier and another position of the first receiver, if given.
+    ///
+    /// # Errors
+    /// A value out of range.
+    pub fn with(mut self, carrier_hz: Option<f64>, receiver: Option<[f64; 3]>) -> Result<Self> {
+        self.carrier_hz = carrier_hz.unwrap_or(self.carrier_hz);
+        self.receiver.position = receiver.unwrap_or(self.receiver.position);
+        let fault = self.fault().map(|what| Error::Config(format!("scene `{}`: {what}", self.name)));
+        fault.map_or(Ok(self), Err)
     }
 
     /// Parses a scene; `path` is used only in messages.
@@ -93,12 +138,16 @@ impl SceneFile {
     /// # Errors
     /// Reports line and column of an error.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let scene: Self = read_ron(text, path)?;
-        scene.check_names().and_then(|()| scene.check()).map_err(|fault| match place(text, &fault.near) {
+        read_ron::<Self>(text, path)?.check_in(path, text)
+    }
+
+    /// Checks the scene in the file `path` with content `text`.
+    fn check_in(self, path: &Path, text: &str) -> Result<Self> {
+        self.check_names().and_then(|()| self.check()).map_err(|fault| match place(text, &fault.near) {
             Some((line, column)) => Error::at(path, line, column, fault.what),
             None => Error::input(path, fault.what),
         })?;
-        Ok(scene)
+        Ok(self)
     }
 
     /// Scene as RON text, with every default written out.
@@ -150,8 +199,9 @@ impl SceneFile {
 
     /// All finishes, with the names of their objects.
     pub(crate) fn finishes(&self) -> impl Iterator<Item = (&str, &Finish)> {
-        let room = [("walls", &self.room.walls), ("floor", &self.room.floor), ("ceiling", &self.room.ceiling)];
-        room.into_iter().chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
+        let room = self.room.iter();
+        let room = room.flat_map(|room| [("walls", &room.walls), ("floor", &room.floor), ("ceiling", &room.ceiling)]);
+        room.chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
     /// The first problem of the scene, in words.
@@ -196,7 +246,11 @@ impl SceneFile {
         for (owner, finish) in self.finishes() {
             self.check_finish(owner, finish)?;
         }
-        self.room.outline.check().map_err(|what| SceneFault::of(what, "outline"))?;
+        if let Some(room) = &self.room {
+            room.outline.check().map_err(|what| SceneFault::of(what, "outline"))?;
+        } else if self.objects.is_empty() && self.mitsuba.is_none() {
+            return Err(SceneFault::of("the scene is empty; give it a `room`, `objects` or `mitsuba`", "receiver"));
+        }
         let mut names = BTreeSet::new();
         for object in &self.objects {
             let quoted = format!("\"{}\"", object.name());

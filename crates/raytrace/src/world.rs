@@ -139,7 +139,7 @@ pub struct World {
     pub edges: Vec<Edge>,
     /// All triangles, in the order of their faces.
     pub triangles: Vec<Triangle>,
-    /// Closed bodies; the room is the first.
+    /// Closed bodies; the room, if any, is the first.
     bodies: Vec<SolidBody>,
     hierarchy: Hierarchy,
 }
@@ -202,8 +202,9 @@ impl World {
     /// # Errors
     /// The obstacle, such as «inside `desk 2`».
     pub fn check_free(&self, point: DVec3) -> Result<(), String> {
-        let (room, objects) = self.bodies.split_first().expect("a world has a room");
-        if !room.holds(point) {
+        let has_room = self.faces.first().is_some_and(Face::is_room);
+        let (room, objects) = self.bodies.split_at(usize::from(has_room));
+        if room.iter().any(|room| !room.holds(point)) {
             return Err("outside the room".into());
         }
         match objects.iter().find(|body| body.holds(point)) {

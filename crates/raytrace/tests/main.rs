@@ -10,4 +10,5 @@ mod limits;
 mod link_data;
 mod link_files;
 mod links;
+mod mitsuba;
 mod reference_paths;

@@ -1,12 +1,13 @@
-//! `pwrfgs simulate`: simulates a data set from a scene.
+//! `pwrfgs simulate` and `pwrfgs export-scene`: simulates a data set from a scene, and writes a scene for Sionna RT.
 
+use super::options::position;
 use crate::interrupt::stop_flag;
 use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
 use pwrfgs::experiment::staged;
 use pwrfgs::raytrace::output::{self as folder, OutputLayout};
-use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
+use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe, mitsuba};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -23,14 +24,17 @@ LAYOUTS
 All have tx_pos.csv, paths.csv, points.ply (surface points with normals), manifest.json (parameters)
 and index files (every fifth transmitter is for test). Several receivers get a folder each, except
 for rssi. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
+A Mitsuba XML file of Sionna RT is a scene too: carrier 3.5 GHz and antennas 1.5 m above its lowest
+point, unless set here or in a scene file with `mitsuba: ..` (docs/simulator.md).
 
 EXAMPLES
   pwrfgs simulate office --out data/office
   pwrfgs simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many
   pwrfgs simulate scenes/office-links.ron --layout rssi --noise-db 3 --no-paths --out data/rssi
+  pwrfgs simulate scene.xml --carrier-hz 28e9 --receiver 0,0,10 --no-paths --out data/canyon
   pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --no-paths --out data/csi")]
 pub(crate) struct Simulate {
-    /// Scene file, or name of a scene in `pwrfgs pipelines`
+    /// Scene file, Mitsuba XML file, or name of a scene in `pwrfgs pipelines`
     #[arg(value_name = "SCENE")]
     pub(crate) scene: PathBuf,
     /// Output folder; must be new or empty
@@ -39,6 +43,12 @@ pub(crate) struct Simulate {
     /// Layout: spectra, rssi, channels or csi
     #[arg(long, value_enum, hide_possible_values = true, default_value_t = SimulateFormat::Spectra)]
     pub(crate) layout: SimulateFormat,
+    /// Carrier in Hz [default: from the scene; 3.5e9 for XML]
+    #[arg(long, value_name = "HZ")]
+    pub(crate) carrier_hz: Option<f64>,
+    /// Position of the (first) receiver in metres [default: from the scene; the middle for XML]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) receiver: Option<String>,
     /// SNR of channels in dB, for channels and csi [default: from the scene]
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub(crate) snr_db: Option<f64>,
@@ -104,12 +114,44 @@ impl Simulate {
     }
 }
 
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Writes scene.xml and meshes/*.ply, one mesh per object. Sheets keep material and thickness; solids
+become sheets of 10 m. Antennas are not written: Sionna RT sets them in Python.
+
+EXAMPLES
+  pwrfgs export-scene scenes/conference.ron --out conference
+  pwrfgs simulate conference/scene.xml --receiver 0.3,3,2.4 --out data/conference")]
+pub(crate) struct ExportScene {
+    /// Scene file, or name of a scene in `pwrfgs pipelines`
+    #[arg(value_name = "SCENE")]
+    pub(crate) scene: PathBuf,
+    /// Output folder; must be new or empty
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
+
+pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Result<()> {
+    let meshes = mitsuba::export(&SceneFile::read(&arguments.scene)?, &arguments.out)?;
+    verbosity
+        .note(&format!("{meshes} meshes in {}; open scene.xml with sionna.rt.load_scene", arguments.out.display()));
+    Ok(())
+}
+
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<u8> {
     let begun = Instant::now();
     let stop = stop_flag();
     let (observe, layout) = arguments.output_layout()?;
-    let recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?
-        .observing(observe)?;
+    let receiver = arguments.receiver.as_deref().map(|text| position("--receiver", text)).transpose()?;
+    let mut recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
+    recipe.scene = recipe.scene.with(arguments.carrier_hz, receiver)?;
+    let recipe = recipe.observing(observe)?;
+    if arguments.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
+        let (scene, (low, high)) = (&recipe.scene, recipe.scene.transmitter.positions.corners());
+        let (n, hz, at) = (scene.objects.len(), scene.carrier_hz, scene.receiver.position);
+        let region = format!("transmitters from {low:?} to {high:?}");
+        verbosity.note(&format!("{n} meshes; carrier {hz:e} Hz, receiver at {at:?}, {region}"));
+    }
     let written = RunProgress::during(verbosity, |progress| {
         staged(progress, "simulating", |progress| {
             folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)

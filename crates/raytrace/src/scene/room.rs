@@ -1,6 +1,8 @@
 //! The room: outline, objects, and finishes of surfaces.
 
-use glam::DVec2;
+use crate::mesh::{self, Mesh};
+use glam::{DMat4, DVec2, DVec3};
+use pwrfgs_core::Error;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -184,6 +186,9 @@ pub enum Object {
         name: String,
         /// OBJ or PLY file, relative to the scene file.
         file: PathBuf,
+        /// Affine map before scaling, rotation and shift: the first three rows of a 4 x 4 matrix; default none.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        matrix: Option<[[f64; 4]; 3]>,
         /// Metres per unit of the file; default 1.
         #[serde(default = "one")]
         scale: f64,
@@ -193,6 +198,10 @@ pub enum Object {
         /// Translation after rotation, metres; default zero.
         #[serde(default)]
         shift: [f64; 3],
+        /// Whether antennas may be inside a closed mesh, as in a room or a building; default no. A hollow mesh consists
+        /// of sheets and needs a thickness.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        hollow: bool,
         /// Finish of its surface.
         finish: Finish,
     },
@@ -228,6 +237,24 @@ impl Object {
         }
     }
 
+    /// Mesh at its position; empty for an object without a file.
+    ///
+    /// # Errors
+    /// Errors of [`mesh::read_object`], or a vertex farther than 1000 km away.
+    pub(crate) fn placed_mesh(&self, solid: bool) -> pwrfgs_core::Result<Mesh> {
+        let Self::Mesh { name, file, matrix, scale, yaw_deg, shift, .. } = self else { return Ok(Mesh::default()) };
+        let matrix = matrix.map_or(DMat4::IDENTITY, |[x, y, z]| {
+            DMat4::from_cols_array_2d(&[x, y, z, [0.0, 0.0, 0.0, 1.0]]).transpose()
+        });
+        let mesh = mesh::read_object(file, matrix, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
+        mesh.check(file)?;
+        if mesh.vertices.iter().any(|v| v.abs().max_element() > FAR) {
+            let what = format!("puts `{name}` farther than 1000 km away; correct its `scale`, `shift` and `matrix`");
+            return Err(Error::input(file, what));
+        }
+        Ok(mesh)
+    }
+
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Box { low, high, yaw_deg, .. } => {
@@ -244,15 +271,19 @@ impl Object {
                 Ok(())
             }
             Self::Opening { from, to, heights, .. } => check_upright("opening", from, to, heights),
-            Self::Mesh { file, scale, yaw_deg, shift, .. } => {
+            Self::Mesh { file, matrix, scale, yaw_deg, shift, hollow, finish, .. } => {
+                if *hollow && finish.thickness_m.is_none() {
+                    return Err("a hollow mesh needs a sheet material; give its finish a `thickness_m`".into());
+                }
                 if file.as_os_str().is_empty() {
                     return Err("`file` is empty; name an OBJ or PLY file".into());
                 }
-                let finite = yaw_deg.is_finite() && shift.iter().all(|v| v.is_finite());
+                let mut numbers = matrix.iter().flatten().flatten().chain(shift);
+                let finite = yaw_deg.is_finite() && numbers.all(|v| v.is_finite());
                 if finite && (1e-9..=1e9).contains(scale) {
                     return Ok(());
                 }
-                Err("`scale` must lie between 1e-9 and 1e9, `yaw_deg` and `shift` be finite".into())
+                Err("`scale` must lie between 1e-9 and 1e9, `yaw_deg`, `shift` and `matrix` be finite".into())
             }
         }
     }

@@ -54,9 +54,14 @@ impl Material {
     /// Complex relative permittivity η = εᵣ - jσ/(2πf ε₀) for the time factor e^{+jωt}. `frequency_hz` is above 0;
     /// outside the range of validity it is extrapolated.
     pub fn permittivity(&self, frequency_hz: f64) -> Complex {
+        let (permittivity, conductivity) = self.constants(frequency_hz);
+        Complex::new(permittivity, -conductivity / (TAU * frequency_hz * ELECTRIC_CONSTANT))
+    }
+
+    /// Relative permittivity and conductivity, S/m.
+    pub fn constants(&self, frequency_hz: f64) -> (f64, f64) {
         let ghz = frequency_hz / 1e9;
-        let conductivity = self.c * ghz.powf(self.d);
-        Complex::new(self.a * ghz.powf(self.b), -conductivity / (TAU * frequency_hz * ELECTRIC_CONSTANT))
+        (self.a * ghz.powf(self.b), self.c * ghz.powf(self.d))
     }
 
     /// Whether the frequency lies in the range of validity.
@@ -110,6 +115,9 @@ const TABLE: [Row; 18] = [
     ("wet_ground", (30.0, -0.4, 0.15, 1.30), (1.0, 10.0)),
     ("perfect_conductor", (1.0, 0.0, PERFECT, 0.0), EVERYWHERE), // not in the table
 ];
+
+/// Names that other programs do not use.
+pub(crate) const ONLY_HERE: [&str; 3] = ["perfect_conductor", "glass_above_220_ghz", "ceiling_board_above_220_ghz"];
 
 /// A material of Table 3 of ITU-R P.2040-3, or `perfect_conductor`.
 pub fn named(name: &str) -> Option<Material> {

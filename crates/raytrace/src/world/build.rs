@@ -48,6 +48,11 @@ impl WorldBuilder {
         self.surfaces.len() as u32 - 1
     }
 
+    /// Begins an open scene: the first part is an object, not the room.
+    pub fn open(&mut self) {
+        self.count = 1;
+    }
+
     /// Number of triangles so far.
     pub fn triangles(&self) -> usize {
         self.triangles.len()

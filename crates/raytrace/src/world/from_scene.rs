@@ -2,12 +2,11 @@
 
 use super::build::{WorldBuilder, WorldPart};
 use super::{Surface, World};
-use crate::mesh::{self, MOST_TRIANGLES, Mesh};
+use crate::mesh::{MOST_TRIANGLES, Mesh};
 use crate::scene::{Finish, Object, Outline, Room, SceneFile};
 use earcut::Earcut;
 use glam::{DMat3, DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
-use std::path::Path;
 
 /// Builds the geometry of `scene`.
 ///
@@ -15,7 +14,10 @@ use std::path::Path;
 /// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
 pub(crate) fn from_scene(scene: &SceneFile) -> Result<World> {
     let mut builder = WorldBuilder::default();
-    add_room(&mut builder, scene);
+    match &scene.room {
+        Some(room) => add_room(&mut builder, scene, room),
+        None => builder.open(),
+    }
     for object in &scene.objects {
         add_object(&mut builder, scene, object)?;
         if builder.triangles() > MOST_TRIANGLES {
@@ -63,8 +65,7 @@ fn surface(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
     }
 }
 
-fn add_room(builder: &mut WorldBuilder, scene: &SceneFile) {
-    let Room { outline, walls, floor, ceiling } = &scene.room;
+fn add_room(builder: &mut WorldBuilder, scene: &SceneFile, Room { outline, walls, floor, ceiling }: &Room) {
     let [walls, floor, ceiling] = [("walls", walls), ("floor", floor), ("ceiling", ceiling)]
         .map(|(owner, f)| builder.surface(surface(scene, owner, f)));
     let describe = |normal: DVec3, number: usize| match normal.z {
@@ -139,63 +140,14 @@ fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) ->
             builder.add(&WorldPart { name, mesh: &mesh, closed: false, describe: &describe });
         }
         Object::Opening { .. } => {}
-        Object::Mesh { file, scale, yaw_deg, shift, .. } => {
-            let mesh = read_mesh(file, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
-            mesh.check(file)?;
-            if mesh.vertices.iter().any(|v| v.abs().max_element() > 1e6) {
-                let what = format!("puts `{name}` farther than 1000 km away; correct its `scale` and `shift`");
-                return Err(Error::input(file, what));
-            }
-            let closed = mesh.is_closed();
+        Object::Mesh { hollow, .. } => {
+            let mesh = object.placed_mesh(solid)?;
+            let closed = !hollow && mesh.is_closed();
             let describe = |normal, number| described(&|_, number| format!("/face {}", number + 1), normal, number);
             builder.add(&WorldPart { name, mesh: &mesh, closed, describe: &describe });
         }
     }
     Ok(())
-}
-
-/// Reads and validates the mesh of a file.
-fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
-    let mut mesh = mesh::read(file)?;
-    if solid && mesh.is_closed() && !is_consistent(&mesh) {
-        return Err(Error::input(
-            file,
-            format!(
-                "the triangles of `{name}` run in different directions, so that inside and outside are unclear; let the \
-                 modelling program recalculate its normals"
-            ),
-        ));
-    }
-    if mesh.is_closed() && volume(&mesh) < 0.0 {
-        mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
-    }
-    if solid && !mesh.is_closed() {
-        let open = mesh.boundary_edges();
-        return Err(Error::input(
-            file,
-            format!(
-                "the surface of `{name}` is open ({open} sides of triangles have no neighbour), and a solid needs a closed \
-                 one; close it, or give its finish a `thickness_m` to make it a thin sheet"
-            ),
-        ));
-    }
-    Ok(mesh)
-}
-
-/// Whether neighbouring triangles traverse their common edge in opposite directions.
-fn is_consistent(mesh: &Mesh) -> bool {
-    let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
-    edges.sort_unstable();
-    let mut reversed: Vec<[u32; 2]> = edges.iter().map(|[a, b]| [*b, *a]).collect();
-    reversed.sort_unstable();
-    edges == reversed
-}
-
-/// Volume of a closed surface, m³; negative if the normals point inwards.
-fn volume(mesh: &Mesh) -> f64 {
-    let origin = mesh.vertices.first().copied().unwrap_or_default();
-    let corner = |i: u32| mesh.vertices[i as usize] - origin;
-    mesh.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
 /// Box rotated about its vertical axis; normals outwards, sides first.

@@ -1,0 +1,114 @@
+//! Writes a scene as Mitsuba XML and PLY files, for Sionna RT.
+
+use crate::material;
+use crate::scene::{Finish, SceneFile};
+use crate::world::{self, Triangle};
+use glam::DVec3;
+use pwrfgs_core::files::{NewFolder, write_atomically};
+use pwrfgs_core::{Error, Result};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::{Display, Write as _};
+use std::fs;
+use std::path::Path;
+
+/// Thickness of a solid, metres: waves do not reach its far side.
+const SOLID: f64 = 10.0;
+/// Number of steps per metre of a coordinate; neighbouring triangles then have equal corners.
+const STEPS: f64 = 1e9;
+/// Largest conductivity, S/m, for the single precision of Sionna RT.
+const MOST_CONDUCTIVITY: f64 = 1e12;
+
+/// Writes the surfaces of `scene` into the new folder `out`: `scene.xml`, and a PLY file per object. Returns the number
+/// of meshes.
+///
+/// Materials of ITU-R P.2040 are written by name, others with their constants at the carrier. A solid becomes a sheet of
+/// 10 m. Where objects touch, the order of the file gives the same precedence as in the scene.
+///
+/// # Errors
+/// A scene with an opening, a mesh that cannot be read, or a folder that cannot be written.
+pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
+    if let Some(opening) = scene.objects.iter().find(|object| object.finish().is_none()) {
+        let what = "cannot be exported; remove it, or cut the hole into a mesh";
+        return Err(Error::Config(format!("scene `{}`: opening `{}` {what}", scene.name, opening.name())));
+    }
+    let world = world::from_scene(scene)?;
+    let making = NewFolder::begin(out)?;
+    let meshes = making.path().join("meshes");
+    fs::create_dir(&meshes).map_err(|e| Error::write(&meshes, e))?;
+    let (mut ids, mut shapes) = (BTreeSet::new(), String::new());
+    // Surfaces have the order of the finishes. Later layers cover earlier ones, and among sheets the first counts.
+    let layer = |surface| world.faces.iter().find(|face| face.surface == surface).map(|face| face.layer);
+    let mut order: Vec<_> = (0..).zip(scene.finishes()).filter(|(surface, _)| layer(*surface).is_some()).collect();
+    order.sort_by_key(|(surface, _)| std::cmp::Reverse(layer(*surface)));
+    for (surface, (name, finish)) in order {
+        let of_surface = world.faces.iter().filter(|face| face.surface == surface);
+        let triangles = of_surface.flat_map(|face| &world.triangles[face.triangles.clone()]);
+        let mut id = plain(name);
+        while !ids.insert(id.to_lowercase()) {
+            id.push('-');
+        }
+        let file = format!("meshes/{id}.ply");
+        write_atomically(&making.path().join(&file), ply(triangles.map(Triangle::corners)).as_bytes())?;
+        let (source, flat) = (property("string", "filename", &file), property("boolean", "face_normals", &true));
+        let bsdf = bsdf(scene, &id, finish);
+        writeln!(shapes, "    <shape type=\"ply\" id=\"{id}\">\n{source}{flat}{bsdf}    </shape>").expect("text grows");
+    }
+    let head = format!("<!-- simulated scene {}, carrier {} Hz; by pwrfgs -->", plain(&scene.name), scene.carrier_hz);
+    let text = format!("<scene version=\"2.1.0\">\n    {head}\n{shapes}</scene>\n");
+    write_atomically(&making.path().join("scene.xml"), text.as_bytes())?;
+    making.publish()?;
+    Ok(ids.len())
+}
+
+/// Name of letters, digits, single `-` and `_`.
+fn plain(name: &str) -> String {
+    let words = name.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| !word.is_empty());
+    let joined = words.collect::<Vec<_>>().join("-");
+    if joined.is_empty() { "object".into() } else { joined }
+}
+
+fn property(kind: &str, name: &str, value: &dyn Display) -> String {
+    format!("        <{kind} name=\"{name}\" value=\"{value}\"/>\n")
+}
+
+/// Material of the shape `id`.
+fn bsdf(scene: &SceneFile, id: &str, finish: &Finish) -> String {
+    let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
+    let is_itu = !scene.materials.contains_key(&finish.material)
+        && material.is_in_valid_range(scene.carrier_hz)
+        && !material::ONLY_HERE.contains(&&*finish.material);
+    let (permittivity, conductivity) = material.constants(scene.carrier_hz);
+    let (kind, constants) = if is_itu {
+        ("itu-radio-material", property("string", "type", &finish.material))
+    } else {
+        let conductivity = property("float", "conductivity", &conductivity.min(MOST_CONDUCTIVITY));
+        ("radio-material", property("float", "relative_permittivity", &permittivity) + &conductivity)
+    };
+    let thickness = property("float", "thickness", &finish.thickness_m.unwrap_or(SOLID));
+    let roughness = finish.roughness.unwrap_or(scene.propagation.roughness);
+    let roughness = property("float", "scattering_coefficient", &roughness);
+    format!("        <bsdf type=\"{kind}\" id=\"material-{id}\">\n{constants}{thickness}{roughness}        </bsdf>\n")
+}
+
+/// PLY text of triangles with shared vertices.
+fn ply(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
+    let (mut known, mut vertices, mut faces, mut count) = (BTreeMap::new(), String::new(), String::new(), 0);
+    for corners in triangles {
+        let [a, b, c] = corners.map(|corner| {
+            let steps = corner.to_array().map(|v| (v * STEPS).round() as i64);
+            let next = known.len();
+            *known.entry(steps).or_insert_with(|| {
+                let [x, y, z] = steps.map(|v| v as f64 / STEPS);
+                writeln!(vertices, "{x} {y} {z}").expect("text grows");
+                next
+            })
+        });
+        writeln!(faces, "3 {a} {b} {c}").expect("text grows");
+        count += 1;
+    }
+    let head = format!("ply\nformat ascii 1.0\nelement vertex {}\n", known.len());
+    let coordinates = ["x", "y", "z"].map(|axis| format!("property double {axis}\n")).concat();
+    format!(
+        "{head}{coordinates}element face {count}\nproperty list uchar int vertex_indices\nend_header\n{vertices}{faces}"
+    )
+}
