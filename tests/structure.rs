@@ -29,7 +29,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit. Planned was 50,000 for all features; further ones need as many deletions.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_255;
-const IN_TOTAL: usize = 50_060;
+const IN_TOTAL: usize = 50_030;
 /// Files, and files of fewer than 50 code lines.
 const FILES: usize = 382;
 const SMALL: usize = 36;

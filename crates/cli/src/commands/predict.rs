@@ -13,7 +13,7 @@ use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Predict as _, Query, Result, Task};
 use std::path::PathBuf;
-use writers::{OutputFolder, PredictionImage, PredictionRow, writer};
+use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
 
 /// Number of predictions in memory at a time.
 const CHUNK: usize = 64;
@@ -104,9 +104,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     };
     for first in (0..count).step_by(CHUNK) {
         progress.on_stage("predicting", first, count);
-        let rows: Vec<PredictionRow<'_>> = (first..(first + CHUNK).min(count)).map(row).collect();
-        let drawn = draw(&model, &rows, factors.as_ref())?;
-        writer.take(&folder, &rows, &drawn, &mut list)?;
+        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| draw(&model, row, factors.as_ref()));
+        writer.take(&folder, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
     }
     progress.finish();
     writer.finish()?;
@@ -150,33 +149,28 @@ fn extrapolation(distances: Option<&TrainingDistances>) -> Option<String> {
     ))
 }
 
-/// Predicts one row after another, so that each latency is measured without other load.
-fn draw(
+/// Predicts one row; rows are predicted one after another, so that each latency is measured without other load.
+fn draw<'a>(
     model: &Prepared<'_>,
-    rows: &[PredictionRow<'_>],
+    row: PredictionRow<'a>,
     factors: Option<&IntervalFactors>,
-) -> Result<Vec<PredictionImage>> {
-    let alone = model.models().count() == 1;
-    let one = |row: &PredictionRow<'_>| {
-        let query = Query::at(row.tx, row.receiver);
-        let (image, spread, times) = if alone {
-            let (image, times) = model.predict_timed(query);
-            (image, None, times)
-        } else {
-            let (image, spread, times) = model.predict_with_deviation(query);
-            (image, Some(spread), times)
-        };
-        let interval = factors.map(|factors| {
-            let deviation = model.deviation(query).unwrap_or(1.0);
-            factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
-        });
-        PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }
+) -> Result<PredictedRow<'a>> {
+    let query = Query::at(row.tx, row.receiver);
+    let (image, spread, times) = if model.models().count() == 1 {
+        let (image, times) = model.predict_timed(query);
+        (image, None, times)
+    } else {
+        let (image, spread, times) = model.predict_with_deviation(query);
+        (image, Some(spread), times)
     };
-    let drawn: Vec<PredictionImage> = rows.iter().map(one).collect();
-    match drawn.iter().position(|drawn| !drawn.image.pixels.iter().all(|p| p.is_finite())) {
-        None => Ok(drawn),
-        Some(i) => Err(not_finite(model.task(), &rows[i])),
+    if !image.pixels.iter().all(|p| p.is_finite()) {
+        return Err(not_finite(model.task(), &row));
     }
+    let interval = factors.map(|factors| {
+        let deviation = model.deviation(query).unwrap_or(1.0);
+        factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
+    });
+    Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
 }
 
 fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {

@@ -56,19 +56,16 @@ pub(super) struct PredictionImage {
     pub(super) milliseconds: f64,
 }
 
+/// Row with its prediction.
+pub(super) type PredictedRow<'a> = (PredictionRow<'a>, PredictionImage);
+
 /// Writer of predictions of one task.
 pub(super) trait Writer {
     /// First line of `predictions.csv`.
     fn header(&self) -> String;
 
     /// Writes the next rows and adds their lines to the list.
-    fn take(
-        &mut self,
-        folder: &OutputFolder<'_>,
-        rows: &[PredictionRow<'_>],
-        drawn: &[PredictionImage],
-        list: &mut String,
-    ) -> Result<()>;
+    fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()>;
 
     /// Completes all files except the list.
     fn finish(self: Box<Self>) -> Result<()> {
@@ -128,20 +125,14 @@ impl Writer for Spectra<'_> {
         format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
     }
 
-    fn take(
-        &mut self,
-        folder: &OutputFolder<'_>,
-        rows: &[PredictionRow<'_>],
-        drawn: &[PredictionImage],
-        list: &mut String,
-    ) -> Result<()> {
-        let images: Vec<&Image> = drawn.iter().map(|drawn| &drawn.image).collect();
-        let spreads: Vec<&Image> = drawn.iter().filter_map(|drawn| drawn.spread.as_ref()).collect();
-        let intervals = || drawn.iter().filter_map(|drawn| drawn.interval.as_ref());
+    fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+        let images: Vec<&Image> = rows.iter().map(|(_, drawn)| &drawn.image).collect();
+        let spreads: Vec<&Image> = rows.iter().filter_map(|(_, drawn)| drawn.spread.as_ref()).collect();
+        let intervals = || rows.iter().filter_map(|(_, drawn)| drawn.interval.as_ref());
         let (lower, upper) = intervals().map(|own| (&own.lower, &own.upper)).unzip();
         let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads), ("-lower", 1.0, lower), ("-upper", 1.0, upper)];
         for (k, (suffix, gain, images)) in kinds.iter().filter(|(.., images)| !images.is_empty()).enumerate() {
-            let one = |(image, row): (&&Image, &PredictionRow<'_>)| {
+            let one = |(image, (row, _)): (&&Image, &PredictedRow<'_>)| {
                 let name = name(row.number) + suffix;
                 if self.stacks.is_empty() {
                     folder.array(&name, image)?;
@@ -153,9 +144,7 @@ impl Writer for Spectra<'_> {
                 images.iter().try_for_each(|image| stack.push_floats(image))?;
             }
         }
-        for (row, drawn) in rows.iter().zip(drawn) {
-            *list += &line(self.plane, row, drawn);
-        }
+        list.extend(rows.iter().map(|(row, drawn)| line(self.plane, row, drawn)));
         Ok(())
     }
 
@@ -191,14 +180,8 @@ impl Writer for Powers {
         format!("row,x,y,z,receiver,dbm,{spread}{interval}ms,{DISTANCE}\n")
     }
 
-    fn take(
-        &mut self,
-        _: &OutputFolder<'_>,
-        rows: &[PredictionRow<'_>],
-        drawn: &[PredictionImage],
-        list: &mut String,
-    ) -> Result<()> {
-        for (row, PredictionImage { image, spread, interval, milliseconds }) in rows.iter().zip(drawn) {
+    fn take(&mut self, _: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+        for (row, PredictionImage { image, spread, interval, milliseconds }) in rows {
             let ends = interval.iter().flat_map(|own| [&own.lower, &own.upper]);
             _ = write!(list, "{},", row.begin());
             for own in std::iter::once(image).chain(spread).chain(ends) {
@@ -235,14 +218,8 @@ impl Writer for Channels {
         format!("row,x,y,z,receiver,db,ms,{DISTANCE}\n")
     }
 
-    fn take(
-        &mut self,
-        folder: &OutputFolder<'_>,
-        rows: &[PredictionRow<'_>],
-        drawn: &[PredictionImage],
-        list: &mut String,
-    ) -> Result<()> {
-        for (row, PredictionImage { image, spread, milliseconds, .. }) in rows.iter().zip(drawn) {
+    fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+        for (row, PredictionImage { image, spread, milliseconds, .. }) in rows {
             let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
             let spread = spread.as_ref().map(lengths);
             if let Some(stack) = self.stacks.first_mut() {
