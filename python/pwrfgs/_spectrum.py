@@ -44,10 +44,13 @@ def spectrum(
     if frequencies.ndim > 1 or not frequencies.size or not (np.isfinite(frequencies) & (frequencies > 0)).all():
         raise InputError("frequency_hz must be a positive frequency, or frequencies [F]")
     channels = _channels(csi, len(places), frequencies)
-    height, width = shape
-    if min(shape) < 1:
+    sizes, ends = np.asarray(shape), np.asarray(elevation_deg, float)
+    if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
         raise InputError(f"shape is {shape}, expected at least one row and one column")
-    first, last = elevation_deg
+    if ends.shape != (2,) or not np.isfinite(ends).all():
+        raise InputError(f"elevation_deg is {elevation_deg}, expected two angles in degrees, such as (0, 90)")
+    height, width = shape
+    first, last = ends
     elevations = np.deg2rad(first + np.arange(height) * (last - first) / height)[:, None]
     azimuths = np.deg2rad(np.arange(width) * 360.0 / width)
     up = np.broadcast_to(np.sin(elevations), shape)

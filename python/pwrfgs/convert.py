@@ -37,6 +37,8 @@ _SPECTRA, _BLOCK = 256, 1 << 22
 _PATHS = ("power", "phase", "delay", "aod_az", "aod_el")
 # Paths per user in DeepMIMO, and its digits for interactions.
 _MOST_PATHS, _DIGITS = 25, {"R": "1", "D": "2", "S": "3", "T": "4"}
+# Direct paths that decide about the phases; fewer may agree by chance.
+_LEAST_DIRECT = 10
 # Columns of paths.csv that DeepMIMO needs.
 _ANGLES = [f"{end}_{angle}_deg" for end in ("departure", "arrival") for angle in ("azimuth", "elevation")]
 _ROW = [("interactions", "U32"), *((name, "f8") for name in ("id", "gain_re", "gain_im", "length_m", *_ANGLES))]
@@ -141,6 +143,8 @@ def from_deepmimo(
             raise InputError(f"{name} has shape {list(np.shape(found[name]))}, expected {list(wanted)}")
     if every < 1:
         raise InputError(f"every is {every}, expected 1 or more")
+    if _lacks_delay(found, carrier):
+        found["phase"] = found["phase"] - np.rad2deg(2 * np.pi * carrier * np.asarray(found["delay"], float))
     found.update({name: found[name][::every] for name in (*_PATHS, "rx_pos", "inter") if found[name] is not None})
     if receiver is None:
         steps = 0.49 * SPEED_OF_LIGHT / carrier * (np.arange(4) - 1.5)
@@ -156,10 +160,6 @@ def _channels(found: Mapping[str, Any], carrier: float, frequencies: Array, ante
     usable = np.isfinite(power + phase + delay + azimuth + zenith)
     power, phase, delay, azimuth, zenith = (np.where(usable, x, 0.0) for x in (power, phase, delay, azimuth, zenith))
     phase, azimuth, zenith = np.deg2rad(phase), np.deg2rad(azimuth), np.deg2rad(zenith)
-    lag = 2 * np.pi * carrier * delay
-    direct = usable & (np.array(found["inter"], float) == 0)
-    if direct.any() and _agreement(phase[direct]) > 0.9 > _agreement((phase + lag)[direct]):
-        phase = phase - lag
     gain = np.where(usable, 10 ** (power / 20), 0.0) * np.exp(1j * phase)
     across = np.sin(zenith)
     directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.cos(zenith)], axis=-1)
@@ -172,6 +172,19 @@ def _channels(found: Mapping[str, Any], carrier: float, frequencies: Array, ante
             wave = gain[block] * np.exp(-2j * np.pi * (frequency - carrier) * delay[block])
             h[block, :, column] = np.einsum("up,upa->ua", wave, np.exp(2j * np.pi * frequency * early))
     return h
+
+
+def _lacks_delay(found: Mapping[str, Any], carrier: float) -> bool:
+    """Whether phases do not contain the phase of the delay: those of direct paths are equal up to the sign."""
+    phase, delay = np.deg2rad(np.asarray(found["phase"], float)), np.asarray(found["delay"], float)
+    direct = np.isfinite(phase + delay) & (np.array(found["inter"], float) == 0)
+    if not direct.any():
+        return False
+    phase, lag = phase[direct], 2 * np.pi * carrier * delay[direct]
+    if len(phase) < _LEAST_DIRECT:
+        words = f"only {len(phase)} direct paths decide whether phases contain the delay; compare with compute_channels"
+        warnings.warn(words, UserWarning, stacklevel=3)
+    return _agreement(phase) > 0.9 > _agreement(phase + lag)
 
 
 def _agreement(phases: Array) -> float:
@@ -317,7 +330,9 @@ def _deepmimo_matrices(data: "_pwrfgs.Dataset", rows: Array, carrier: float) -> 
     rank = np.arange(len(rows)) - np.searchsorted(user[order], user[order])
     order, rank = order[rank < _MOST_PATHS], rank[rank < _MOST_PATHS]
     shape = (len(data.tx), rank.max() + 1)
-    found: Dict[str, Any] = {name: np.full(shape, np.nan, np.float32) for name in values}
+    # Interactions are decimal digits, which 32 bits do not hold.
+    types = {"inter": np.float64}
+    found: Dict[str, Any] = {name: np.full(shape, np.nan, types.get(name, np.float32)) for name in values}
     for name, value in values.items():
         found[name][user[order], rank] = value[order]
     depth = max(1, int(np.char.str_len(rows["interactions"][order]).max()))

@@ -148,6 +148,9 @@ pub(crate) fn predict_baseline<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     crate::strategies::forget();
     let baseline: Plugin<dyn Baseline> = plugin(py, &text_of("Baseline", baseline, None)?)?;
+    if baseline.is_external() {
+        return Err(wrong(py, "predictions of another program have no other positions; use them in a pipeline"));
+    }
     let train = dataset.indices("train", train)?;
     if train.is_empty() {
         return Err(wrong(py, "train: no training links"));

@@ -263,7 +263,7 @@ mod point_tests {
             (
                 "a.csv",
                 b"x,y,z\n1,2,3,,\n1,5,2,3\n",
-                "DIR/a.csv:3:7: the row has 4 fields, its header 3; write decimals with a point, and one value a column".into(),
+                "DIR/a.csv:3:7: the row has 4 fields, its header 3; write decimals with a point, and one value per column".into(),
             ),
             ("a.xyz", b"1 2 3\n-1e30 2 3\n", format!("DIR/a.xyz:2:1: `-1e30` is beyond 1e8 m; {advice}")),
             (

@@ -142,7 +142,7 @@ pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y and z, in metres")?;
     let rows = table(path, &text, ["x", "y", "z"], advice)?;
     if rows.is_empty() {
-        return Err(Error::input(path, "has a header but no row; write one row a sample, in metres"));
+        return Err(Error::input(path, "has a header but no row; write one row per position, in metres"));
     }
     rows.into_iter().map(|(line, fields)| place(path, line, fields, advice)).collect()
 }

@@ -130,7 +130,7 @@ pub(crate) fn fault_of(point: [f64; 3]) -> Option<String> {
 pub(crate) fn no_longer(path: &Path, line: usize, row: &[TextField<'_>], header: usize) -> Result<()> {
     match row.get(header..).and_then(|more| more.iter().find(|field| !field.text.is_empty())) {
         Some(field) => {
-            let (have, what) = (row.len(), "write decimals with a point, and one value a column");
+            let (have, what) = (row.len(), "write decimals with a point, and one value per column");
             Err(Error::at(path, line, field.column, format!("the row has {have} fields, its header {header}; {what}")))
         }
         None => Ok(()),

@@ -62,6 +62,10 @@ impl MitsubaScene {
                 (low, high) = (low.min(vertex), high.max(vertex));
             }
         }
+        if (high.x - low.x).min(high.y - low.y) <= 0.0 {
+            let what = "a single wall has no default antennas; name the XML file in a scene file, as `mitsuba`";
+            return Err(Error::Config(what.into()));
+        }
         // Heights of people, or the middle of anything lower; multiples of 0.1 mm, as transmitters are.
         let height = if high.z - low.z > 0.01 { (0.5 * (high.z - low.z)).min(1.5) } else { 1.5 };
         let round = |point: DVec3| point.to_array().map(|v| (v * 1e4).round() / 1e4);
@@ -142,7 +146,13 @@ impl<'a> Reader<'a> {
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
         let mut value = value.to_owned();
-        if value.contains('$') && value.len() <= LONGEST {
+        if value.contains('$') {
+            let fits = value.len() <= LONGEST;
+            self.require(
+                fits,
+                node,
+                format_args!("`{name}` with variables is too long; give at most 1,000 characters"),
+            )?;
             for (variable, text) in self.variables.iter().rev() {
                 value = value.replace(&format!("${variable}"), text); // longer names first
             }
@@ -186,10 +196,12 @@ impl<'a> Reader<'a> {
 
     /// Reads a radio material.
     fn material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
-        let (id, kind) = (self.required(node, "id")?, self.required(node, "type")?);
+        let unnamed = || format!("material {}", self.finishes.len() + 1);
+        let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required(node, "type")?);
         let (known, shown) = (material::names(), quoted(&id));
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
+        let itu = itu.filter(|_| kind != "radio-material"); // which states its own constants
         let material = if kind == "itu-radio-material" || itu.is_some() {
             let place = property(node, "type");
             let stated = place.map(|place| self.required(place, "value")).transpose()?;

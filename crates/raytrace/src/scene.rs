@@ -92,7 +92,11 @@ impl SceneFile {
         if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
             return Self::read_mitsuba(path);
         }
-        let mut scene = Self::parse(&ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?, path)?;
+        let text = ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?;
+        let mut scene: Self = read_ron(&text, path)?;
+        if scene.mitsuba.is_none() {
+            scene = scene.check_in(path, &text)?; // otherwise its objects may have materials of the XML file
+        }
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
             if let Object::Mesh { file, .. } = object {
@@ -100,8 +104,7 @@ impl SceneFile {
             }
         }
         let Some(file) = scene.mitsuba.take() else { return Ok(scene) };
-        let file = folder.join(file);
-        scene.with_meshes(MitsubaScene::read(&file)?, &file)
+        scene.with_meshes(MitsubaScene::read(&folder.join(file))?, (path, &text))
     }
 
     /// Scene of a Mitsuba file, with isotropic antennas at positions that suit its size.
@@ -112,14 +115,14 @@ impl SceneFile {
         let [receiver, low, high] = meshes.antennas()?;
         scene.receiver.position = receiver;
         scene.transmitter.positions = Transmitters::Uniform { low, high };
-        scene.with_meshes(meshes, path)
+        scene.with_meshes(meshes, (path, &files::read_text(path)?))
     }
 
-    /// The scene with the meshes and materials of the Mitsuba file `path`; its own materials have precedence.
-    fn with_meshes(mut self, meshes: MitsubaScene, path: &Path) -> Result<Self> {
+    /// The scene of the file `path` with the meshes and materials of a Mitsuba file; its own materials have precedence.
+    fn with_meshes(mut self, meshes: MitsubaScene, (path, text): (&Path, &str)) -> Result<Self> {
         self.objects.extend(meshes.objects);
         self.materials = meshes.materials.into_iter().chain(self.materials).collect();
-        self.check_in(path, &files::read_text(path)?)
+        self.check_in(path, text)
     }
 
     /// The scene with another carrier and another position of the first receiver, if given.

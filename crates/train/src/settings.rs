@@ -211,7 +211,7 @@ settings! {
         /// window of SSIM stay those of the whole image. Scores always use whole images.
         stride: usize = 1,
         /// Whether each step draws a new first row and column for `stride`, so that every pixel is trained. Narrow
-        /// Gaussians and thousands of them need it; for a few wide Gaussians, `false` has less noise.
+        /// Gaussians, or more Gaussians than trained pixels, need it; for a few wide ones, `false` has less noise.
         moving_stride: bool = true,
         /// Pixels of the strided spectra used in a step.
         rays: Rays = Rays::All,

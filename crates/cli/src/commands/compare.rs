@@ -75,6 +75,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     if arguments.dry_run {
         return sweep::dry_run(&plan, &runs, 1, verbosity);
     }
+    check_earlier_runs(&plan)?;
     RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
     sweep::here(&plan, &runs, 1, (external.first().map(|own| own.name()).as_deref(), verbosity))
 }
@@ -111,21 +112,25 @@ fn plan(arguments: &Compare, survey: &DataSurvey) -> Result<SweepPlan> {
         let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
         pipeline.set_all(&[vec![batch], if is_rays { rays(data) } else { Vec::new() }].concat())?;
     }
+    Ok(plan)
+}
+
+/// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
+fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
-    // Baselines and predictions of other runs would remain in the report.
     match earlier.iter().flat_map(|there| &there.runs).find(|run| !planned.contains(run)) {
         Some(ListedRun { folder, .. }) => {
             let why = format!("holds the run `{folder}`; add its method and seed, or choose another --out");
             Err(Error::input(&plan.folder, why))
         }
-        None => Ok(plan),
+        None => Ok(()),
     }
 }
 
-/// Settings of NeRF2 for the size of the site: rays reach its longest side; beyond a room it is the unit of length.
+/// Settings of NeRF2 for the size of the site: rays reach across it; beyond a room, this length is the unit.
 fn rays(data: &Dataset) -> Vec<String> {
     let (low, high) = data.scene.bounds;
-    let far = (0..3).map(|k| high[k] - low[k]).fold(5.0, Real::max).ceil();
+    let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
     let unit = if far > 20.0 { far } else { 1.0 };
     [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into()
 }
@@ -134,9 +139,9 @@ fn rays(data: &Dataset) -> Vec<String> {
 fn baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
     let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
     let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
-    let is_apt =
+    let is_applicable =
         |own: &Plugin<dyn Baseline>| own.supports(data.task()) && !own.is_external() && own.check_data(data).is_ok();
-    texts.filter_map(|text| Plugin::parse(&text).ok()).filter(is_apt).collect()
+    texts.filter_map(|text| Plugin::parse(&text).ok()).filter(is_applicable).collect()
 }
 
 /// Checked predictions of other programs.

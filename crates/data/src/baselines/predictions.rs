@@ -68,7 +68,14 @@ impl Predictions {
     /// # Errors
     /// A file that cannot be read.
     pub fn seal(&mut self, data: &Dataset) -> Result<()> {
+        self.digest = self.digest_for(data)?;
+        Ok(())
+    }
+
+    /// Digest of all files and of the positions in `data`.
+    fn digest_for(&self, data: &Dataset) -> Result<String> {
         let mut all = String::new();
+        (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).tx));
         for (id, prediction) in self.of_ids(data)? {
             let content = match prediction {
                 Prediction::File(path) => files::digest(&files::read(&path).map_err(|e| Error::read(&path, e))?),
@@ -76,8 +83,7 @@ impl Predictions {
             };
             _ = writeln!(all, "{id} {content}");
         }
-        self.digest = files::digest(all.as_bytes());
-        Ok(())
+        Ok(files::digest(all.as_bytes()))
     }
 
     /// Predictions by label of the sample.
@@ -156,6 +162,11 @@ impl Baseline for Predictions {
     }
 
     fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {
+        if !self.digest.is_empty() && self.digest != self.digest_for(data)? {
+            let what =
+                "holds other predictions, or predictions for other data, than were compared; repeat `pwrfgs compare`";
+            return Err(Error::input(&self.root, what));
+        }
         let found = self.of_ids(data)?;
         let (given, wanted): (BTreeSet<u32>, BTreeSet<u32>) =
             (found.keys().copied().collect(), test.iter().map(|&i| data.label(i)).collect());

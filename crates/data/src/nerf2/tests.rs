@@ -243,7 +243,7 @@ fn reports_line_and_column_in_tx_pos() {
     let advice = "give every row x, y and z in metres";
     let cases: [(&str, String); 9] = [
         ("", format!(": is empty; {advice}")),
-        ("x,y,z\n", ": has a header but no row; write one row a sample, in metres".into()),
+        ("x,y,z\n", ": has a header but no row; write one row per position, in metres".into()),
         ("x,y\n1,2\n", ":1:1: no column `z`; the first line must name the columns x, y, z".into()),
         ("1,2,3\n", ":1:1: no column `x`; the first line must name the columns x, y, z".into()),
         ("x,y,z\n1,2,3\n4,5\n", format!(":3:4: the row ends after 2 of the 3 columns that `z` needs; {advice}")),

@@ -8,11 +8,13 @@ use pwrfgs_core::files::{NewFolder, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{Display, Write as _};
-use std::fs;
 use std::path::Path;
+use std::{fs, iter};
 
 /// Thickness of a solid, metres: waves do not reach its far side.
 const SOLID: f64 = 10.0;
+/// Longest name of a file, characters.
+const LONGEST: usize = 60;
 /// Number of steps per metre of a coordinate; neighbouring triangles then have equal corners.
 const STEPS: f64 = 1e9;
 /// Largest conductivity, S/m, for the single precision of Sionna RT.
@@ -31,6 +33,13 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
         let what = "cannot be exported; remove it, or cut the hole into a mesh";
         return Err(Error::Config(format!("scene `{}`: opening `{}` {what}", scene.name, opening.name())));
     }
+    for (name, finish) in scene.finishes() {
+        let permittivity = scene.material(&finish.material).map_or(1.0, |own| own.constants(scene.carrier_hz).0);
+        if !(1.0..=1e6).contains(&permittivity) {
+            let what = format!("`{name}`: a permittivity of {permittivity} cannot be exported (1 to 1,000,000)");
+            return Err(Error::Config(format!("scene `{}`: object {what}; change its material", scene.name)));
+        }
+    }
     let world = world::from_scene(scene)?;
     let making = NewFolder::begin(out)?;
     let meshes = making.path().join("meshes");
@@ -43,10 +52,9 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
     for (surface, (name, finish)) in order {
         let of_surface = world.faces.iter().filter(|face| face.surface == surface);
         let triangles = of_surface.flat_map(|face| &world.triangles[face.triangles.clone()]);
-        let mut id = plain(name);
-        while !ids.insert(id.to_lowercase()) {
-            id.push('-');
-        }
+        let base = plain(name);
+        let mut all = iter::once(base.clone()).chain((2..).map(|k| format!("{base}-{k}")));
+        let id = all.find(|id| ids.insert(id.to_lowercase())).expect("numbers do not end");
         let file = format!("meshes/{id}.ply");
         write_atomically(&making.path().join(&file), ply(triangles.map(Triangle::corners)).as_bytes())?;
         let (source, flat) = (property("string", "filename", &file), property("boolean", "face_normals", &true));
@@ -64,7 +72,7 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
 fn plain(name: &str) -> String {
     let words = name.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| !word.is_empty());
     let joined = words.collect::<Vec<_>>().join("-");
-    if joined.is_empty() { "object".into() } else { joined }
+    if joined.is_empty() { "object".into() } else { joined.chars().take(LONGEST).collect() }
 }
 
 fn property(kind: &str, name: &str, value: &dyn Display) -> String {

@@ -81,8 +81,8 @@ fn title(words: &str, setting: &Setting) -> String {
 }
 
 impl TableLine {
-    /// Creates a row. The label marks external predictions, baselines, oracle baselines (with a dagger) and variants whose models are
-    /// bit-identical to those of an earlier variant.
+    /// Creates a row. The label marks external predictions, baselines, oracle baselines (with a dagger) and variants
+    /// whose models are bit-identical to those of an earlier variant.
     fn new(row: &ComparisonRow<'_>, cells: Vec<FormattedValue>) -> Self {
         let ComparisonRow { label, kind, .. } = *row;
         let label = match (kind, row.twin) {
