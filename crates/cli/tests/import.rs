@@ -171,6 +171,14 @@ fn table_of_links_becomes_folder_of_powers() {
             near.clone() + &row(7, "hall", "0,0,2", -60.0),
             "links.csv:8:1: `hall` has another position in line 2; give one",
         ),
+        (
+            near.clone() + &row(7, "hall", "0,0,2", -100.0),
+            "links.csv:8:1: `hall` has another position in line 2; give one",
+        ),
+        (
+            near.clone() + &row(0, "hall", "0,0,2.5", -100.0),
+            "links.csv:8:1: `hall` received this transmitter in line 2",
+        ),
         (near.clone() + "hall,0,0,2.5,loud,1,1,1\n", "links.csv:8:14: `loud` is not a number; give the power in dBm"),
         (near.clone() + "hall,0,0\n", "links.csv:8:9: the row ends after 3 of the 6 columns that `x` needs"),
         (row(1, "hall", "0,0,2", -100.0), "links.csv: holds no received power; write one row per link"),

@@ -62,7 +62,7 @@ impl MitsubaScene {
                 (low, high) = (low.min(vertex), high.max(vertex));
             }
         }
-        if (high.x - low.x).min(high.y - low.y) <= 0.0 {
+        if (high.x - low.x).min(high.y - low.y) < 1e-6 {
             let what = "a single wall has no default antennas; name the XML file in a scene file, as `mitsuba`";
             return Err(Error::Config(what.into()));
         }

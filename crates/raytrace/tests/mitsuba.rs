@@ -90,6 +90,28 @@ fn three_spellings_of_a_material_give_equal_paths() {
 }
 
 #[test]
+fn radio_material_with_id_of_itu_keeps_its_constants() {
+    let material = |eta: f64| {
+        format!(
+            "<bsdf type=\"radio-material\" id=\"itu_concrete\"><float name=\"relative_permittivity\" value=\"{eta}\"/></bsdf>"
+        )
+    };
+    let shape = SHAPE.replace("\"wall\"", "\"itu_concrete\"");
+    let [low, high] = [2.0, 9.0].map(|eta| traced(&scene(&format!("{}{shape}", material(eta)), "")));
+    assert!(low[1].gain.norm() < 0.5 * high[1].gain.norm(), "{:?} {:?}", low[1].gain, high[1].gain);
+}
+
+#[test]
+fn objects_of_scene_file_may_have_materials_of_xml_file() {
+    let foam = "<bsdf type=\"radio-material\" id=\"foam\"><float name=\"relative_permittivity\" value=\"1.1\"/></bsdf>";
+    let shape = SHAPE.replace("\"wall\"", "\"foam\"");
+    let panel =
+        "objects: [Panel(name: \"w\", from: (5, 0), to: (5, 4), heights: (0, 3), finish: (material: \"foam\"))],";
+    let found = scene(&format!("{foam}{shape}"), panel);
+    assert_eq!(found.objects.iter().map(|object| &*object.finish().unwrap().material).collect::<Vec<_>>(), ["foam"; 2]);
+}
+
+#[test]
 fn material_without_thickness_has_ten_centimetres_as_in_sionna() {
     let thin = GLASS.replace("<float name=\"thickness\" value=\"0.05\"/>", "");
     let scene = scene(&format!("{thin}{SHAPE}"), "");
@@ -181,6 +203,12 @@ fn xml_alone_has_default_antennas_around_its_meshes() {
     let moved = scene.with(Some(2e9), Some([0.0, 0.0, 3.0])).unwrap();
     assert_eq!((moved.carrier_hz, moved.receiver.position), (2e9, [0.0, 0.0, 3.0]));
     assert!(moved.with(Some(0.0), None).unwrap_err().to_string().contains("`carrier_hz` is 0"));
+    let upright =
+        "<transform name=\"to_world\"><matrix value=\"0 0 1 0 0 1 0 0 1 0 0 0 0 0 0 1\"/></transform></shape>";
+    let wall = format!("<scene>{GLASS}{}</scene>", SHAPE.replace("</shape>", upright));
+    fs::write(folder.path().join("scene.xml"), wall).unwrap();
+    let refused = SceneFile::read(&folder.path().join("scene.xml")).unwrap_err().to_string();
+    assert!(refused.contains("a single wall has no default antennas; name the XML file"), "{refused}");
 }
 
 #[test]
