@@ -135,13 +135,13 @@ fn joined_sweeps_score_mean_of_their_models() {
     ];
     let mut joined = 0;
     for path in files("experiments") {
-        let folder = tempfile::tempdir().unwrap();
-        let mut plan =
-            SweepPlan::read(&path, &set.map(str::to_owned), Some(folder.path())).unwrap_or_else(|e| panic!("{e}"));
-        if plan.joined.is_none() {
+        if SweepPlan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}")).joined.is_none() {
             continue;
         }
         joined += 1;
+        let folder = tempfile::tempdir().unwrap();
+        let mut plan =
+            SweepPlan::read(&path, &set.map(str::to_owned), Some(folder.path())).unwrap_or_else(|e| panic!("{e}"));
         for run in &mut plan.runs {
             let short = "training=(steps: 6, densify_until: 0, prune_until: 4, prune_every: 2, batch: 4)";
             run.pipeline.set(short).unwrap();
@@ -180,7 +180,7 @@ fn every_experiment_resolves_and_its_variants_train() {
                 continue; // they differ in the number alone
             }
             let mut pipeline = run.pipeline.clone();
-            pipeline.set("training=(steps: 12, densify_until: 6, prune_until: 9, prune_every: 2)").unwrap();
+            pipeline.set("training=(steps: 12, batch: 8, densify_until: 6, prune_until: 9, prune_every: 2)").unwrap();
             pipeline.set("split=Random()").unwrap(); // thirty samples are too few for some
             let start = pwrfgs::core::plugin::to_ron(&pipeline.initializer);
             if start.starts_with("Trained") {
@@ -192,16 +192,17 @@ fn every_experiment_resolves_and_its_variants_train() {
             }
             shrink(&mut pipeline);
             let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
-            if let Ok(mut trainer) = pipeline.trainer(&data, &partition) {
-                for _ in 0..12 {
-                    match trainer.step() {
-                        Ok(report) => assert!(report.loss.is_finite(), "{}", run.folder),
-                        Err(Error::Collapsed { .. }) => break, // thresholds of a long training, after a few steps
-                        Err(error) => panic!("{}: {error}", run.folder),
-                    }
+            let mut trainer = match pipeline.trainer(&data, &partition) {
+                Ok(trainer) => trainer,
+                Err(_) if run.folder.contains("point-cloud") => continue, // only this needs a scene
+                Err(error) => panic!("{}: {error}", run.folder),
+            };
+            for _ in 0..12 {
+                match trainer.step() {
+                    Ok(report) => assert!(report.loss.is_finite(), "{}", run.folder),
+                    Err(Error::Collapsed { .. }) => break, // thresholds of a long training, after a few steps
+                    Err(error) => panic!("{}: {error}", run.folder),
                 }
-            } else {
-                assert!(run.folder.contains("point-cloud"), "{}: only this needs a scene", run.folder);
             }
         }
     }
