@@ -98,15 +98,14 @@ fn radio_material_with_id_of_itu_keeps_its_constants() {
     };
     let shape = SHAPE.replace("\"wall\"", "\"itu_concrete\"");
     let [low, high] = [2.0, 9.0].map(|eta| traced(&scene(&format!("{}{shape}", material(eta)), "")));
-    assert!(low[1].gain.norm() < 0.5 * high[1].gain.norm(), "{:?} {:?}", low[1].gain, high[1].gain);
+    assert!((low[1].gain - high[1].gain).norm() > 0.1 * high[1].gain.norm(), "{:?} {:?}", low[1].gain, high[1].gain);
 }
 
 #[test]
 fn objects_of_scene_file_may_have_materials_of_xml_file() {
     let foam = "<bsdf type=\"radio-material\" id=\"foam\"><float name=\"relative_permittivity\" value=\"1.1\"/></bsdf>";
     let shape = SHAPE.replace("\"wall\"", "\"foam\"");
-    let panel =
-        "objects: [Panel(name: \"w\", from: (5, 0), to: (5, 4), heights: (0, 3), finish: (material: \"foam\"))],";
+    let panel = "objects: [Panel(name: \"w\", from: (5, 0), to: (5, 4), heights: (0, 3), finish: (material: \"foam\", thickness_m: 0.1))],";
     let found = scene(&format!("{foam}{shape}"), panel);
     assert_eq!(found.objects.iter().map(|object| &*object.finish().unwrap().material).collect::<Vec<_>>(), ["foam"; 2]);
 }
@@ -264,7 +263,7 @@ fn errors_name_line_column_and_next_step() {
         "$a".repeat(5_000_000)
     );
     let error = SceneFile::read(&folder(&bomb).path().join("scene.xml")).unwrap_err().to_string();
-    assert!(error.contains("unknown variable `$a$a") && error.len() < 500, "{error}");
+    assert!(error.contains("`id` with variables is too long") && error.len() < 500, "{error}");
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("a.xml"), "<mesh/>").unwrap();
     let error = SceneFile::read(&folder.path().join("a.xml")).unwrap_err().to_string();
