@@ -25,7 +25,7 @@ def spectrum(
     shape: Tuple[int, int] = (90, 360),
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> NDArray[np.float32]:
-    """Compute spatial spectra [.., H, W] from channels with the beamformer of the simulator.
+    """Compute spatial spectra [.., H, W] from channels with the formula of the simulator.
 
     A pixel is the amplitude abs(aᴴh)/A with the steering vector a = exp(+j2π/λ p·u) of its direction u in the receiver
     frame. Each spectrum is stretched from its smallest value (0) to its largest (1), so absolute power is lost. Without a

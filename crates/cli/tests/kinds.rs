@@ -222,6 +222,13 @@ fn compare_scores_predictions_of_other_program_like_baseline() {
     assert!(value_in(&here.join("runs/compare-powers/report"), "mine", "power_error_db", "mean") > 50.0);
     let fewer = ["compare", "powers", "--methods", "NeRF2", "--seeds", "1", "--scale", "0.005"];
     refuse(here, &fewer, 2, &["holds the run `method=P-WRFGS,seed=0`; add its method"]);
+    succeed(here, &[&fewer[..], &["--dry-run"]].concat());
+    // Predictions that were not compared are not scored.
+    write(&here.join(list), text);
+    refuse(here, &["evaluate", model], 2, &["mine/powers: holds other predictions, or predictions for other data"]);
+    let own = "Predictions(name: \"mine\", root: \"mine/powers\")";
+    let twice = format!("baselines=[{own}, {own}]");
+    refuse(here, &["evaluate", model, "--set", &twice], 2, &["two are called `mine`; give the predictions another"]);
 }
 
 /// Damages the prediction of test sample `id`.

@@ -119,6 +119,11 @@ impl Pipeline {
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
             if baseline.is_external() {
+                let name = baseline.name();
+                if self.baselines.iter().filter(|other| other.name_for(data.task()) == name).count() > 1 {
+                    let what = format!("baselines: two are called `{name}`; give the predictions another `name`");
+                    return Err(Error::Config(what));
+                }
                 let test = self.partition(data)?.test;
                 baseline.check_test(data, &test).map_err(|error| named("baselines", error))?;
             }

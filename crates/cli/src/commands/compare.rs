@@ -118,13 +118,10 @@ fn plan(arguments: &Compare, survey: &DataSurvey) -> Result<SweepPlan> {
 /// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
 fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
-    match earlier.iter().flat_map(|there| &there.runs).find(|run| !planned.contains(run)) {
-        Some(ListedRun { folder, .. }) => {
-            let why = format!("holds the run `{folder}`; add its method and seed, or choose another --out");
-            Err(Error::input(&plan.folder, why))
-        }
-        None => Ok(()),
-    }
+    let other = earlier.iter().flat_map(|there| &there.runs).find(|run| !planned.contains(run));
+    let why =
+        |run: &ListedRun| format!("holds the run `{}`; add its method and seed, or choose another --out", run.folder);
+    other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
 /// Settings of NeRF2 for the size of the site: rays reach across it; beyond a room, this length is the unit.

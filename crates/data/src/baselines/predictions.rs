@@ -36,6 +36,7 @@ const LARGEST: Real = 2.0;
 /// # use pwrfgs_data as _;
 /// let baseline = Plugin::<dyn Baseline>::parse(r#"Predictions(name: "U-Net", root: "../predicted")"#).unwrap();
 /// assert_eq!(baseline.name(), "U-Net");
+/// assert!(Plugin::<dyn Baseline>::parse(r#"Predictions(name: "model")"#).is_err());
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -159,6 +160,13 @@ impl Baseline for Predictions {
 
     fn is_external(&self) -> bool {
         true
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.name.trim().is_empty() || self.name == "model" {
+            return Err(format!("`name` is `{}`; give the name of the method that predicted", self.name));
+        }
+        Ok(())
     }
 
     fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {

@@ -20,14 +20,14 @@ const ADVICE: &str = "write one row per link with the columns x, y, z, receiver,
 /// An invalid row, two positions of one receiver, or two rows of one link.
 pub fn links(path: &Path, name: &str, simulated: bool) -> Result<Dataset> {
     let text = read_text(path, MAX_TEXT, ADVICE)?;
-    let (mut places, mut lines, mut found) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-    let (mut ids, mut numbers, mut receivers) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
+    let (mut positions, mut lines, mut found) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+    let (mut ids, mut indices, mut receivers) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
     for (line, [x, y, z, own, rx_x, rx_y, rx_z, power]) in table(path, &text, COLUMNS, ADVICE)? {
         let tx = place(path, line, [x, y, z], ADVICE)?.map(|v| v + 0.0); // no negative zero
         let position = place(path, line, [rx_x, rx_y, rx_z], ADVICE)?;
         let power = dbm(path, line, power)?;
         let fault = |what: String| Error::at(path, line, own.column, format!("{} {what}", quoted(own.text)));
-        let (there, first) = *places.entry(own.text).or_insert((position, line));
+        let (there, first) = *positions.entry(own.text).or_insert((position, line));
         if there != position {
             return Err(fault(format!("has another position in line {first}; give one position per receiver")));
         }
@@ -39,7 +39,7 @@ pub fn links(path: &Path, name: &str, simulated: bool) -> Result<Dataset> {
             continue;
         }
         let (count, next) = (ids.len() as u32, receivers.len());
-        let receiver = *numbers.entry(own.text).or_insert(next);
+        let receiver = *indices.entry(own.text).or_insert(next);
         if receiver == next {
             receivers.push(Receiver::new(own.text, Pose { position, ..Pose::IDENTITY }));
         }

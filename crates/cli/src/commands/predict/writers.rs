@@ -78,14 +78,13 @@ pub(super) fn writer<'a>(
     folder: &OutputFolder<'_>,
     model: &Prepared<'a>,
     count: usize,
-    stacked: bool,
     has_interval: bool,
 ) -> Result<Box<dyn Writer + 'a>> {
     let task = model.task();
     Ok(if task.has_pixels {
-        Box::new(Spectra::begin(folder, model, count, stacked, has_interval)?)
+        Box::new(Spectra::begin(folder, model, count, has_interval)?)
     } else if task.is_complex {
-        Box::new(Channels::begin(folder, model, count, stacked)?)
+        Box::new(Channels::begin(folder, model, count)?)
     } else {
         Box::new(Powers { has_spread: model.models().count() > 1, has_interval })
     })
@@ -100,19 +99,13 @@ struct Spectra<'a> {
 }
 
 impl<'a> Spectra<'a> {
-    fn begin(
-        folder: &OutputFolder<'_>,
-        model: &Prepared<'a>,
-        count: usize,
-        stacked: bool,
-        has_interval: bool,
-    ) -> Result<Self> {
+    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'a>, count: usize, has_interval: bool) -> Result<Self> {
         let plane = model.plane();
         let size = [count, plane.height, plane.width];
         let has_spread = model.models().count() > 1;
         let names = [("spectra", true), ("spread", has_spread), ("lower", has_interval), ("upper", has_interval)];
         let stack = |(name, _)| Stack::floats(folder, &format!("{name}.npy"), size);
-        let stacks = names.into_iter().filter(|(_, is_written)| stacked && *is_written).map(stack);
+        let stacks = names.into_iter().filter(|(_, is_written)| folder.stacked && *is_written).map(stack);
         let stacks = stacks.collect::<Result<_>>()?;
         Ok(Self { plane, has_names: model.receivers().len() > 1, has_interval, stacks })
     }
@@ -200,10 +193,10 @@ struct Channels {
 }
 
 impl Channels {
-    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'_>, count: usize, stacked: bool) -> Result<Self> {
+    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'_>, count: usize) -> Result<Self> {
         let size = [count, model.plane().height / 2, model.plane().width];
         let mut stacks = Vec::new();
-        if stacked {
+        if folder.stacked {
             stacks.push(Stack::complex(folder, "channels.npy", size)?);
             if model.models().count() > 1 {
                 stacks.push(Stack::floats(folder, "spread.npy", size)?);
@@ -252,6 +245,8 @@ fn lengths(parts: &Image) -> Image {
 pub(super) struct OutputFolder<'a> {
     pub(super) path: &'a Path,
     pub(super) has_png: bool,
+    /// Whether all spectra or channels are one array.
+    pub(super) stacked: bool,
 }
 
 impl OutputFolder<'_> {
