@@ -1,6 +1,6 @@
 //! `Comparison`: rows of a setting (variants, then baselines) with all their numbers, as in `report.csv`.
 
-use pwrfgs_core::{Baseline, Plugin};
+use pwrfgs_core::Baseline as _;
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
 use pwrfgs_experiment::{CEILING, Record, Setting, StudyVariant, distinct, text::Lines};
@@ -185,8 +185,7 @@ impl<'a> Comparison<'a> {
                     Some(row) => row.runs.push(run),
                     None => {
                         let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
-                        let is_it = |own: &Plugin<dyn Baseline>| own.is_external() && own.name() == name;
-                        let external = run.pipeline.baselines.iter().any(is_it);
+                        let external = run.pipeline.baselines.iter().any(|own| own.is_external() && own.name() == name);
                         let known = if oracle { RowKind::Oracle } else { RowKind::Baseline };
                         let kind = if external { RowKind::External } else { known };
                         rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
