@@ -228,7 +228,12 @@ fn compare_scores_predictions_of_other_program_like_baseline() {
     refuse(here, &["evaluate", model], 2, &["mine/powers: holds other predictions, or predictions for other data"]);
     let own = "Predictions(name: \"mine\", root: \"mine/powers\")";
     let twice = format!("baselines=[{own}, {own}]");
-    refuse(here, &["evaluate", model, "--set", &twice], 2, &["two are called `mine`; give the predictions another"]);
+    refuse(
+        here,
+        &["evaluate", model, "--set", &twice],
+        2,
+        &["two baselines are called `mine`; give the predictions another"],
+    );
 }
 
 /// Damages the prediction of test sample `id`.

@@ -74,9 +74,9 @@ pub fn evaluate(
         let (scores, of_links) = own.measure((MODEL, model), calibration, session)?;
         (intervals, columns, calibrator) = (vec![scores], of_links, Some(own));
     }
+    pipeline.check_external(data, &partition.test)?;
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
-        baseline.check_test(data, &partition.test)?;
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.task());
         // Reading a file has no latency of a method.

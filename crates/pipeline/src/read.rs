@@ -118,15 +118,9 @@ impl Pipeline {
         };
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
-            if baseline.is_external() {
-                let name = baseline.name();
-                if self.baselines.iter().filter(|other| other.name_for(data.task()) == name).count() > 1 {
-                    let what = format!("baselines: two are called `{name}`; give the predictions another `name`");
-                    return Err(Error::Config(what));
-                }
-                let test = self.partition(data)?.test;
-                baseline.check_test(data, &test).map_err(|error| named("baselines", error))?;
-            }
+        }
+        if self.baselines.iter().any(|own| own.is_external()) {
+            self.check_external(data, &self.partition(data)?.test).map_err(|error| named("baselines", error))?;
         }
         for metric in &self.metrics {
             metric.check_data(data).map_err(|error| named("metrics", error))?;
@@ -135,6 +129,24 @@ impl Pipeline {
             Some((field, what)) => Err(Error::Config(format!("{field}: {what}"))),
             None => Ok(()),
         }
+    }
+
+    /// Checks the predictions of other programs for the links `test`.
+    ///
+    /// # Errors
+    /// Missing or invalid predictions, or two baselines of one name.
+    pub fn check_external(&self, data: &Dataset, test: &[usize]) -> Result<(), Error> {
+        let count_of = |name: &str| self.baselines.iter().filter(|own| own.name_for(data.task()) == name).count();
+        for own in self.baselines.iter().filter(|own| own.is_external()) {
+            let name = own.name();
+            if count_of(&name) > 1 {
+                return Err(Error::Config(format!(
+                    "two baselines are called `{name}`; give the predictions another `name`"
+                )));
+            }
+            own.check_test(data, test)?;
+        }
+        Ok(())
     }
 
     /// Checks between plugins: the field and its problem.

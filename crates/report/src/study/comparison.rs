@@ -1,6 +1,5 @@
 //! `Comparison`: rows of a setting (variants, then baselines) with all their numbers, as in `report.csv`.
 
-use pwrfgs_core::Baseline as _;
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
 use pwrfgs_experiment::{CEILING, Record, Setting, StudyVariant, distinct, text::Lines};
