@@ -232,7 +232,7 @@ fn compare_scores_predictions_of_other_program_like_baseline() {
         here,
         &["evaluate", model, "--set", &twice],
         2,
-        &["two baselines are called `mine`; give the predictions another"],
+        &["two baselines are called `mine`; rename the predictions"],
     );
 }
 

@@ -138,12 +138,8 @@ impl Pipeline {
     pub fn check_external(&self, data: &Dataset, test: &[usize]) -> Result<(), Error> {
         let count_of = |name: &str| self.baselines.iter().filter(|own| own.name_for(data.task()) == name).count();
         for own in self.baselines.iter().filter(|own| own.is_external()) {
-            let name = own.name();
-            if count_of(&name) > 1 {
-                return Err(Error::Config(format!(
-                    "two baselines are called `{name}`; give the predictions another `name`"
-                )));
-            }
+            let twice = || Error::Config(format!("two baselines are called `{}`; rename the predictions", own.name()));
+            (count_of(&own.name()) == 1).then_some(()).ok_or_else(twice)?;
             own.check_test(data, test)?;
         }
         Ok(())

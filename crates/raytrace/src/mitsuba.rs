@@ -147,12 +147,8 @@ impl<'a> Reader<'a> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
         let mut value = value.to_owned();
         if value.contains('$') {
-            let fits = value.len() <= LONGEST;
-            self.require(
-                fits,
-                node,
-                format_args!("`{name}` with variables is too long; give at most 1,000 characters"),
-            )?;
+            let what = format_args!("`{name}` is longer than 1,000 characters; shorten it");
+            self.require(value.len() <= LONGEST, node, what)?;
             for (variable, text) in self.variables.iter().rev() {
                 value = value.replace(&format!("${variable}"), text); // longer names first
             }

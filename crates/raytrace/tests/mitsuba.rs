@@ -263,7 +263,7 @@ fn errors_name_line_column_and_next_step() {
         "$a".repeat(5_000_000)
     );
     let error = SceneFile::read(&folder(&bomb).path().join("scene.xml")).unwrap_err().to_string();
-    assert!(error.contains("`id` with variables is too long") && error.len() < 500, "{error}");
+    assert!(error.contains("`id` is longer than 1,000 characters; shorten it") && error.len() < 500, "{error}");
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("a.xml"), "<mesh/>").unwrap();
     let error = SceneFile::read(&folder.path().join("a.xml")).unwrap_err().to_string();

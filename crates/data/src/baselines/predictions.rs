@@ -163,10 +163,8 @@ impl Baseline for Predictions {
     }
 
     fn check(&self) -> Result<(), String> {
-        if self.name.trim().is_empty() || self.name == "model" {
-            return Err(format!("`name` is `{}`; give the name of the method that predicted", self.name));
-        }
-        Ok(())
+        let is_free = !self.name.trim().is_empty() && self.name != "model";
+        is_free.then_some(()).ok_or_else(|| format!("`name` is `{}`; give the name of your method", self.name))
     }
 
     fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {
