@@ -6,13 +6,10 @@ and faces z. The orientation of a converted receiver contains this rotation.
 
 from __future__ import annotations
 
-import csv
 import functools
 import json
 import os
 import re
-import shutil
-import tempfile
 import warnings
 from typing import Any, Dict, List, Literal, Mapping, Optional, Sequence, Tuple, Union
 
@@ -21,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from . import _pwrfgs
 from ._errors import InputError
+from ._run import _Progress
 from ._spectrum import SPEED_OF_LIGHT, spectrum
 from ._types import Array, Receiver
 
@@ -35,13 +33,8 @@ _FACING_X = (0.5, 0.5, 0.5, 0.5)
 _SPECTRA, _BLOCK = 256, 1 << 22
 # Matrices of a DeepMIMO pair that a channel needs: of the paths [U, P], and positions [U, 3] and [1, 3].
 _PATHS = ("power", "phase", "delay", "aod_az", "aod_el")
-# Paths per user in DeepMIMO, and its digits for interactions.
-_MOST_PATHS, _DIGITS = 25, {"R": "1", "D": "2", "S": "3", "T": "4"}
 # Direct paths that decide about the phases; fewer may agree by chance.
 _LEAST_DIRECT = 10
-# Columns of paths.csv that DeepMIMO needs.
-_ANGLES = [f"{end}_{angle}_deg" for end in ("departure", "arrival") for angle in ("azimuth", "elevation")]
-_ROW = [("interactions", "U32"), *((name, "f8") for name in ("id", "gain_re", "gain_im", "length_m", *_ANGLES))]
 
 
 def from_sionna(
@@ -258,86 +251,18 @@ def _matrix(stem: str, name: str) -> Any:
         raise _at(path, f"no readable matrix `{name}` ({error!r})") from None
 
 
-def to_deepmimo(folder: PathLike, out: PathLike) -> None:
-    """Write a folder of ``pwrfgs simulate`` with ``paths.csv`` and one receiver as a scenario of DeepMIMO v4.
+def to_deepmimo(scene: PathLike, out: PathLike, *, samples: int = 200, seed: int = 0, progress: bool = True) -> None:
+    """Simulate a scene into the new folder ``out`` as a scenario of DeepMIMO v4, like ``pwrfgs simulate --layout deepmimo``.
 
-    The receiver becomes the base station, and transmitters become users. Each user keeps its 25 strongest paths. Positions of
-    interactions are NaN, and the scene has no objects. ``deepmimo.load("NAME")`` reads ``deepmimo_scenarios/NAME``; NAME must
-    be in lower case.
+    Receivers become base stations, and transmitters become users. Each user keeps its 25 strongest paths. The scenario has no
+    objects. ``deepmimo.load("NAME")`` reads ``deepmimo_scenarios/NAME``; NAME must be in lower case.
     """
-    folder, out = os.fspath(folder), os.path.abspath(os.fspath(out))
-    data = _pwrfgs.Dataset.load(folder)
+    bar = _Progress(progress)
+    bar.begin("simulating", samples)
     try:
-        with open(os.path.join(folder, "manifest.json"), encoding="utf-8") as file:
-            carrier = float(json.load(file)["carrier_hz"])
-        with open(os.path.join(folder, "paths.csv"), encoding="utf-8", newline="") as file:
-            lines = (tuple(row[name] for name, _ in _ROW) for row in csv.DictReader(file))
-            rows = np.fromiter(lines, np.dtype(_ROW))
-        rows["interactions"] = np.char.replace(rows["interactions"], "LOS", "")
-        matrices = _deepmimo_matrices(data, rows, carrier)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder}: no manifest.json and paths.csv of one receiver ({error}); simulate with paths") from None
-    if os.path.lexists(out):
-        raise InputError(f"{out} exists; give a new folder")
-    points = {"num_points": len(data.tx), "num_active_points": int(np.isfinite(matrices["power"]).any(axis=1).sum())}
-    sets = [("base station", True, {"num_points": 1, "num_active_points": 1}), ("users", False, points)]
-    kinds = zip("RDST", ("reflections", "diffractions", "scattering", "transmissions"))
-    most = {f"max_{kind}": int(np.char.count(rows["interactions"], letter).max()) for letter, kind in kinds}
-    params = {
-        "version": "4.0.5",
-        "rt_params": {
-            "raytracer_name": "pwrfgs", "raytracer_version": _pwrfgs.__version__, "frequency": carrier,
-            "max_path_depth": sum(most.values()), **most,
-        },
-        "scene": {"num_scenes": 1, "n_objects": 0, "n_vertices": 0, "n_faces": 0, "n_triangular_faces": 0},
-        "materials": {},
-        "txrx_sets": {
-            f"txrx_set_{i}": {"name": name, "id": i, "id_orig": i, "is_tx": is_tx, "is_rx": not is_tx, **more}
-            for i, (name, is_tx, more) in enumerate(sets)
-        },
-    }  # fmt: skip
-    os.makedirs(os.path.dirname(out), exist_ok=True)
-    made = tempfile.mkdtemp(dir=os.path.dirname(out))
-    try:
-        os.chmod(made, 0o755)
-        for name, values in matrices.items():
-            np.savez_compressed(os.path.join(made, f"{name}_t000_tx000_r001.npz"), **{name: values})
-        np.savez_compressed(os.path.join(made, "vertices.npz"), vertices=np.zeros((0, 3), np.float32))
-        for name, value in [("params.json", params), ("objects.json", [])]:
-            with open(os.path.join(made, name), "w", encoding="utf-8") as file:
-                json.dump(value, file, indent=2)
-        os.rename(made, out)
-    except BaseException:
-        shutil.rmtree(made, ignore_errors=True)
-        raise
-
-
-def _deepmimo_matrices(data: "_pwrfgs.Dataset", rows: Array, carrier: float) -> Dict[str, Any]:
-    """Matrices of a pair, by name, from rows of ``paths.csv``. Seen from the base station, departures are our arrivals."""
-    places = {int(number): place for place, number in enumerate(data.ids)}
-    user = np.array([places[int(number)] for number in rows["id"]])
-    gain, length = rows["gain_re"] + 1j * rows["gain_im"], rows["length_m"]
-    codes = ["".join(_DIGITS[letter] for letter in reversed(letters)) for letters in rows["interactions"]]
-    values = {
-        "power": 20 * np.log10(np.abs(gain)),
-        "phase": np.rad2deg(np.angle(gain * np.exp(-2j * np.pi * carrier / SPEED_OF_LIGHT * length))),
-        "delay": length / SPEED_OF_LIGHT,
-        "aod_az": rows["arrival_azimuth_deg"], "aod_el": 90 - rows["arrival_elevation_deg"],
-        "aoa_az": rows["departure_azimuth_deg"], "aoa_el": 90 - rows["departure_elevation_deg"],
-        "inter": np.array([float(code or 0) for code in codes]),
-    }  # fmt: skip
-    order = np.lexsort((-np.abs(gain), user))
-    rank = np.arange(len(rows)) - np.searchsorted(user[order], user[order])
-    order, rank = order[rank < _MOST_PATHS], rank[rank < _MOST_PATHS]
-    shape = (len(data.tx), rank.max() + 1)
-    # Interactions are decimal digits, which 32 bits do not hold.
-    types = {"inter": np.float64}
-    found: Dict[str, Any] = {name: np.full(shape, np.nan, types.get(name, np.float32)) for name in values}
-    for name, value in values.items():
-        found[name][user[order], rank] = value[order]
-    depth = max(1, int(np.char.str_len(rows["interactions"][order]).max()))
-    found["inter_pos"] = np.full((*shape, depth, 3), np.nan, np.float32)
-    return {**found, "rx_pos": data.tx, "tx_pos": np.array([data.receivers[0].position])}
+        _pwrfgs.simulate(scene, out, "DeepMIMO", samples, seed, 0, None, None, True, lambda done, total: bar.to(done))
+    finally:
+        bar.close()
 
 
 def _dataset(

@@ -211,6 +211,7 @@ pub(crate) fn simulate(
         "rssi" => (ObservationKind::Power { noise_db: noise_db.unwrap_or(0.0) }, OutputLayout::Rssi),
         "channels" => (ObservationKind::Channel { snr_db }, OutputLayout::Channels),
         "csi" => (ObservationKind::Channel { snr_db }, OutputLayout::Csi),
+        "DeepMIMO" => (ObservationKind::Channel { snr_db: None }, OutputLayout::DeepMimo), // `convert.to_deepmimo`
         other => {
             let all = ["spectra", "arrays", "rssi", "channels", "csi"];
             let hint = pwrfgs_core::did_you_mean(other, all);

@@ -247,7 +247,8 @@ def test_real_sionna_paths_give_spectra_with_the_line_of_sight(tmp_path, monkeyp
 
 @pytest.fixture()
 def scenario(simulated, tmp_path):
-    convert.to_deepmimo(simulated / "channels", tmp_path / "deepmimo_scenarios/small")
+    (tmp_path / "deepmimo_scenarios").mkdir()
+    convert.to_deepmimo(simulated / "small.ron", tmp_path / "deepmimo_scenarios/small", samples=12, progress=False)
     return tmp_path / "deepmimo_scenarios/small"
 
 
@@ -273,20 +274,21 @@ def test_simulated_channels_survive_deepmimo(simulated, scenario):
     assert np.allclose(powers.rssi, 3 + 10 * np.log10((np.abs(wanted.csi) ** 2).mean(axis=(1, 2))), atol=0.01)
     default = convert.from_deepmimo(scenario, [2.39e9, 2.41e9], observe="channel")
     assert default.csi.shape == (12, 16, 2) and default.frequencies_hz.tolist() == [2.39e9, 2.41e9]
-    with pytest.raises(pwrfgs.InputError, match="exists; give a new folder"):
-        convert.to_deepmimo(simulated / "channels", scenario)
-    with pytest.raises(pwrfgs.InputError, match="no manifest.json and paths.csv of one receiver"):
-        data.save(scenario.parent / "saved")
-        convert.to_deepmimo(scenario.parent / "saved", scenario.parent / "other")
-    assert sorted(path.name for path in scenario.parent.iterdir()) == ["saved", "small"]
+    with pytest.raises(pwrfgs.InputError, match="is not empty"):
+        convert.to_deepmimo(simulated / "small.ron", scenario)
+    with pytest.raises(pwrfgs.InputError, match="unknown value `deepmimo`"):
+        pwrfgs.simulate(simulated / "small.ron", scenario.parent / "other", layout="deepmimo")
+    assert [path.name for path in scenario.parent.iterdir()] == ["small"]
 
 
 def test_users_keep_their_25_strongest_paths(tmp_path):
     panel = 'Panel(name: "p", from: (5, 1), to: (5, 5), heights: (0, 2.5), finish: (material: "glass", thickness_m: 0.01))'
     (tmp_path / "many.ron").write_text(SCENE.replace("room_order: 1", "room_order: 3").replace("receiver:", f"objects: [{panel}], receiver:"))
     pwrfgs.simulate(tmp_path / "many.ron", tmp_path / "many", layout="arrays", samples=5, paths=True, progress=False)
-    convert.to_deepmimo(tmp_path / "many", tmp_path / "scenario")
-    power, inter = (np.load(tmp_path / f"scenario/{name}_t000_tx000_r001.npz")[name] for name in ("power", "inter"))
+    convert.to_deepmimo(tmp_path / "many.ron", tmp_path / "scenario", samples=5, progress=False)
+    names = ("power", "inter", "inter_pos", "delay", "rx_pos", "tx_pos")
+    read = {name: np.load(tmp_path / f"scenario/{name}_t000_tx000_r001.npz")[name] for name in names}
+    power, inter = read["power"], read["inter"]
     rows = [line.split(",") for line in (tmp_path / "many/paths.csv").read_text().splitlines()[1:]]
     assert {0, 14} <= set(inter.ravel())  # from the base station: reflected, then transmitted
     for user in range(5):
@@ -294,6 +296,11 @@ def test_users_keep_their_25_strongest_paths(tmp_path):
         assert np.allclose(power[user], [-db for db, _ in mine], atol=2e-3)
         codes = [int(letters.replace("LOS", "0")[::-1].translate(str.maketrans("RDT", "124"))) for _, letters in mine]
         assert sorted(inter[user]) == sorted(codes)
+        for path in np.flatnonzero(inter[user] > 0):  # the points are those of the path, in order
+            met = read["inter_pos"][user, path]
+            corners = np.concatenate([read["tx_pos"], met[np.isfinite(met[:, 0])], read["rx_pos"][[user]]])
+            assert len(corners) == len(str(int(inter[user, path]))) + 2
+            assert np.isclose(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum(), C * read["delay"][user, path], rtol=1e-6)
 
 
 def test_paths_with_nan_and_users_without_paths_are_left_out(simulated, scenario):

@@ -1,5 +1,6 @@
 //! Simulated data set as a folder, in the layouts of NeRF2, with ground truth.
 
+mod deepmimo;
 mod files;
 
 pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
@@ -43,11 +44,13 @@ pub const POINTS: &str = "points.ply";
 ///
 /// out/csidata.npy           CSI: the same array, first half of the subcarriers uplink, second half downlink
 /// out/base-station.yml      antenna positions
+///
+/// out/params.json, power_t000_tx000_r001.npz, ..    DeepMIMO: only these matrices of paths, and the recipe
 /// ```
 ///
 /// Ids are counted from 1 in the layout of spectra and from 0 in the others, as in NeRF2. With several receivers, each
 /// has its own complete folder inside `out`, named after it, as if the scene had this receiver alone. Only powers share
-/// one table.
+/// one table, and base stations of DeepMIMO share a folder.
 ///
 /// The folder is written under a temporary name and renamed at the end, so that `out` is complete or absent. Remains of
 /// killed attempts are removed. `progress` counts the transmitters of all folders.
@@ -67,6 +70,11 @@ pub fn write_as(
     refuse_occupied(out)?; // before the scene is prepared
     let simulator = Simulator::new(&recipe.scene)?; // reports errors of all receivers before the first is simulated
     let making = NewFolder::begin(out)?;
+    if layout == OutputLayout::DeepMimo {
+        deepmimo::write(recipe, &simulator, making.path(), progress, stop)?;
+        put(&making.path().join(MANIFEST), recipe.to_json())?;
+        return making.publish();
+    }
     let receivers = recipe.scene.receivers().count();
     if receivers == 1 || layout == OutputLayout::Rssi {
         fill(recipe, &simulator, layout, paths, making.path(), progress, stop)?;

@@ -39,6 +39,18 @@ pub enum Interaction {
     },
 }
 
+impl Interaction {
+    /// Position, metres, world frame.
+    pub fn point(&self) -> DVec3 {
+        match *self {
+            Self::Reflection { point, .. }
+            | Self::Transmission { point, .. }
+            | Self::Diffraction { point, .. }
+            | Self::Scattering { point, .. } => point,
+        }
+    }
+}
+
 /// A propagation path from transmitter to receiver: one summand of eq. (1).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PropagationPath {
@@ -154,7 +166,7 @@ fn letter(interaction: &Interaction) -> char {
 }
 
 /// Azimuth and elevation of a unit vector, degrees; azimuth from 0 to 360 as in a spectrum.
-fn angles(direction: DVec3) -> (f64, f64) {
+pub(crate) fn angles(direction: DVec3) -> (f64, f64) {
     let azimuth = direction.y.atan2(direction.x).to_degrees();
     let elevation = direction.z.clamp(-1.0, 1.0).asin().to_degrees();
     (if azimuth < 0.0 { azimuth + 360.0 } else { azimuth }, elevation)

@@ -21,9 +21,11 @@ LAYOUTS
   channels  channel.npy, complex64 [transmitters, antennas, subcarriers], receiver.yml
   csi       NeRF2 MIMO: csidata.npy, the same array, first half of the subcarriers uplink, second
             half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
-All have tx_pos.csv, paths.csv, points.ply (surface points with normals), manifest.json (parameters)
+  deepmimo  DeepMIMO v4: params.json and matrices of the 25 strongest paths of each user; receivers
+            become base stations, transmitters become users
+All but deepmimo have tx_pos.csv, paths.csv, points.ply (surface points with normals), manifest.json (parameters)
 and index files (every fifth transmitter is for test). Several receivers get a folder each, except
-for rssi. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
+for rssi and deepmimo. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
 A Mitsuba XML file of Sionna RT is a scene too: carrier 3.5 GHz and antennas 1.5 m above its lowest
 point, unless set here or in a scene file with `mitsuba: ..` (docs/simulator.md).
 
@@ -32,7 +34,8 @@ EXAMPLES
   pwrfgs simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many
   pwrfgs simulate scenes/office-links.ron --layout rssi --noise-db 3 --no-paths --out data/rssi
   pwrfgs simulate scene.xml --carrier-hz 28e9 --receiver 0,0,10 --no-paths --out data/canyon
-  pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --no-paths --out data/csi")]
+  pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --no-paths --out data/csi
+  pwrfgs simulate scenes/office-channel.ron --layout deepmimo --out deepmimo_scenarios/office")]
 pub(crate) struct Simulate {
     /// Scene file, Mitsuba XML file, or name of a scene in `pwrfgs pipelines`
     #[arg(value_name = "SCENE")]
@@ -40,7 +43,7 @@ pub(crate) struct Simulate {
     /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Layout: spectra, rssi, channels or csi
+    /// Layout: spectra, rssi, channels, csi or deepmimo
     #[arg(long, value_enum, hide_possible_values = true, default_value_t = SimulateFormat::Spectra)]
     pub(crate) layout: SimulateFormat,
     /// Carrier in Hz [default: from the scene; 3.5e9 for XML]
@@ -83,6 +86,8 @@ pub(crate) enum SimulateFormat {
     Channels,
     /// Uplink and downlink channels in NeRF2's MIMO layout
     Csi,
+    /// Paths as a scenario of DeepMIMO v4
+    Deepmimo,
 }
 
 impl Simulate {
@@ -101,6 +106,9 @@ impl Simulate {
         if self.noise_db.is_some() && self.layout != SimulateFormat::Rssi {
             return refuse("--noise-db: supported only for received powers; add --layout rssi");
         }
+        if self.no_paths && self.layout == SimulateFormat::Deepmimo {
+            return refuse("--no-paths: the layout deepmimo consists of paths; remove --no-paths");
+        }
         let channel = ObservationKind::Channel { snr_db: self.snr_db };
         Ok(match self.layout {
             SimulateFormat::Spectra if self.npy => (ObservationKind::Spectrum, OutputLayout::Array),
@@ -110,6 +118,7 @@ impl Simulate {
             }
             SimulateFormat::Channels => (channel, OutputLayout::Channels),
             SimulateFormat::Csi => (channel, OutputLayout::Csi),
+            SimulateFormat::Deepmimo => (channel, OutputLayout::DeepMimo),
         })
     }
 }
@@ -176,6 +185,7 @@ fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout
         OutputLayout::Rssi => ("powers", "Nerf2Rssi"),
         OutputLayout::Channels => ("channels", "Channels"),
         OutputLayout::Csi => ("channels", "Nerf2Csi"),
+        OutputLayout::DeepMimo => ("users", ""),
     };
     let one = receivers == 1 || layout == OutputLayout::Rssi;
     // Several receivers have a folder each; the first is shown.
@@ -183,6 +193,10 @@ fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout
     let count = recipe.samples * receivers;
     let at = if receivers == 1 { String::new() } else { format!(" at {receivers} receivers") };
     let how = match layout {
+        OutputLayout::DeepMimo => {
+            let text = format!("{count} simulated users of {}{at} in {out} after {seconds:.1} s", scene.name);
+            return format!("{text}; in Python: pwrfgs.convert.from_deepmimo(\"{out}\")");
+        }
         OutputLayout::Pictures | OutputLayout::Array => {
             let points = root.join(folder::POINTS);
             format!("{source}(root: \"{}\", points: \"{}\")", root.display(), points.display())

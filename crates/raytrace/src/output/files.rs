@@ -49,6 +49,8 @@ pub enum OutputLayout {
     Channels,
     /// Channels as in the MIMO set of NeRF2: the first half of the subcarriers is the uplink.
     Csi,
+    /// Paths as a scenario of DeepMIMO v4.
+    DeepMimo,
 }
 
 impl OutputLayout {
@@ -57,7 +59,7 @@ impl OutputLayout {
         let fits = match self {
             Self::Pictures | Self::Array => recipe.observe == ObservationKind::Spectrum,
             Self::Rssi => matches!(recipe.observe, ObservationKind::Power { .. }),
-            Self::Channels | Self::Csi => matches!(recipe.observe, ObservationKind::Channel { .. }),
+            Self::Channels | Self::Csi | Self::DeepMimo => matches!(recipe.observe, ObservationKind::Channel { .. }),
         };
         if !fits {
             let what = "does not match the observation type; choose another layout";
@@ -146,6 +148,7 @@ impl Files {
                 let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(DVec3::to_array).collect();
                 (channels("csidata.npy")?, None, Some(("base-station.yml", base_station_yaml(&antennas))))
             }
+            OutputLayout::DeepMimo => (None, None, None), // written by `deepmimo.rs`
         };
         let table_of = |listener: &PreparedReceiver| {
             let own = format!("paths-{}.csv", listener.receiver().name);
