@@ -62,6 +62,7 @@ fn links(criterion: &mut Criterion) {
             task: Task::Power,
             plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
             frequencies_hz: Vec::new(),
+            moves: false,
         };
         let stages = Stages::new(splatting, setup);
         let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));

@@ -241,6 +241,21 @@ fn spectra_at_two_receivers_differentiate() {
         .check("geometry of its own for each link", Some("means"));
 }
 
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn spectra_at_moving_receiver_differentiate() {
+    let mut step = links(&splats(NETWORK, "Magnitude"), (90, 24), Box::new(RenderingLoss::new(0.2)));
+    let poses = receivers().into_iter().map(|receiver| receiver.pose).chain([Pose::IDENTITY]);
+    let mut stages = (*step.stages).clone();
+    stages.setup = MeasurementSetup { receivers: receivers()[..1].to_vec(), moves: true, ..stages.setup };
+    step.batch.conditions = poses.clone().flat_map(|pose| pose.position.map(|v| v as Real)).collect();
+    step.batch.orientations = poses.map(|pose| pose.orientation).collect();
+    step.batch.links = vec![link(0, 0), link(1, 0), link(2, 0)];
+    step.batch.truths.truncate(3 * stages.setup.numbers());
+    step.stages = Arc::new(stages);
+    step.check("spectra at a moving receiver", None);
+}
+
 /// Gaussians as waves on the antennas, their signals decided by features of the data.
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]

@@ -46,6 +46,32 @@ fn channels() -> Dataset {
     Dataset::of_links("hall", vec![Receiver::new("north", place)], vec![], &samples, observed).unwrap()
 }
 
+/// Spectra at a receiver that moves and turns: one spot, towards a transmitter above.
+fn moving() -> Dataset {
+    let random = &mut rng::stream(1, "moving", 0);
+    let mut uniform = || 2.0 * f64::from(rng::uniform(random) as f32) - 1.0;
+    let (width, height) = (36, 9);
+    let (mut samples, mut turns, mut pixels) = (Vec::new(), Vec::new(), Vec::new());
+    for id in 1..=60 {
+        let pose = Pose { position: [3.0 * uniform(), 3.0 * uniform(), 0.3 * uniform()], ..Pose::IDENTITY };
+        let (sin, cos) = (1.5 * uniform()).sin_cos();
+        let pose = Pose { orientation: [0.0, 0.0, sin, cos], ..pose };
+        let sight = pose.to_receiver([0.4, -0.3, 2.5]);
+        let norm = sight.iter().map(|v| v * v).sum::<f64>().sqrt();
+        for pixel in 0..width * height {
+            let [azimuth, elevation] = [pixel % width, pixel / width].map(|k| (10.0 * k as f64).to_radians());
+            let direction = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
+            let cos: f64 = direction.iter().zip(sight).map(|(a, b)| a * b / norm).sum();
+            pixels.push((255.0 * (20.0 * (cos - 1.0)).exp()) as u8);
+        }
+        samples.push(Sample::new(id, pose.position));
+        turns.push(pose.orientation);
+    }
+    let spectra = Spectra::grey((width, height), pixels).unwrap();
+    let transmitter = Pose { position: [0.4, -0.3, 2.5], ..Pose::IDENTITY };
+    Dataset::new("moving", transmitter, vec![], samples, spectra).unwrap().with_moving_receiver(turns).unwrap()
+}
+
 fn pipeline(fields: &str) -> Pipeline {
     let text = format!("Pipeline(name: \"links\", {fields})");
     Pipeline::parse(&text, Path::new("links.ron")).unwrap()
@@ -62,7 +88,12 @@ const UPLINK: &str = "data: Nerf2Csi(root: \"none\"), initializer: AroundReceive
     deformation: Factored(depth: 1, width: 8, tx_encoding: Features(width: 4), position_encoding: Waves(count: 8, reach: 2.0)), \
     training: (steps: 30, batch: 8, densify_until: 0, prune_until: 0, densify: (every: 0))";
 
-/// The three that are trained here, each with its data and how they are divided: every fifth transmitter is tested.
+const MOVING: &str = "data: Arrays(root: \"none\"), initializer: Random(count: 60, std: 2.0), \
+    deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(0)), readout: Magnitude, pruners: [OpacityThreshold(epsilon: 0.01)], \
+    training: (steps: 150, batch: 8, densify_until: 5, prune_until: 20, prune_every: 5, densify: (every: 0), optimizer: \
+    (means: Constant(0.02), log_scales: Constant(0.02), opacity_logits: Constant(0.05), signals: Constant(0.05)))";
+
+/// All that are trained here, each with its data and how they are divided: every fifth transmitter is tested.
 fn cases() -> Vec<(&'static str, Pipeline, Dataset, Partition)> {
     let mut uplink = channels();
     let values = (0..uplink.len()).flat_map(|i| uplink.image(i).pixels).collect();
@@ -71,7 +102,12 @@ fn cases() -> Vec<(&'static str, Pipeline, Dataset, Partition)> {
         let (test, train) = (0..data.len()).partition(|&i| data.links[i].transmitter % 5 == 4);
         (name, pipeline(fields), data, Partition { train, test, ..Partition::default() })
     };
-    vec![case("powers", POWERS, powers()), case("waves", WAVES, channels()), case("uplink", UPLINK, uplink)]
+    vec![
+        case("powers", POWERS, powers()),
+        case("waves", WAVES, channels()),
+        case("uplink", UPLINK, uplink),
+        case("moving", MOVING, moving()),
+    ]
 }
 
 /// The models of [`cases`], trained by one thread.
@@ -121,10 +157,11 @@ fn batch_predictions_equal_single_predictions_after_reload() {
         for (i, (image, both)) in many.iter().zip(&both).enumerate() {
             assert_eq!((image.width, image.height), (data.width, data.height));
             assert_eq!(*image, model.predict(data.query(i)), "{name}: link {i}");
-            // The mean of two that are alike, which no clamp of pictures touches.
+            // The mean of two that are alike; spectra are clamped before.
+            let image = if data.task().has_pixels { image.clone().clamped() } else { image.clone() };
             assert_eq!(image.pixels, both.pixels, "{name}: link {i}");
         }
-        for ready in [ready, ensemble.prepare()] {
+        for (ready, many) in [(ready, many), (ensemble.prepare(), both)] {
             let mut numbers = vec![Real::NAN; queries.len() * data.width * data.height];
             ready.predict_into(&queries, &mut numbers);
             let images: Vec<Real> = many.iter().flat_map(|image| image.pixels.clone()).collect();
@@ -148,6 +185,43 @@ fn training_reduces_error_for_every_task() {
         let (own, floor) = (error(model), error(&*mean));
         assert!(own < 0.25 * floor, "{name}: squared error {own} against {floor} of the mean");
     }
+}
+
+#[test]
+fn moving_receiver_predicts_as_fixed_receiver_at_its_pose() {
+    let (data, model) = (moving(), &models()[3]);
+    assert!(model.stages.setup.moves);
+    for i in 0..10 {
+        let query = data.query(i);
+        let mut fixed = model.clone();
+        fixed.stages.setup.moves = false;
+        let pose = Pose { position: query.tx, orientation: query.orientation.unwrap() };
+        fixed.stages.setup.receivers[0].pose = pose;
+        assert_eq!(model.predict(query), fixed.predict(Query::at(query.tx, 0)), "pose {i}");
+    }
+    // Without an orientation, it is that of the setup.
+    let level = Query { orientation: Some([0.0, 0.0, 0.0, 1.0]), ..data.query(0) };
+    assert_eq!(model.predict(level), model.predict(Query::at(level.tx, 0)));
+    assert_ne!(model.predict(level), model.predict(data.query(0)));
+    // A part keeps the poses of its links.
+    let part = data.subset(&[3, 8]).unwrap();
+    assert_eq!(part.query(1).orientation, data.query(8).orientation);
+}
+
+#[test]
+fn invalid_use_of_a_moving_receiver_is_reported() {
+    let refused = |data: Dataset, turns: Vec<[f64; 4]>| data.with_moving_receiver(turns).unwrap_err().to_string();
+    let level = [0.0, 0.0, 0.0, 1.0];
+    assert!(refused(powers(), vec![level; 40]).contains("only spectra of one receiver"));
+    assert!(refused(moving(), vec![level; 3]).contains("3 orientations for 60 positions; give as many of each"));
+    assert!(refused(moving(), vec![[0.0; 4]; 60]).contains("pose 1: the quaternion is zero"));
+    let data = moving();
+    let partition = Partition { train: (0..50).collect(), test: (50..60).collect(), ..Partition::default() };
+    let told = |fields: &str| pipeline(fields).trainer(&data, &partition).unwrap_err().to_string();
+    let ray = told(
+        "data: Arrays(root: \"none\"), method: Nerf2(), training: (steps: 1, rays: Each(8), loss: (ssim_weight: 0.0))",
+    );
+    assert!(ray.contains("that of these data moves; use Splatting()"), "{ray}");
 }
 
 /// A source of waves has no size, whatever its columns say: densification leaves it alone.

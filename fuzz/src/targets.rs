@@ -78,8 +78,9 @@ pub const TARGETS: &[Target] = &[
     of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
     of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
     of(8, "links.csv", &[], Plain, |bench| {
-        links(&bench.join("links.csv"), "links", false).and_then(|data| check(&data))
+        links(&bench.join("links.csv"), "links", false).and_then(|(data, _)| check(&data))
     }),
+    of(8, "poses.csv", &[], Plain, |bench| pwrfgs::data::read_poses(&bench.join("poses.csv")).map(drop)),
     of(8, "predicted/00004.npy", &[], Plain, |bench| predicted(bench, "measured.ron")),
     of(8, "predicted/predictions.csv", &[], Plain, |bench| predicted(bench, "powers.ron")),
     of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, |bench| step(bench, "powers.ron")),

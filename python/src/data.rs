@@ -3,7 +3,7 @@
 mod inputs;
 mod rows;
 
-use crate::arrays::{array, observations, places, room};
+use crate::arrays::{array, numbers, observations, places, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
@@ -100,11 +100,13 @@ impl Dataset {
     ///   F subcarriers of `frequencies_hz` [F].
     ///
     /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R,
-    /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. `points` [P, 3] are
+    /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. `orientations` [M, 4]
+    /// (quaternions x, y, z, w) are those of a moving receiver of spectra: `tx` are then its positions, and the receiver
+    /// is the fixed transmitter. `points` [P, 3] are
     /// surface points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower
     /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured.
     #[staticmethod]
-    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
+    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, orientations=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
@@ -113,6 +115,7 @@ impl Dataset {
         rssi: Option<&Bound<'_, PyAny>>,
         csi: Option<&Bound<'_, PyAny>>,
         receivers: Option<&Bound<'_, PyAny>>,
+        orientations: Option<&Bound<'_, PyAny>>,
         frequencies_hz: Option<&Bound<'_, PyAny>>,
         points: Option<&Bound<'_, PyAny>>,
         elevation_deg: Option<[f64; 2]>,
@@ -155,14 +158,23 @@ impl Dataset {
                 return Err(wrong(py, &format!("a spectrum {fault}")));
             }
         }
+        let turns = orientations.map(|all| numbers::<f64>("orientations", all, &[None, Some(4)])).transpose()?;
         let simulation = simulated.then(Simulation::default);
         let data = free(py, || {
             let made = Data::of_links(title, receivers, points, &samples, observations)?;
-            let data = Data { elevation, simulation, ..made };
+            let data = inputs::turned(Data { elevation, simulation, ..made }, turns)?;
             check(&data).map(|()| data)
         })?;
         inputs::warn(py, &data)?;
         Ok(Self::new(data, None))
+    }
+
+    /// Orientations [M, 4] of a moving receiver, quaternions x, y, z, w; None for fixed receivers.
+    #[getter]
+    fn orientations<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
+        let Some(all) = &self.data.orientations else { return Ok(None) };
+        let flat: Vec<f64> = self.data.links.iter().flat_map(|link| all[link.transmitter]).collect();
+        array(py, flat, &[self.data.len(), 4]).map(Some)
     }
 
     /// Write a new folder for `Dataset.load` and the command line: spectra as arrays, powers and channels in the

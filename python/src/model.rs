@@ -2,7 +2,7 @@
 
 pub(crate) mod made;
 
-use crate::arrays::{Gain, array, axes, numbers, observations, place, places, room};
+use crate::arrays::{Gain, array, axes, numbers, observations, place, room};
 use crate::border::{LOOK, carried, free, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
@@ -42,6 +42,8 @@ pub(crate) struct Model {
 /// Links of a call.
 struct Links {
     txs: Vec<[f64; 3]>,
+    /// Orientations of a moving receiver, if given.
+    orientations: Vec<[f64; 4]>,
     features: Vec<Real>,
     receivers: Vec<usize>,
     /// Leading axes, before those of an observation.
@@ -52,7 +54,8 @@ impl Links {
     fn query(&self, k: usize) -> Query<'_> {
         let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let width = self.features.len() / self.txs.len().max(1);
-        Query { features: &self.features[i * width..][..width], ..Query::at(self.txs[i], receiver) }
+        let (features, orientation) = (&self.features[i * width..][..width], self.orientations.get(i).copied());
+        Query { features, orientation, ..Query::at(self.txs[i], receiver) }
     }
 }
 
@@ -80,22 +83,19 @@ impl Model {
     ) -> PyResult<Links> {
         let (stages, there) = (self.stages(), &self.stages().setup.receivers);
         let inputs = stages.method.traits().inputs;
-        let (txs, features, one) = match (tx, features) {
+        let (txs, orientations, features, one) = match (tx, features) {
             (Some(tx), None) if inputs == 3 => {
-                let one = axes(tx)? == 1;
-                let txs = if one { vec![place("tx", tx)?] } else { places("tx", tx)? };
-                (txs, Vec::new(), one)
+                let (txs, orientations, one) = made::poses(tx, stages.setup.moves)?;
+                (txs, orientations, Vec::new(), one)
             }
             (None, Some(features)) if inputs != 3 => {
                 let one = axes(features)? == 1;
                 let shape: &[Option<usize>] = if one { &[Some(inputs)] } else { &[None, Some(inputs)] };
                 let all = numbers::<Real>("features", features, shape)?;
-                (vec![[0.0; 3]; all.len() / inputs], all, one)
+                (vec![[0.0; 3]; all.len() / inputs], Vec::new(), all, one)
             }
             _ if inputs == 3 => return Err(wrong(py, "tx is missing; pass positions [B, 3] in metres")),
-            _ => {
-                return Err(wrong(py, &format!("this model uses link features; pass features=[B, {inputs}]")));
-            }
+            _ => return Err(wrong(py, &format!("this model uses link features; pass features=[B, {inputs}]"))),
         };
         let mut lead = if one { vec![] } else { vec![txs.len()] };
         let receivers = match receiver {
@@ -106,7 +106,7 @@ impl Model {
                 (0..there.len()).collect()
             }
         };
-        Ok(Links { txs, features, receivers, lead })
+        Ok(Links { txs, orientations, features, receivers, lead })
     }
 
     /// Array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in order.
@@ -231,7 +231,8 @@ impl Model {
         array(py, all, &[known.positions().len(), 3]).map(Some)
     }
 
-    /// Predict the observations for transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not
+    /// Predict the observations for transmitters at `tx`, [3] or [B, 3], metres (for a moving receiver its positions, or its
+    /// poses x, y, z, qx, qy, qz, qw, [7] or [B, 7]): spectra [B, H, W] (float32, not
     /// clamped; for an ensemble the mean of spectra clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F]
     /// (complex64). The axis B is present if `tx` has it. The axis R is present if the model has several receivers and
     /// `receiver`, a name or an index, is not given. Models of link features need `features` [B, width] in place of

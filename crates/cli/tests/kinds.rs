@@ -274,8 +274,12 @@ fn compare_rejects_invalid_predictions() {
     let compare = |kind: &'static str, more: &[&'static str]| [&["compare", kind][..], more].concat();
     let of = |kind: &'static str| compare(kind, &["--predictions", "mine=mine"]);
     for (kind, broken, words) in [
-        ("spectra", "missing", "mine: 1 test ids have no prediction, such as ID; give one prediction per test id"),
-        ("spectra", "extra", "mine: 1 predictions are not for test ids, such as 99; give one prediction per test id"),
+        ("spectra", "missing", "mine: test ids without prediction: 1, such as ID; give one prediction per test id"),
+        (
+            "spectra",
+            "extra",
+            "mine: predictions that are not for test ids: 1, such as 99; give one prediction per test id",
+        ),
         ("spectra", "twice", "is id ID as well; remove one of the two"),
         (
             "spectra",
@@ -286,7 +290,7 @@ fn compare_rejects_invalid_predictions() {
         ("spectra", "nan", "the value at [0, 1] is NaN; give finite numbers, linear, 0 to 1"),
         ("spectra", "decibels", "the value at [0, 1] is -60; give finite numbers, linear"),
         ("spectra", "short", "does not have the length of its shape"),
-        ("powers", "missing", "1 test ids have no prediction, such as ID"),
+        ("powers", "missing", "test links without prediction: 1, such as ID"),
         ("powers", "twice", "predictions.csv:3:1: link `ID` occurs twice"),
         ("powers", "nan", "`NaN` is not finite; give the power in dBm"),
         ("powers", "header", "predictions.csv:1:1: no column `dbm`; the first line must name the columns link, dbm"),
@@ -306,10 +310,10 @@ fn compare_rejects_invalid_predictions() {
     for (arguments, words) in [
         (compare("nowhere", &[]), "nowhere: no such folder"),
         (compare(".", &[]), "no known layout of data"),
-        (of("channels"), "test ids have no prediction"),
+        (of("channels"), "test ids without prediction"),
         (compare("spectra", &["--predictions", "mine"]), "--predictions mine: expected NAME=FOLDER"),
         (compare("spectra", &["--predictions", "3-NN=mine"]), "the table has another row `3-NN`; choose another name"),
-        (compare("spectra", &["--predictions", "mine=none"]), "cannot read none"),
+        (compare("spectra", &["--predictions", "mine=none"]), "--predictions mine=none: no such folder"),
         (compare("spectra", &["--methods", "NeRF"]), "no such method for these data; did you mean `NeRF2`?"),
     ] {
         refuse(here, &arguments, 2, &[words]);

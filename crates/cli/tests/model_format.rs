@@ -140,8 +140,14 @@ fn virtual_transmitters(order: usize) -> Model {
     let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
     let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None, sampling: Sampling::WHOLE };
     let frequencies_hz = vec![0.9e9, 0.95e9];
-    let setup =
-        MeasurementSetup { origin: Origin([10.0, 0.0, -3.0]), receivers, task: Task::Channel, plane, frequencies_hz };
+    let setup = MeasurementSetup {
+        origin: Origin([10.0, 0.0, -3.0]),
+        receivers,
+        task: Task::Channel,
+        plane,
+        frequencies_hz,
+        moves: false,
+    };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();
     cloud.complete(&method.traits().columns).unwrap();

@@ -27,6 +27,10 @@ pub struct Dataset {
     pub observations: Observations,
     /// Input features per link that replace the transmitter position (for example the uplink channel).
     pub features: Option<Features>,
+    /// Orientations `[T,4]` of a moving receiver, as in [`Pose`]. The receiver then stands at the position of each
+    /// "transmitter", and the one receiver of the scene is the fixed transmitter (channels are reciprocal). `None` for fixed
+    /// receivers.
+    pub orientations: Option<Vec<[f64; 4]>>,
     /// Whether the data contain transmitter positions. If not, positions are zero and must not be used.
     pub placed: bool,
     /// Official split of the data, if any: links for (training, test).
@@ -136,11 +140,33 @@ impl Dataset {
             links,
             observations,
             features: None,
+            orientations: None,
             placed: true,
             official: None,
             simulation: None,
             unmatched: Unmatched::default(),
         })
+    }
+
+    /// Turns measured spectra at moving transmitters into those of a moving receiver with these orientations, one per
+    /// position.
+    ///
+    /// # Errors
+    /// Another task, several receivers, another number of orientations, or one that is not of length 1.
+    pub fn with_moving_receiver(self, orientations: Vec<[f64; 4]>) -> Result<Self> {
+        let refuse = |what: String| Err(Error::Config(format!("data set `{}`: {what}", self.title)));
+        if !self.task().has_pixels || self.scene.receivers.len() > 1 {
+            return refuse("only spectra of one receiver may have a moving receiver".into());
+        }
+        if orientations.len() != self.transmitters.len() {
+            let (have, need) = (orientations.len(), self.transmitters.len());
+            return refuse(format!("{have} orientations for {need} positions; give as many of each"));
+        }
+        let fault = |orientation: &[f64; 4]| Pose { orientation: *orientation, ..Pose::IDENTITY }.fault();
+        if let Some((i, (_, fault))) = orientations.iter().enumerate().find_map(|(i, own)| Some((i, fault(own)?))) {
+            return refuse(format!("pose {}: {fault}", i + 1));
+        }
+        Ok(Self { orientations: Some(orientations), ..self })
     }
 
     /// Returns the data set of these links, in ascending order without repetition. Scene and bounds are those of all
@@ -160,12 +186,14 @@ impl Dataset {
             .features
             .as_ref()
             .map(|own| Features { width: own.width, values: links.iter().flat_map(|&i| own.of(i)).copied().collect() });
+        let turned = |all: &Vec<_>| links.iter().map(|&i| all[self.links[i].transmitter]).collect();
         let place = |all: &Vec<usize>| all.iter().filter_map(|i| links.binary_search(i).ok()).collect::<Vec<_>>();
         let official = self.official.as_ref().map(|(train, test)| (place(train), place(test)));
         Ok(Self {
             scene: self.scene.clone(),
             elevation: self.elevation,
             features,
+            orientations: self.orientations.as_ref().map(turned),
             placed: self.placed,
             official: official.filter(|(train, test)| !train.is_empty() && !test.is_empty()),
             simulation: self.simulation.clone(),
@@ -204,7 +232,9 @@ impl Dataset {
     /// Returns the query for a prediction of link `i`.
     pub fn query(&self, i: usize) -> Query<'_> {
         let Sample { id, tx, receiver } = self.sample(i);
-        Query { tx, receiver, features: self.features.as_ref().map_or(&[], |features| features.of(i)), id: Some(id) }
+        let orientation = self.orientations.as_ref().map(|all| all[self.links[i].transmitter]);
+        let features = self.features.as_ref().map_or(&[][..], |features| features.of(i));
+        Query { tx, receiver, features, id: Some(id), orientation }
     }
 
     /// Returns the measurement type.

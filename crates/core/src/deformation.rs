@@ -172,18 +172,36 @@ impl Deltas {
 }
 
 /// Network input per transmitter, `[B, width]`: its position in metres from the origin, or the features that replace
-/// it.
+/// it. For a moving receiver: its positions, and its orientations beside them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions<'a> {
     width: usize,
     values: &'a [Real],
+    orientations: &'a [[f64; 4]],
 }
 
 impl<'a> Conditions<'a> {
     /// Creates rows of `width` numbers; an incomplete last row is left out.
     pub fn new(width: usize, values: &'a [Real]) -> Self {
         let whole = values.len() - values.len() % width.max(1);
-        Self { width, values: &values[..whole] }
+        Self { width, values: &values[..whole], orientations: &[] }
+    }
+
+    /// Returns the positions of a moving receiver with its orientations `[B,4]`; unchanged if there are none.
+    #[must_use]
+    pub fn turned(self, orientations: &'a [[f64; 4]]) -> Self {
+        Self { orientations, ..self }
+    }
+
+    /// Returns the pose of the moving receiver in row `b`, relative to the origin; `None` for a fixed receiver.
+    pub fn pose(&self, b: usize) -> Option<Pose> {
+        let (position, orientation) = (self.positions().get(b)?, *self.orientations.get(b)?);
+        Some(Pose { position: position.map(f64::from), orientation })
+    }
+
+    /// Returns whether the receiver moves.
+    pub fn moves(&self) -> bool {
+        !self.orientations.is_empty()
     }
 
     /// Returns the number of transmitters B.
@@ -208,7 +226,9 @@ impl<'a> Conditions<'a> {
 
     /// Returns a range of the transmitters.
     pub fn rows(&self, range: Range<usize>) -> Self {
-        Self { width: self.width, values: &self.values[range.start * self.width..range.end * self.width] }
+        let values = &self.values[range.start * self.width..range.end * self.width];
+        let orientations = self.orientations.get(range).unwrap_or_default();
+        Self { width: self.width, values, orientations }
     }
 
     /// Returns the positions `[B,3]`; empty if the inputs are features. A deformation that requests positions by
@@ -220,7 +240,7 @@ impl<'a> Conditions<'a> {
 
 impl<'a> From<&'a [[Real; 3]]> for Conditions<'a> {
     fn from(positions: &'a [[Real; 3]]) -> Self {
-        Self { width: 3, values: positions.as_flattened() }
+        Self::new(3, positions.as_flattened())
     }
 }
 

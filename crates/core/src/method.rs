@@ -19,6 +19,9 @@ pub struct MeasurementSetup {
     pub plane: ImagePlane,
     /// Subcarrier frequencies of a channel, Hz; otherwise empty.
     pub frequencies_hz: Vec<f64>,
+    /// Whether the receiver moves ([`Dataset::orientations`]): its pose is that of each query, and that of `receivers` is
+    /// for queries without orientation.
+    pub moves: bool,
 }
 
 impl MeasurementSetup {
@@ -26,13 +29,13 @@ impl MeasurementSetup {
     pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
         let frequencies_hz = data.observations.frequencies_hz().to_vec();
         let (origin, receivers) = (data.scene.origin, data.scene.receivers.clone());
-        Self { origin, receivers, task: data.task(), plane, frequencies_hz }
+        Self { origin, receivers, task: data.task(), plane, frequencies_hz, moves: data.orientations.is_some() }
     }
 
     /// Creates the setup for spectra at one receiver.
     pub fn spectra(origin: Origin, pose: Pose, plane: ImagePlane) -> Self {
         let receivers = vec![Receiver::new("receiver", pose)];
-        Self { origin, receivers, task: Task::default(), plane, frequencies_hz: Vec::new() }
+        Self { origin, receivers, task: Task::default(), plane, frequencies_hz: Vec::new(), moves: false }
     }
 
     /// Returns the number of values per observation.
@@ -55,14 +58,22 @@ impl MeasurementSetup {
         self.plane.elevation().unwrap_or(Elevation::UPPER)
     }
 
-    /// Returns the conditions `[T, inputs]` of the transmitters of these links, and the links. Consecutive equal
-    /// transmitters are merged.
-    pub fn conditions<'q>(&self, inputs: usize, queries: impl Iterator<Item = Query<'q>>) -> (Vec<Real>, Vec<Link>) {
-        let mut conditions: Vec<Real> = Vec::new();
+    /// Returns the conditions `[T, inputs]` of the transmitters of these links, the orientations `[T,4]` of a moving
+    /// receiver, and the links. Consecutive equal transmitters are merged.
+    pub fn conditions<'q>(
+        &self,
+        inputs: usize,
+        queries: impl Iterator<Item = Query<'q>>,
+    ) -> (Vec<Real>, Vec<[f64; 4]>, Vec<Link>) {
+        let (mut conditions, mut orientations): (Vec<Real>, Vec<[f64; 4]>) = (Vec::new(), Vec::new());
         let mut links: Vec<Link> = Vec::with_capacity(queries.size_hint().0);
-        let mut last: Option<Query<'_>> = None;
+        let mut last: Option<Query<'q>> = None;
         for query in queries {
-            if last.is_none_or(|last| (last.tx, last.features) != (query.tx, query.features)) {
+            let input = |query: Query<'q>| (query.tx, query.features, query.orientation);
+            if last.is_none_or(|last| input(last) != input(query)) {
+                if self.moves {
+                    orientations.push(query.orientation.unwrap_or(self.pose().orientation));
+                }
                 if query.features.is_empty() {
                     conditions.extend(self.origin.local(query.tx));
                 } else {
@@ -73,7 +84,7 @@ impl MeasurementSetup {
             links.push(Link { transmitter, receiver: query.receiver.min(self.receivers.len() - 1) });
             last = Some(query);
         }
-        (conditions, links)
+        (conditions, orientations, links)
     }
 }
 

@@ -98,12 +98,14 @@ pub struct Query<'a> {
     pub receiver: usize,
     /// Id of the sample in data, which follows time in a trajectory; `None` for other positions. Models do not use it.
     pub id: Option<u32>,
+    /// Orientation of a moving receiver, as in [`Pose`]: it stands at `tx`. `None` for a fixed receiver.
+    pub orientation: Option<[f64; 4]>,
 }
 
 impl Query<'static> {
     /// Creates a query for a transmitter at `tx` and the receiver of that index.
     pub fn at(tx: [f64; 3], receiver: usize) -> Self {
-        Self { tx, features: &[], receiver, id: None }
+        Self { tx, features: &[], receiver, id: None, orientation: None }
     }
 }
 

@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::value_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::nerf2::{check_shape, index, read_transmitters, receivers::Gateway};
+use crate::nerf2::{check_shape, index, read_poses, read_transmitters, receivers::Gateway};
 use crate::npy;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
@@ -14,6 +14,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 const LAYOUT: &str = "a folder of arrays holds gateway_info.yml, tx.npy and spectra.npy; `pwrfgs import` writes one";
+/// Poses of a moving receiver.
+pub const POSES: &str = "rx_pose.csv";
 /// Largest spectra array that is read into memory, bytes. Later changes of its file do not affect a run.
 const IN_MEMORY: u64 = 1 << 29;
 
@@ -22,6 +24,8 @@ const IN_MEMORY: u64 = 1 << 29;
 /// ```text
 /// root/gateway_info.yml    gateway1: {position: [x, y, z], orientation: [x, y, z, w]}; metres, unit quaternion
 /// root/tx.npy              [M, 3], float64 or float32, metres; or tx_pos.csv with columns x, y, z
+/// root/rx_pose.csv         instead of both, if the receiver moves: columns x, y, z, qx, qy, qz, qw of its pose, one row per
+///                          spectrum; gateway_info.yml then has the position of the fixed transmitter
 /// root/spectra.npy         [M, H, W]: a row is an elevation, a column an azimuth; uint8 (255 is 1), uint16 (65535 is 1),
 ///                          or float32 and float64 from 0 to 1
 /// root/train_index.txt     sample ids, one per line, counted from 1; the files train_index.txt and
@@ -67,13 +71,21 @@ impl DataSource for Arrays {
         let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
         let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
-        let table = if npy.exists() || !csv.exists() { "tx.npy" } else { "tx_pos.csv" };
-        let positions = if table == "tx.npy" { npy::read_positions(&npy)? } else { read_transmitters(&csv)? };
+        let poses = root.join(POSES);
+        let (table, positions, orientations) = if poses.exists() {
+            let (positions, orientations) =
+                read_poses(&poses)?.into_iter().map(|pose| (pose.position, pose.orientation)).unzip();
+            (POSES, positions, Some(orientations))
+        } else if npy.exists() || !csv.exists() {
+            ("tx.npy", npy::read_positions(&npy)?, None)
+        } else {
+            ("tx_pos.csv", read_transmitters(&csv)?, None)
+        };
         let path = root.join("spectra.npy");
         let spectra = npy::open_spectra(&path)?;
         let ids: Vec<u32> = (1..=positions.len() as u32).collect();
         if spectra.len() != ids.len() {
-            let what = format!("holds {} spectra, but {table} {} transmitters", spectra.len(), ids.len());
+            let what = format!("holds {} spectra, but {table} {} positions", spectra.len(), ids.len());
             return Err(Error::input(&path, format!("{what}; give as many of each")));
         }
         let pictures = ids.iter().copied().collect();
@@ -89,7 +101,11 @@ impl DataSource for Arrays {
         let simulation = simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "arrays");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
-        Ok(Dataset { elevation, official, simulation, ..data })
+        let data = Dataset { elevation, official, simulation, ..data };
+        match orientations {
+            Some(orientations) => data.with_moving_receiver(orientations),
+            None => Ok(data),
+        }
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

@@ -28,15 +28,15 @@ mod splits;
 mod teacher;
 mod text;
 
-pub use arrays::Arrays;
+pub use arrays::{Arrays, POSES};
 pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Predictions, Ridge, Zero};
 pub use channels::{Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use geometry::{read_mesh, read_points};
-pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_transmitters};
+pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_poses, read_transmitters};
 pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
-pub use save::save;
+pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use teacher::Teacher;

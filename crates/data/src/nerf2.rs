@@ -13,9 +13,9 @@ pub use rssi::Nerf2Rssi;
 
 use crate::checks::shape_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::text::{place, read_text, table};
+use crate::text::{TextField, coordinate, place, read_text, table};
 use pwrfgs_core::{
-    DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files,
+    DataSource, Dataset, Elevation, Error, JsonSchema, Pose, Progress, Result, Sample, Unmatched, files,
     messages::strip_control,
 };
 use receivers::Gateway;
@@ -145,4 +145,24 @@ pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
         return Err(Error::input(path, "has a header but no row; write one row per position, in metres"));
     }
     rows.into_iter().map(|(line, fields)| place(path, line, fields, advice)).collect()
+}
+
+/// Reads the poses of a moving receiver: a table with the columns x, y, z in metres and the quaternion qx, qy, qz, qw from
+/// receiver axes to world axes, in any order among other columns.
+///
+/// # Errors
+/// An invalid table, with line and column.
+pub fn read_poses(path: &Path) -> Result<Vec<Pose>> {
+    let advice = "give every row x, y and z in metres, and the unit quaternion qx, qy, qz and qw";
+    let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y, z, qx, qy, qz and qw")?;
+    let rows = table(path, &text, ["x", "y", "z", "qx", "qy", "qz", "qw"], advice)?;
+    if rows.is_empty() {
+        return Err(Error::input(path, "has a header but no row; write one row per pose"));
+    }
+    let pose = |(line, [x, y, z, turn @ ..]): (usize, [TextField<'_>; 7])| {
+        let [qx, qy, qz, qw] = turn.map(|field: TextField<'_>| coordinate(path, line, field, advice));
+        let pose = Pose { position: place(path, line, [x, y, z], advice)?, orientation: [qx?, qy?, qz?, qw?] };
+        pose.fault().map_or(Ok(pose), |(_, fault)| Err(Error::at(path, line, turn[0].column, fault)))
+    };
+    rows.into_iter().map(pose).collect()
 }

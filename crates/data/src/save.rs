@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use crate::arrays::POSES;
 use crate::checks::{NOT_RECEIVED, check};
 use crate::folder::{POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
 use crate::npy::MAX_BYTES;
@@ -59,6 +60,16 @@ fn refuse<T>(what: &str) -> Result<T> {
 fn field(name: &str) -> String {
     let (is_plain, name) = (name.chars().all(|c| c.is_ascii() && c != ','), cell(name));
     if is_plain { name.into_owned() } else { format!("\"{name}\"") }
+}
+
+/// Table of positions and orientations of a moving receiver.
+pub fn poses_csv(poses: impl Iterator<Item = ([f64; 3], [f64; 4])>) -> String {
+    std::iter::once("x,y,z,qx,qy,qz,qw\n".into()).chain(poses.map(|(place, turn)| pose_row(place, turn))).collect()
+}
+
+/// Row of [`poses_csv`].
+pub fn pose_row([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> String {
+    format!("{x:?},{y:?},{z:?},{qx:?},{qy:?},{qz:?},{qw:?}\n")
 }
 
 /// Output folder and the data set to write.
@@ -121,9 +132,16 @@ impl Folder<'_> {
         let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
         let name = format!("receiver: {}\n", yaml(&scene.receivers[0].name));
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
-        let numbers = self.data.transmitters.iter().flat_map(|tx| tx.position).flat_map(f64::to_le_bytes);
-        let header = npy_header(Number::F64, &[self.data.transmitters.len(), 3]);
-        self.put("tx.npy", header.into_iter().chain(numbers).collect::<Vec<u8>>())?;
+        let positions = || self.data.transmitters.iter().map(|tx| tx.position);
+        if let Some(orientations) = &self.data.orientations {
+            self.put(POSES, poses_csv(positions().zip(orientations.iter().copied())))?;
+        } else {
+            let header = npy_header(Number::F64, &[self.data.transmitters.len(), 3]);
+            self.put(
+                "tx.npy",
+                header.into_iter().chain(positions().flatten().flat_map(f64::to_le_bytes)).collect::<Vec<u8>>(),
+            )?;
+        }
         let header = npy_header(spectra.number(), &[spectra.len(), spectra.height(), spectra.width()]);
         let path = self.path.join("spectra.npy");
         let write = || {

@@ -177,7 +177,12 @@ pub(crate) fn dbm(path: &Path, line: usize, field: TextField<'_>) -> Result<f64>
 fn column(path: &Path, line: usize, header: &[TextField<'_>], name: &str, all: &str) -> Result<usize> {
     let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
     let (column, _) = found.next().ok_or_else(|| {
-        Error::at(path, line, 1, format!("no column `{name}`; the first line must name the columns {all}"))
+        let other = [";", "\t"].into_iter().find(|other| header.len() == 1 && header[0].text.contains(other));
+        let what = match other {
+            Some(other) => format!("columns are separated by {other:?}; separate them by commas"),
+            None => format!("no column `{name}`; the first line must name the columns {all}"),
+        };
+        Error::at(path, line, 1, what)
     })?;
     match found.next() {
         Some((_, twice)) => {

@@ -128,7 +128,8 @@ impl DataSummary {
         if data.placed {
             summary.facts.extend(positions(data));
         }
-        summary.facts.push(("receiver", receivers(data)));
+        let fixed = if data.orientations.is_some() { "transmitter" } else { "receiver" };
+        summary.facts.push((fixed, receivers(data)));
         if !data.task().has_pixels {
             summary.facts.push(levels(data));
             return Ok(summary);
@@ -181,8 +182,9 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let next = data.transmitters.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
     let mut steps: Vec<f64> = next.map(|pair| distance(pair[0].position, pair[1].position)).collect();
     steps.sort_by(f64::total_cmp);
+    let moving = if data.orientations.is_some() { "receiver" } else { "transmitters" };
     if steps.is_empty() {
-        return vec![("transmitters", text)];
+        return vec![(moving, text)];
     }
     let [low, middle, high] = [0.05, 0.5, 0.95].map(|q| length(quantile(&steps, q)));
     let order = if in_order(data) {
@@ -191,7 +193,7 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
         "ids do not follow a trajectory: a block of ids is not a block of space"
     };
     let steps = format!("{middle} from an id to the next (median; {low} to {high}, 5 % to 95 %); {order}");
-    vec![("transmitters", text), ("steps", steps)]
+    vec![(moving, text), ("steps", steps)]
 }
 
 fn receivers(data: &Dataset) -> String {

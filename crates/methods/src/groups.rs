@@ -42,6 +42,11 @@ impl ReceiverGroup {
         self.links.iter().zip(&self.rows).map(one)
     }
 
+    /// Returns the row of its first transmitter.
+    pub(crate) fn row(&self) -> usize {
+        self.rows[0]
+    }
+
     /// Returns the index of its first link.
     pub(crate) fn first(&self) -> usize {
         self.links[0]
@@ -186,9 +191,9 @@ pub(crate) fn untrained(
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
     let inputs = method.traits().inputs;
-    let (conditions, links) = setup.conditions(inputs, part.iter().map(|&i| data.query(i)));
+    let (conditions, orientations, links) = setup.conditions(inputs, part.iter().map(|&i| data.query(i)));
     let request = ObservationRequest {
-        conditions: Conditions::new(inputs, &conditions),
+        conditions: Conditions::new(inputs, &conditions).turned(&orientations),
         links: &links,
         pixels: PixelSubset::All,
     };
@@ -209,6 +214,11 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
 
 /// Rejects several receivers if the network reads the receiver position.
 pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
+    if setup.moves && deformation.traits().reads_receiver {
+        return Err(
+            "the deformation depends on the receiver position, but the receiver moves; use Factored() or Mlp()".into(),
+        );
+    }
     if setup.receivers.len() > 1 && deformation.traits().reads_receiver {
         return Err(format!(
             "the deformation depends on the receiver position, but the data have {} receivers; use Factored() or Mlp()",

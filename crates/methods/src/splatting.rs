@@ -10,15 +10,17 @@ mod method;
 mod received;
 mod survey;
 
+use crate::groups::ReceiverGroup;
 use crate::{Activation, ActivationVjp, Calibration, Readout, groups};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Elevation, GaussianCloud, ImagePlane, JsonSchema, MeasurementSetup, Parameters, Pose,
-    Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
+    Cache, Conditions, Deformation, Deltas, Elevation, GaussianCloud, ImagePlane, JsonSchema, MeasurementSetup,
+    Parameters, Pose, Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
 };
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
@@ -194,6 +196,18 @@ impl Splatting {
         setup.receivers.iter().map(|receiver| ReceiverView { pose: receiver.pose, plane: plane.clone() }).collect()
     }
 
+    /// Returns the view of a group of links: that of the moving receiver, or of its own receiver.
+    fn view<'v>(views: &'v [ReceiverView], group: &ReceiverGroup, conditions: Conditions<'_>) -> Cow<'v, ReceiverView> {
+        let own = &views[group.receiver];
+        let moved = |pose| Cow::Owned(ReceiverView { pose, plane: own.plane.clone() });
+        conditions.pose(group.row()).map_or(Cow::Borrowed(own), moved)
+    }
+
+    /// Returns whether the links of a receiver share a projection.
+    fn shares_geometry(&self, moves: bool) -> bool {
+        !moves && !self.deformation.traits().varies_geometry
+    }
+
     /// Returns the rows of `cloud` that may be visible for any output of the network: gate open, opacity above the
     /// limit of the rasterizer, inside the view of the projector. Only these rows pass through the network; all rows if
     /// the network couples them.
@@ -202,7 +216,7 @@ impl Splatting {
         if self.deformation.traits().couples_gaussians {
             return open;
         }
-        let mut visible = vec![false; cloud.len()];
+        let mut visible = vec![setup.moves; cloud.len()];
         for ReceiverView { pose, plane } in self.views(setup) {
             let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
             visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);

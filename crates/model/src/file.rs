@@ -78,6 +78,8 @@ const RESIDUALS_VERSION: u32 = 3;
 pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
 const VERSION: u32 = 5;
+/// Version of a model whose receiver moves: programs that ignore its pose must not predict from it.
+const MOVING_VERSION: u32 = 6;
 /// Prefix of the names of network tensors.
 pub(crate) const NETWORK: &str = "network.";
 /// Prefix of the names of constants that the network derives from a seed.
@@ -174,7 +176,7 @@ fn note(model: &Model) -> Note {
     };
     Note {
         format: FORMAT.into(),
-        version: VERSION,
+        version: if s.moves { MOVING_VERSION } else { VERSION },
         gaussians: model.cloud.len(),
         method: plugin_text(&s.method),
         links: LinksNote {
@@ -272,10 +274,10 @@ fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
 }
 
 fn check_version(format: &str, version: u32) -> Result<(), String> {
-    if (format, version) == (FORMAT, VERSION) {
+    if format == FORMAT && [VERSION, MOVING_VERSION].contains(&version) {
         return Ok(());
     }
-    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION}"))
+    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION} or {MOVING_VERSION}"))
 }
 
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
@@ -310,7 +312,8 @@ fn setup(note: &Note) -> MeasurementSetup {
         antennas: r.antennas.clone(),
     };
     let receivers = receivers.iter().map(receiver).collect();
-    MeasurementSetup { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() }
+    let moves = note.version == MOVING_VERSION;
+    MeasurementSetup { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone(), moves }
 }
 
 /// Rejects a file whose constants differ from those that its deformation computes here, because predictions would

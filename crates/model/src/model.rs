@@ -133,6 +133,9 @@ impl Stages {
         if let (true, Some(projector)) = (self.task.has_pixels, self.method.traits().projector) {
             check_plane(&self.setup.plane, &**projector)?;
         }
+        if self.moves && (!self.task.has_pixels || self.receivers.len() != 1) {
+            return Err("a moving receiver predicts spectra, and is the only one".into());
+        }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
             return Err(format!("{} receivers, expected 1 to {MAX_RECEIVERS}", self.receivers.len()));
         }

@@ -232,9 +232,9 @@ impl<'a> Member<'a> {
     fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
-        let (conditions, links) = stages.setup.conditions(inputs, queries.iter().copied());
+        let (conditions, orientations, links) = stages.setup.conditions(inputs, queries.iter().copied());
         let request = ObservationRequest {
-            conditions: Conditions::new(inputs, &conditions),
+            conditions: Conditions::new(inputs, &conditions).turned(&orientations),
             links: &links,
             pixels: PixelSubset::All,
         };

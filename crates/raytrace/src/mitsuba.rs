@@ -23,6 +23,20 @@ const MOST_SHAPES: usize = 5_000;
 const LONGEST: usize = 1_000;
 /// Thickness of a material that states none, as in Sionna RT, metres.
 const THICKNESS: f64 = 0.1;
+/// Properties of radio materials in Sionna RT, the last three of scattering patterns.
+const PROPERTIES: [&str; 11] = [
+    "type",
+    "relative_permittivity",
+    "conductivity",
+    "thickness",
+    "scattering_coefficient",
+    "xpd_coefficient",
+    "scattering_pattern",
+    "color",
+    "alpha_r",
+    "alpha_i",
+    "lambda_",
+];
 /// Shapes, and elements that describe a picture.
 const KNOWN: [&str; 9] =
     ["shape", "integrator", "sensor", "emitter", "film", "sampler", "rfilter", "texture", "medium"];
@@ -190,6 +204,19 @@ impl<'a> Reader<'a> {
         value.ok_or_else(fault).map(Some)
     }
 
+    /// Checks the names of the properties of a radio material of Sionna RT, and that none is a texture.
+    fn check_properties(&self, node: Element<'_>) -> Result<()> {
+        for child in elements(node) {
+            let what = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
+            self.require(!child.has_tag_name("texture"), child, what)?;
+            let name = self.required(child, "name")?;
+            let hint = did_you_mean(&name, PROPERTIES);
+            let what = format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
+            self.require(PROPERTIES.contains(&&*name), child, what)?;
+        }
+        Ok(())
+    }
+
     /// Reads a radio material.
     fn material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
@@ -198,6 +225,9 @@ impl<'a> Reader<'a> {
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
         let itu = itu.filter(|_| kind != "radio-material"); // which states its own constants
+        if ["radio-material", "itu-radio-material"].contains(&&*kind) {
+            self.check_properties(node)?;
+        }
         let material = if kind == "itu-radio-material" || itu.is_some() {
             let place = property(node, "type");
             let stated = place.map(|place| self.required(place, "value")).transpose()?;
@@ -211,9 +241,6 @@ impl<'a> Reader<'a> {
                         `itu-radio-material`";
             let what = format!("material {shown} of type {} {what}", quoted(&kind));
             self.require(kind == "radio-material", node, what)?;
-            let texture = node.descendants().find(|child| child.has_tag_name("texture"));
-            let what = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
-            self.require(texture.is_none(), texture.unwrap_or(node), what)?;
             let a = self.value(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
             let c = self.value(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
             // A name of ITU-R P.2040 would replace that material in the whole scene.

@@ -11,7 +11,8 @@ use crate::observe::ObservationKind;
 use crate::recipe::SimulationRecipe;
 use crate::simulator::{SimulationRequest, Simulator, simulate_links};
 use crate::surface_points;
-use pwrfgs_core::{Error, Progress, Result, files::NewFolder, files::refuse_occupied};
+use pwrfgs_core::{Error, Pose, Progress, Result, files::NewFolder, files::refuse_occupied};
+use pwrfgs_data::pose_row;
 use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
@@ -25,7 +26,7 @@ pub const POINTS: &str = "points.ply";
 /// Simulates `recipe` into the new folder `out`.
 ///
 /// ```text
-/// out/tx_pos.csv            x,y,z; one row per transmitter
+/// out/tx_pos.csv            x,y,z; one row per transmitter; rx_pose.csv for a moving receiver
 /// out/train_index.txt, test_index.txt    every fifth sample is a test sample
 /// out/paths.csv             one row per path, with `paths`; paths-NAME.csv for several receivers in one folder
 /// out/points.ply            points on all surfaces, with normals
@@ -66,7 +67,7 @@ pub fn write_as(
     progress: Progress<'_>,
     stop: &AtomicBool,
 ) -> Result<()> {
-    layout.check(recipe)?;
+    layout.check(recipe, paths)?;
     refuse_occupied(out)?; // before the scene is prepared
     let simulator = Simulator::new(&recipe.scene)?; // reports errors of all receivers before the first is simulated
     let making = NewFolder::begin(out)?;
@@ -127,7 +128,12 @@ fn fill(
     let check_cancelled = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
     simulate_links(simulator, &SimulationRequest { what: observe, samples, seed }, stop, |i, tx, received| {
         check_cancelled()?;
-        written.add(i, tx, &received)?;
+        let pose = recipe.scene.moved_receiver(i, tx, seed).map(|receiver| receiver.pose());
+        let place = pose.map_or_else(
+            || format!("{},{},{}\n", tx.x, tx.y, tx.z),
+            |Pose { position, orientation }| pose_row(position, orientation),
+        );
+        written.add(i, &place, &received)?;
         progress(i + 1, samples);
         Ok(())
     })?;

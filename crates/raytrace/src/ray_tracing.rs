@@ -165,6 +165,9 @@ impl Baseline for RayTracing {
 /// Observation type of the data; an error if this scene cannot provide it.
 fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<ObservationKind> {
     let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
+    if data.orientations.is_some() {
+        return refuse("the receiver of these data moves".into());
+    }
     let Some(channels) = data.observations.channels() else {
         if data.task().is_scalar {
             return Ok(ObservationKind::Power { noise_db: 0.0 });

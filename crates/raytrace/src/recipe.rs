@@ -65,6 +65,10 @@ impl SimulationRecipe {
     /// The scene does not support it.
     pub fn observing(self, observe: ObservationKind) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
+        if self.scene.moving_receiver.is_some() && observe != ObservationKind::Spectrum {
+            let what = "its receiver moves, which only spectra support; remove `moving_receiver`";
+            return Err(Error::Config(format!("scene `{}`: {what}", self.scene.name)));
+        }
         if let ObservationKind::Channel { .. } = observe {
             check_channels(&self.scene, self.samples)?;
         }

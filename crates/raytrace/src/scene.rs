@@ -4,7 +4,7 @@ mod antennas;
 mod propagation;
 mod room;
 
-pub use antennas::{Orientation, SceneReceiver, SceneTransmitter};
+pub use antennas::{MovingReceiver, Orientation, SceneReceiver, SceneTransmitter};
 pub use propagation::{Propagation, Subcarriers};
 pub(crate) use room::FAR;
 pub use room::{Finish, Object, Outline, Room};
@@ -15,8 +15,9 @@ use crate::mitsuba::MitsubaScene;
 use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
 use crate::transmitters::Transmitters;
+use glam::{DQuat, DVec3};
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Pose, Result, ShippedFile, did_you_mean, files};
+use pwrfgs_core::{Error, Pose, Result, ShippedFile, did_you_mean, files, rng};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -71,6 +72,9 @@ pub struct SceneFile {
     pub subcarriers: Option<Checked<Subcarriers>>,
     /// The transmitter.
     pub transmitter: SceneTransmitter,
+    /// Exchanges the ends: the array moves, and the transmitter is fixed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_receiver: Option<MovingReceiver>,
     /// Propagation effects to simulate.
     #[serde(default)]
     pub propagation: Checked<Propagation>,
@@ -111,7 +115,10 @@ impl SceneFile {
     fn read_mitsuba(path: &Path) -> Result<Self> {
         let meshes = MitsubaScene::read(path)?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
-        scene.name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        // Sionna RT and Blender name files `scene.xml`.
+        let folder =
+            path.parent().and_then(Path::file_name).filter(|_| path.file_stem().is_some_and(|own| own == "scene"));
+        scene.name = folder.or(path.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
         let [receiver, low, high] = meshes.antennas()?;
         scene.receiver.position = receiver;
         scene.transmitter.positions = Transmitters::Uniform { low, high };
@@ -188,6 +195,16 @@ impl SceneFile {
     /// All receivers: `receiver` first, then `more_receivers`.
     pub fn receivers(&self) -> impl Iterator<Item = &SceneReceiver> + Clone {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
+    }
+
+    /// The receiver at the `i`th position that `transmitter` draws, if the receiver moves.
+    pub(crate) fn moved_receiver(&self, i: usize, position: DVec3, seed: u64) -> Option<SceneReceiver> {
+        let share = 2.0 * rng::uniform(&mut rng::stream(seed, "turn", i as u64)) - 1.0;
+        let turn = DQuat::from_rotation_z((self.moving_receiver.as_ref()?.turn_deg * f64::from(share)).to_radians());
+        let [x, y, z, w] = self.receiver.orientation.quaternion();
+        let [x, y, z, w] = (turn * DQuat::from_xyzw(x, y, z, w)).normalize().to_array();
+        let orientation = Orientation::Quaternion(x, y, z, w);
+        Some(SceneReceiver { position: position.to_array(), orientation, ..self.receiver.clone() })
     }
 
     /// The scene with only one of its receivers.
@@ -277,6 +294,9 @@ impl SceneFile {
             return Err(SceneFault::of(what, "more_receivers"));
         }
         self.receiver.check().map_err(|what| SceneFault::of(what, "receiver"))?;
+        if let Some(moving) = &self.moving_receiver {
+            moving.check(!self.more_receivers.is_empty()).map_err(|what| SceneFault::of(what, "moving_receiver"))?;
+        }
         let mut names = BTreeSet::new();
         for receiver in self.receivers() {
             let quoted = format!("\"{}\"", receiver.name);

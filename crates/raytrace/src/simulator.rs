@@ -121,14 +121,20 @@ pub fn simulate_links(
     mut each: impl FnMut(usize, DVec3, Vec<ReceiverObservation>) -> Result<()>,
 ) -> Result<()> {
     let &SimulationRequest { what, samples, seed } = request;
-    let positions = simulator.positions(samples, seed)?;
+    let (positions, scene) = (simulator.positions(samples, seed)?, &simulator.scene);
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
         let receive = |(i, tx): (usize, &DVec3)| {
             if stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
-            Ok(simulator.listeners.iter().map(|listener| listener.observe(*tx, &what, Some(draw(i)))).collect())
+            match scene.moved_receiver(c * CHUNK + i, *tx, seed) {
+                None => Ok(simulator.listeners.iter().map(|own| own.observe(*tx, &what, Some(draw(i)))).collect()),
+                Some(receiver) => {
+                    let listener = PreparedReceiver::new(scene, &receiver, &simulator.world)?;
+                    Ok(vec![listener.observe(scene.receiver.position.into(), &what, Some(draw(i)))])
+                }
+            }
         };
         let all: Vec<Vec<ReceiverObservation>> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
         for ((i, tx), received) in chunk.iter().enumerate().zip(all) {

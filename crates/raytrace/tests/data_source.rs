@@ -1,9 +1,10 @@
 //! Simulated data sets: reproducible, cached completely or not at all, with clear errors.
 
 use glam::DVec3;
-use pwrfgs_core::{Baseline, DataSource, Dataset, FittingSet, Plugin, Simulation};
+use pwrfgs_core::{Baseline, DataSource, Dataset, FittingSet, Plugin, Pose, Simulation};
 use pwrfgs_raytrace::output::{MANIFEST, OutputLayout, POINTS, write_as};
-use pwrfgs_raytrace::{SceneFile, SimulationRecipe, Simulator, open_or_make};
+use pwrfgs_raytrace::scene::Orientation;
+use pwrfgs_raytrace::{ObservationKind, SceneFile, SimulationRecipe, Simulator, open_or_make};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -50,6 +51,49 @@ fn refuses_to_simulate_into_non_empty_folder() {
     let message = write(&recipe, OutputLayout::Pictures, true, folder.path()).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("is not empty (it holds `small.ron`)"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn moving_receiver_has_spectra_of_fixed_receivers() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = scene_text("moving_receiver: (turn_deg: 40),");
+    let path = file(folder.path(), "moving.ron", &text);
+    let source = format!("Simulated(scene: {path:?}, samples: 6, seed: 3, points: 20, cache: false)");
+    let data = Plugin::<dyn DataSource>::parse(&source).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+    let orientations = data.orientations.as_ref().unwrap();
+    assert!(orientations.windows(2).all(|pair| pair[0] != pair[1]) && data.is_simulated());
+    for (i, [x, y, z, w]) in orientations.iter().enumerate() {
+        let mut scene = SceneFile::parse(&scene_text(""), Path::new("fixed.ron")).unwrap();
+        let place = scene.receiver.position;
+        scene.receiver.position = data.transmitters[i].position;
+        scene.receiver.orientation = Orientation::Quaternion(*x, *y, *z, *w);
+        let there = Simulator::new(&scene).unwrap().listeners()[0].spectrum(place.into(), None).spectrum;
+        assert_eq!(*data.observations.raw(i), there.pixels, "pose {i}");
+        let upright =
+            data.query(i).orientation.map(|turn| Pose { orientation: turn, ..Pose::IDENTITY }.turned([0.0, 1.0, 0.0]));
+        assert!(upright.unwrap()[2] > 0.999, "turned about the vertical alone");
+    }
+    let refused = |layout, paths| {
+        let recipe = SimulationRecipe::read(&path, 6, 3, 20).unwrap();
+        let recipe = match layout {
+            OutputLayout::Rssi => {
+                recipe.observing(ObservationKind::Power { noise_db: 0.0 }).map_err(|e| e.to_string())?
+            }
+            _ => recipe,
+        };
+        write(&recipe, layout, paths, &folder.path().join("out")).map_err(|e| e.to_string())
+    };
+    assert!(refused(OutputLayout::Pictures, false).unwrap_err().contains("add --npy --no-paths"));
+    assert!(refused(OutputLayout::Array, true).unwrap_err().contains("add --npy --no-paths"));
+    assert!(refused(OutputLayout::Rssi, false).unwrap_err().contains("which only spectra support"));
+    refused(OutputLayout::Array, false).unwrap();
+    let written = pwrfgs_data::read_poses(&folder.path().join("out/rx_pose.csv")).unwrap();
+    assert_eq!(written.len(), 6);
+    for (wrong, what) in [("(turn_deg: 181)", "give degrees from 0 to 180"), ("(turn_deg: 4, x: 1)", "unknown field")] {
+        let text = scene_text(&format!("moving_receiver: {wrong},"));
+        let said = SceneFile::parse(&text, Path::new("wrong.ron")).unwrap_err().to_string();
+        assert!(said.contains(what) && said.contains("wrong.ron:17"), "{said}");
+    }
 }
 
 #[test]

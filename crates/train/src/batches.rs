@@ -122,6 +122,7 @@ fn observed(
             batch.conditions.extend_from_slice(query.features); // one per link
         } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) {
             batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
+            batch.orientations.extend(query.orientation);
         }
         before = Some((transmitter, i));
         let transmitter = batch.conditions.len() / batch.width.max(1) - 1;

@@ -156,6 +156,7 @@ fn of_data(data: &Dataset) -> String {
         for (i, sample) in samples {
             bytes.extend(sample.tx.iter().flat_map(|v| v.to_le_bytes()));
             bytes.extend(data.query(*i).features.iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(data.query(*i).orientation.iter().flatten().flat_map(|v| v.to_le_bytes()));
             bytes.extend_from_slice(&data.observations.raw(*i));
         }
         digest(&bytes)

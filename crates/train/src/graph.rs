@@ -30,6 +30,8 @@ pub struct Batch {
     pub conditions: Vec<Real>,
     /// Number of inputs per transmitter: 3 for a position.
     pub width: usize,
+    /// Orientations of a moving receiver `[B,4]`; otherwise empty.
+    pub orientations: Vec<[f64; 4]>,
     /// Links between transmitters of the batch and receivers, grouped by transmitter.
     pub links: Vec<Link>,
     /// Selected values of the observations.
@@ -74,6 +76,7 @@ impl Batch {
         let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
         let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
             conditions: self.conditions.clone(),
+            orientations: self.orientations.clone(),
             width: self.width,
             links: links.to_vec(),
             places: BatchPixels::Own(places.to_vec()),
@@ -84,7 +87,7 @@ impl Batch {
 
     /// Borrows the links for a method.
     pub(crate) fn request(&self) -> ObservationRequest<'_> {
-        let conditions = Conditions::new(self.width, &self.conditions);
+        let conditions = Conditions::new(self.width, &self.conditions).turned(&self.orientations);
         ObservationRequest { conditions, links: &self.links, pixels: self.places.pixels() }
     }
 }
@@ -351,7 +354,7 @@ mod tests {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
         let places = BatchPixels::Own((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
-        let batch = Batch { conditions: vec![1.0; 21], width: 3, links, places, truths };
+        let batch = Batch { conditions: vec![1.0; 21], width: 3, orientations: Vec::new(), links, places, truths };
         assert!(batch.parts(20).is_none() && Batch { places: BatchPixels::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
         assert_eq!(parts.iter().map(|part| part.links.len()).collect::<Vec<_>>(), [7, 7, 6]);

@@ -46,6 +46,14 @@ fn listed<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     value.try_iter().map_err(|error| wrong(value.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
+/// Adds the orientations `[M, 4]` of a moving receiver, if given.
+pub(super) fn turned(data: Dataset, orientations: Option<Vec<f64>>) -> pwrfgs_core::Result<Dataset> {
+    match orientations {
+        Some(all) => data.with_moving_receiver(all.as_chunks().0.to_vec()),
+        None => Ok(data),
+    }
+}
+
 /// Warns about valid but implausible data.
 pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;

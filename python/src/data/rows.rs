@@ -81,6 +81,7 @@ impl Dataset {
         state.set_item("official", data.official.clone())?;
         state.set_item("simulation", data.simulation.as_ref().map(|own| (own.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
+        state.set_item("orientations", self.orientations(py)?)?;
         let number = data.observations.number();
         match &data.observations {
             Observations::Pictures(spectra) => {
@@ -117,6 +118,8 @@ impl Dataset {
         let points = places("points", &get("points")?)?;
         let (first, last) = get("elevation")?.extract()?;
         let simulation: Option<(Option<String>,)> = get("simulation")?.extract()?;
+        let turns = get("orientations")?;
+        let turns = (!turns.is_none()).then(|| numbers::<f64>("orientations", &turns, &[None, Some(4)])).transpose()?;
         let features = get("features")?;
         let features = if features.is_none() {
             None
@@ -128,7 +131,8 @@ impl Dataset {
             if error.is_instance_of::<pyo3::exceptions::PyKeyError>(py) { wrong(py, "damaged data set") } else { error }
         })?;
         let title: String = get("title")?.extract()?;
-        let made = free(py, || Data::of_links(title, receivers, points, &samples, observations))?;
+        let made =
+            free(py, || inputs::turned(Data::of_links(title, receivers, points, &samples, observations)?, turns))?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
         let data = Data {

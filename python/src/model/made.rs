@@ -1,7 +1,7 @@
 //! Models from files and from arrays.
 
 use super::Model;
-use crate::arrays::{numbers, places};
+use crate::arrays::{axes, numbers, place, places};
 use crate::border::{free, plugin, wrong};
 use crate::strategies::cloud_of;
 use pwrfgs::model::{Ensemble, Stages, TrainingPositions, file};
@@ -40,6 +40,19 @@ pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
         members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
     }
     Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
+}
+
+/// Positions of transmitters, or of a receiver that `moves`; its orientations, if they are given; and whether `tx` is a single
+/// one.
+pub(super) fn poses(tx: &Bound<'_, PyAny>, moves: bool) -> PyResult<(Vec<[f64; 3]>, Vec<[f64; 4]>, bool)> {
+    let one = axes(tx)? == 1;
+    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
+    if let (true, Ok(values)) = (moves, numbers::<f64>("tx", tx, shape)) {
+        let split = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| ([x, y, z], [qx, qy, qz, qw]);
+        let (positions, orientations) = values.as_chunks().0.iter().map(split).unzip();
+        return Ok((positions, orientations, one));
+    }
+    Ok((if one { vec![place("tx", tx)?] } else { places("tx", tx)? }, Vec::new(), one))
 }
 
 /// Finds a receiver by name or index.

@@ -158,7 +158,8 @@ fn external(arguments: &Compare, plan: &SweepPlan, known: (&Dataset, &Partition)
             return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
         }
         taken.push(name.to_owned());
-        let root = Path::new(root).canonicalize().map_err(|e| Error::read(Path::new(root), e))?;
+        let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
+        let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
         let mut own = Predictions { name: name.into(), root, ..Predictions::default() };
         own.check_test(data, &partition.test)?;
         own.seal(data)?;

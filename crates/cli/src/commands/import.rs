@@ -105,10 +105,12 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
 
 /// Converts a table of links.
 fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
-    let data = links(path, name, arguments.simulated)?;
+    let (data, silent) = links(path, name, arguments.simulated)?;
     save(&data, &arguments.out)?;
     data_warnings(&data, None).iter().for_each(|warning| output::warning(warning));
-    verbosity.note(&format!("{} in {}", observed(&data), arguments.out.display()));
+    let out = arguments.out.display();
+    let left_out = if silent == 0 { String::new() } else { format!("; rows of -100 dBm, not received: {silent}") };
+    verbosity.note(&format!("{} in {out}{left_out}; next: `pwrfgs init {out}`", observed(&data)));
     Ok(())
 }
 

@@ -2,16 +2,16 @@
 
 mod writers;
 
-use super::options::{check_positions, chosen, position, read_models};
+use super::options::{check_positions, chosen, numbers, position, read_models};
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::read_transmitters;
+use pwrfgs::data::{read_poses, read_transmitters};
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Predict as _, Query, Result, Task};
+use pwrfgs_core::{Error, Pose, Predict as _, Query, Result, Task};
 use std::path::PathBuf;
 use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
 
@@ -45,10 +45,11 @@ pub(crate) struct Predict {
     /// Trained model (model.safetensors of a run); several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
-    /// One transmitter position in metres, world frame
+    /// One transmitter position in metres, world frame; for a moving receiver its position, and optionally its
+    /// orientation as a quaternion: x,y,z,qx,qy,qz,qw
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
-    /// CSV file of positions: columns x, y, z in metres, others are ignored
+    /// CSV file of positions: columns x, y, z in metres, and qx, qy, qz, qw for a moving receiver; others are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
     /// Add prediction intervals that hold with this probability, such as 0.9
@@ -69,12 +70,8 @@ pub(crate) struct Predict {
 }
 
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
-    let txs = match (&arguments.tx, &arguments.tx_csv) {
-        (Some(text), _) => vec![position("--tx", text)?],
-        (_, Some(path)) => read_transmitters(path)?,
-        _ => return Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
-    };
     let ensemble = read_models(&arguments.models)?;
+    let (txs, orientations) = positions(arguments, ensemble.members()[0].stages.setup.moves)?;
     check_positions(&ensemble)?;
     let distances = ensemble.training_distances(&txs);
     let model = ensemble.prepare();
@@ -97,6 +94,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         PredictionRow {
             number: k + 1,
             tx,
+            orientation: orientations.get(k / listening.len()).copied(),
             receiver,
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
             training_distance: distances.as_ref().map(|all| all.metres[k / listening.len()]),
@@ -117,6 +115,25 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let kind = if count == 1 { task.singular } else { task.plural };
     verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())
+}
+
+/// Positions to predict at, and the orientations of a receiver that `moves`, if they are given.
+fn positions(arguments: &Predict, moves: bool) -> Result<(Vec<[f64; 3]>, Vec<[f64; 4]>)> {
+    match (&arguments.tx, &arguments.tx_csv) {
+        (Some(text), _) => match numbers::<7>(text).filter(|_| moves) {
+            Some([x, y, z, turn @ ..]) => {
+                let pose = Pose { position: [x, y, z], orientation: turn };
+                let wrong = |(_, fault)| Err(Error::Config(format!("--tx {text}: {fault}")));
+                pose.fault().map_or(Ok((vec![pose.position], vec![turn])), wrong)
+            }
+            None => Ok((vec![position("--tx", text)?], Vec::new())),
+        },
+        (_, Some(path)) if moves => {
+            Ok(read_poses(path)?.into_iter().map(|pose| (pose.position, pose.orientation)).unzip())
+        }
+        (_, Some(path)) => Ok((read_transmitters(path)?, Vec::new())),
+        _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
+    }
 }
 
 /// Factors of prediction intervals of this level.
@@ -155,7 +172,7 @@ fn draw<'a>(
     row: PredictionRow<'a>,
     factors: Option<&IntervalFactors>,
 ) -> Result<PredictedRow<'a>> {
-    let query = Query::at(row.tx, row.receiver);
+    let query = Query { orientation: row.orientation, ..Query::at(row.tx, row.receiver) };
     let (image, spread, times) = if model.models().count() == 1 {
         let (image, times) = model.predict_timed(query);
         (image, None, times)

@@ -141,9 +141,10 @@ pub(crate) struct ExportScene {
 }
 
 pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Result<()> {
-    let meshes = mitsuba::export(&SceneFile::read(&arguments.scene)?, &arguments.out)?;
-    verbosity
-        .note(&format!("{meshes} meshes in {}; open scene.xml with sionna.rt.load_scene", arguments.out.display()));
+    let scene = SceneFile::read(&arguments.scene)?;
+    let (meshes, out) = (mitsuba::export(&scene, &arguments.out)?, arguments.out.display());
+    let how = format!("`simulate --carrier-hz {:e}` or sionna.rt.load_scene", scene.carrier_hz);
+    verbosity.note(&format!("{meshes} meshes in {out}; read scene.xml with {how}"));
     Ok(())
 }
 

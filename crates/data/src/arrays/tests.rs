@@ -49,6 +49,35 @@ impl Folder {
 }
 
 #[test]
+fn reads_and_saves_poses_of_a_moving_receiver() {
+    let folder = Folder::new();
+    let rows = ["1,2,3,0,0,0,1", "4,5,6,0,0,1,0", "7,8,9,0,1,0,0", "1,1,1,0.6,0,0,0.8"];
+    let table = |rows: &[&str]| {
+        format!("qw_old,x,y,z,qx,qy,qz,qw\n{}", rows.iter().map(|r| format!("9,{r}\n")).collect::<String>())
+    };
+    folder.write("rx_pose.csv", table(&rows));
+    let data = folder.try_load().unwrap();
+    assert_eq!((data.sample(2).tx, data.query(2).orientation), ([7.0, 8.0, 9.0], Some([0.0, 1.0, 0.0, 0.0])));
+    assert_eq!(data.scene.pose().position, [5.0, 0.26, 0.0]);
+    let out = folder.path("saved");
+    let read = crate::save(&data, &out).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+    assert_eq!((read.orientations, read.transmitters), (data.orientations, data.transmitters));
+    assert!(!out.join("tx.npy").exists());
+    let cases = [
+        (&rows[..3], "holds 4 spectra, but rx_pose.csv 3 positions"),
+        (&["1,2,3,0,0,0,1", "1,2,3,0,0,0,2"], "rx_pose.csv:3:9: the quaternion has length 2.000000, expected 1"),
+        (&["1,2,3,0,0,0"], "rx_pose.csv:2"),
+        (&["1,NaN,3,0,0,0,1"], "rx_pose.csv:2:5"),
+        (&[], "has a header but no row; write one row per pose"),
+    ];
+    for (rows, what) in cases {
+        folder.write("rx_pose.csv", table(rows));
+        let said = folder.fault();
+        assert!(said.contains(what), "{said}");
+    }
+}
+
+#[test]
 fn reads_valid_array_folder() {
     let folder = Folder::new();
     let data = folder.try_load().unwrap();

@@ -3,7 +3,7 @@
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task, evenly, ssim,
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Result, Task, evenly, ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -18,7 +18,8 @@ const CHOSEN_ON: usize = 240;
 ///
 /// At the exact position of training transmitters it is the mean of their spectra. Powers and channels are averaged in
 /// the same way, per receiver; a receiver without training links uses those of all receivers. If links have features,
-/// such as an uplink channel, distance is measured between features.
+/// such as an uplink channel, distance is measured between features. For a moving receiver, the square of the distance
+/// includes those between the ends of its x axes and between those of its z axes, each 1 m long.
 ///
 /// `k: Auto` selects the k from 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that best predicts the validation
 /// set from the training set: mean SSIM over at most 240 samples (absolute error for powers, squared error for
@@ -152,7 +153,8 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
-        let width = data.features.as_ref().map_or(3, |features| features.width);
+        let positions = if data.orientations.is_some() { 9 } else { 3 };
+        let width = data.features.as_ref().map_or(positions, |features| features.width);
         Self { data, nearest: Nearest::new(samples, width, |i| place(data.query(i))), k, chosen: false }
     }
 
@@ -187,9 +189,16 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// Coordinates of a link: its features, or the transmitter position.
+/// Coordinates of a link: its features, or the transmitter position, or position and axes of a moving receiver.
 fn place(query: Query<'_>) -> Vec<f64> {
-    if query.features.is_empty() { query.tx.to_vec() } else { query.features.iter().map(|v| *v as f64).collect() }
+    if !query.features.is_empty() {
+        return query.features.iter().map(|v| *v as f64).collect();
+    }
+    let axes = query.orientation.map(|orientation| {
+        let pose = Pose { orientation, ..Pose::IDENTITY };
+        [pose.turned([1.0, 0.0, 0.0]), pose.turned([0.0, 0.0, 1.0])].concat()
+    });
+    [query.tx.to_vec(), axes.unwrap_or_default()].concat()
 }
 
 /// Similarity of prediction and observation; higher is better.

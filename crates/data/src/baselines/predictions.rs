@@ -176,12 +176,13 @@ impl Baseline for Predictions {
         let found = self.of_ids(data)?;
         let (given, wanted): (BTreeSet<u32>, BTreeSet<u32>) =
             (found.keys().copied().collect(), test.iter().map(|&i| data.label(i)).collect());
+        let of = if data.scene.receivers.len() == 1 { "test ids" } else { "test links" };
         for (what, ids) in [
-            ("test ids have no prediction", wanted.difference(&given).collect::<Vec<_>>()),
-            ("predictions are not for test ids", given.difference(&wanted).collect()),
+            (format!("{of} without prediction"), wanted.difference(&given).collect::<Vec<_>>()),
+            (format!("predictions that are not for {of}"), given.difference(&wanted).collect()),
         ] {
             if let Some(first) = ids.first() {
-                let message = format!("{} {what}, such as {first}; {ADVICE}", ids.len());
+                let message = format!("{what}: {}, such as {first}; {ADVICE}", ids.len());
                 return Err(Error::input(&self.root, message));
             }
         }

@@ -14,14 +14,15 @@ const MOST_CELLS: usize = 10_000_000;
 const ADVICE: &str = "write one row per link with the columns x, y, z, receiver, rx_x, rx_y, rx_z and dbm";
 
 /// Reads the links in `path`: columns x, y and z of the transmitter, metres; name and position of the receiver; power in
-/// dBm, -100 if no signal was received. Rows with equal x, y and z are one transmitter.
+/// dBm, -100 if no signal was received. Rows with equal x, y and z are one transmitter. Also returns the number of rows with
+/// -100.
 ///
 /// # Errors
 /// An invalid row, two positions of one receiver, or two rows of one link.
-pub fn links(path: &Path, name: &str, simulated: bool) -> Result<Dataset> {
+pub fn links(path: &Path, name: &str, simulated: bool) -> Result<(Dataset, usize)> {
     let text = read_text(path, MAX_TEXT, ADVICE)?;
     let (mut positions, mut lines, mut found) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-    let (mut ids, mut indices, mut receivers) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
+    let (mut ids, mut indices, mut receivers, mut silent) = (BTreeMap::new(), BTreeMap::new(), Vec::new(), 0);
     for (line, [x, y, z, own, rx_x, rx_y, rx_z, power]) in table(path, &text, COLUMNS, ADVICE)? {
         let tx = place(path, line, [x, y, z], ADVICE)?.map(|v| v + 0.0); // no negative zero
         let position = place(path, line, [rx_x, rx_y, rx_z], ADVICE)?;
@@ -36,6 +37,7 @@ pub fn links(path: &Path, name: &str, simulated: bool) -> Result<Dataset> {
             return Err(fault(format!("received this transmitter in line {earlier} too; average repeated readings")));
         }
         if power == NOT_RECEIVED {
+            silent += 1;
             continue;
         }
         let (count, next) = (ids.len() as u32, receivers.len());
@@ -55,5 +57,5 @@ pub fn links(path: &Path, name: &str, simulated: bool) -> Result<Dataset> {
     let samples: Vec<Sample> = found.iter().map(|(&(id, receiver), &(tx, _))| Sample { id, tx, receiver }).collect();
     let powers: Vec<Real> = found.values().map(|(_, dbm)| *dbm as Real).collect();
     let data = Dataset::of_links(name, receivers, vec![], &samples, powers.into())?;
-    Ok(Dataset { simulation: simulated.then(Simulation::default), ..data })
+    Ok((Dataset { simulation: simulated.then(Simulation::default), ..data }, silent))
 }

@@ -40,8 +40,11 @@ pub struct PoseCheck {
     pub verdict: PoseVerdict,
 }
 
-/// Checks the recorded pose; `None` if fewer than twenty spectra have a strongest direction.
+/// Checks the recorded pose; `None` if fewer than twenty spectra have a strongest direction, or the receiver moves.
 pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
+    if data.orientations.is_some() {
+        return None;
+    }
     // The first of several receivers; each has its own pose.
     let receiver = data.scene.origin.world_pose(data.scene.pose());
     let pair = |spectrum: &SpectrumSummary| {

@@ -41,6 +41,11 @@ impl Setting {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
+    /// Whether a baseline has its predictions from another program.
+    pub fn is_external(&self, name: &str) -> bool {
+        self.runs().any(|run| run.pipeline.baselines.iter().any(|own| own.is_external() && own.name() == name))
+    }
+
     /// Score of a baseline by a metric, as the mean over all runs.
     pub fn baseline(&self, name: &str, key: &str) -> Option<f64> {
         let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();

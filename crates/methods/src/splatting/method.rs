@@ -151,13 +151,14 @@ impl Method for Splatting {
         let numbers = setup.numbers();
         let mut observed = Vec::new();
         let mut drawings = Vec::new();
-        let groups = ReceiverGroup::all(request.links, views.len(), !self.deformation.traits().varies_geometry);
+        let share = self.shares_geometry(request.conditions.moves());
+        let groups = ReceiverGroup::all(request.links, views.len(), share);
         let in_order = groups.iter().flat_map(|group| &group.links).copied().eq(0..request.links.len());
         if !in_order {
             observed.resize(request.links.len() * numbers, 0.0);
         }
         for group in groups {
-            let view = &views[group.receiver];
+            let view = &*Self::view(&views, &group, request.conditions);
             let (terms, batch) = group.terms(&deltas, n);
             let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), None);
             let own = self.read_out(view, laws, &group, request, &self.shown(&drawing.render.pixels));
@@ -219,10 +220,10 @@ impl Method for Splatting {
             |view: &ReceiverView| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &setup.pose()),
-            shared_geometry: if self.deformation.traits().varies_geometry {
-                Vec::new()
-            } else {
+            shared_geometry: if self.shares_geometry(setup.moves) {
                 self.views(setup).iter().map(shared_geometry).collect()
+            } else {
+                Vec::new()
             },
         }))
     }
@@ -244,7 +245,8 @@ impl Method for Splatting {
         let (views, numbers) = (self.views(setup), setup.numbers());
         let one = |group: &ReceiverGroup| {
             let start = Instant::now();
-            let (view, shared_geometry) = (&views[group.receiver], shared_geometry.get(group.receiver));
+            let view = &*Self::view(&views, group, request.conditions);
+            let shared_geometry = shared_geometry.get(group.receiver);
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
             let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), shared_geometry);
             let own = self.read_out(view, laws, group, request, &drawing.render.pixels);
@@ -252,7 +254,7 @@ impl Method for Splatting {
             let blending = start.elapsed().as_secs_f64() - projection - sort;
             (own, [projection, sort, blending])
         };
-        let groups = ReceiverGroup::all(request.links, views.len(), !self.deformation.traits().varies_geometry);
+        let groups = ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves()));
         if let [group] = groups.as_slice() {
             let (own, seconds) = one(group);
             add(&mut times, seconds);

@@ -37,8 +37,8 @@ impl Splatting {
         let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions) };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
-        for group in ReceiverGroup::all(request.links, views.len(), is_static) {
-            let view = &views[group.receiver];
+        for group in ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves())) {
+            let view = &*Self::view(&views, &group, request.conditions);
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
             if !question.any(per_link) {

@@ -11,7 +11,7 @@ use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::{Error, Number, Result, files};
-use pwrfgs_data::{base_station_yaml, gateway_yaml, npy_header, npy_header_as};
+use pwrfgs_data::{POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -55,7 +55,7 @@ pub enum OutputLayout {
 
 impl OutputLayout {
     /// Returns an error if `recipe` does not fit the layout.
-    pub(super) fn check(self, recipe: &SimulationRecipe) -> Result<()> {
+    pub(super) fn check(self, recipe: &SimulationRecipe, paths: bool) -> Result<()> {
         let fits = match self {
             Self::Pictures | Self::Array => recipe.observe == ObservationKind::Spectrum,
             Self::Rssi => matches!(recipe.observe, ObservationKind::Power { .. }),
@@ -69,6 +69,13 @@ impl OutputLayout {
             return Err(Error::Config(format!(
                 "{} spectra exceed the limit of {MOST_PICTURES} images; write one array with --npy",
                 recipe.samples
+            )));
+        }
+        if recipe.scene.moving_receiver.is_some() && (self != Self::Array || paths) {
+            return Err(Error::Config(format!(
+                "the receiver of scene `{}` moves, which only an array of spectra without paths supports; remove --layout \
+                 and add --npy --no-paths (in Python layout=\"arrays\")",
+                recipe.scene.name
             )));
         }
         let subcarriers = recipe.scene.frequencies().len();
@@ -103,7 +110,8 @@ pub(super) struct Files {
     table: Option<(&'static str, String)>,
     /// Metadata of the observations: poses, frequencies, antennas.
     facts: Option<(&'static str, String)>,
-    positions: String,
+    /// Table of positions, or of the poses of a moving receiver.
+    positions: (&'static str, String),
     /// Path tables, one per receiver, or none.
     paths: Vec<(PathTable, Growing)>,
 }
@@ -157,13 +165,17 @@ impl Files {
             Ok((PathTable::new(simulator.world(), listener.world_from_receiver()), file))
         };
         let paths = if paths { listeners.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
-        Ok(Self { folder: folder.into(), layout, array, table, facts, positions: "x,y,z\n".into(), paths })
+        let positions = match scene.moving_receiver {
+            Some(_) => (POSES, poses_csv(std::iter::empty())),
+            None => (POSITIONS, "x,y,z\n".into()),
+        };
+        Ok(Self { folder: folder.into(), layout, array, table, facts, positions, paths })
     }
 
-    /// Adds the observations of the `i`th transmitter, counted from 0.
-    pub(super) fn add(&mut self, i: usize, tx: DVec3, all: &[ReceiverObservation]) -> Result<()> {
+    /// Adds the observations of the `i`th transmitter, counted from 0; `place` is its row in the table of positions.
+    pub(super) fn add(&mut self, i: usize, place: &str, all: &[ReceiverObservation]) -> Result<()> {
         let id = i + self.layout.first();
-        writeln!(self.positions, "{},{},{}", tx.x, tx.y, tx.z).expect("text grows");
+        self.positions.1 += place;
         for ((table, file), received) in self.paths.iter_mut().zip(all) {
             file.add(table.rows(id, &received.paths).as_bytes())?;
         }
@@ -203,7 +215,7 @@ impl Files {
     /// Writes the remaining files.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
         self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(Growing::finish)?;
-        for (name, text) in self.facts.into_iter().chain(self.table).chain([(POSITIONS, self.positions)]) {
+        for (name, text) in self.facts.into_iter().chain(self.table).chain([self.positions]) {
             put(&self.folder.join(name), text)?;
         }
         for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {

@@ -66,6 +66,27 @@ pub struct SceneTransmitter {
     pub power_dbm: f64,
 }
 
+/// A moving receiver and a fixed transmitter, which stands at the position of `receiver`. The array stands at the positions
+/// that `transmitter` draws.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MovingReceiver {
+    /// Each orientation is that of `receiver`, turned about the vertical by a uniform angle of up to ± this, degrees.
+    pub turn_deg: f64,
+}
+
+impl MovingReceiver {
+    pub(super) fn check(&self, has_others: bool) -> Result<(), String> {
+        if has_others {
+            return Err("`moving_receiver` needs the only receiver; remove `more_receivers`".into());
+        }
+        if !(0.0..=180.0).contains(&self.turn_deg) {
+            return Err(format!("`turn_deg` is {}; give degrees from 0 to 180", self.turn_deg));
+        }
+        Ok(())
+    }
+}
+
 fn gateway() -> String {
     GATEWAY.into()
 }

@@ -130,6 +130,11 @@ impl Style {
         }
     }
 
+    /// Style of predictions of another program, the `k`th of all lines: that of a variant without marks.
+    pub(crate) fn external(k: usize) -> Self {
+        Self { marker: None, ..Self::variant(k) }
+    }
+
     /// Style of baseline `k`.
     pub(crate) fn baseline(k: usize) -> Self {
         Self::line(Colour::hex(GREYS[k / DASHES.len() % GREYS.len()]), 1.0, DASHES[k % DASHES.len()])

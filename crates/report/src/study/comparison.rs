@@ -184,7 +184,7 @@ impl<'a> Comparison<'a> {
                     Some(row) => row.runs.push(run),
                     None => {
                         let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
-                        let external = run.pipeline.baselines.iter().any(|own| own.is_external() && own.name() == name);
+                        let external = setting.is_external(name);
                         let known = if oracle { RowKind::Oracle } else { RowKind::Baseline };
                         let kind = if external { RowKind::External } else { known };
                         rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
@@ -276,7 +276,11 @@ impl<'a> Comparison<'a> {
 
     /// Notes of all predictors of the setting.
     pub(super) fn notes(&self) -> Vec<String> {
-        distinct(self.setting.runs().flat_map(|run| &run.scores.table.notes).cloned())
+        let of_variant = |variant: &'a StudyVariant| {
+            let named = move |note: &String| note.replace(" of model", &format!(" of {}", variant.label));
+            variant.runs.iter().flat_map(|run| &run.scores.table.notes).map(named)
+        };
+        distinct(self.setting.variants.iter().flat_map(of_variant))
     }
 }
 

@@ -4,8 +4,8 @@ use super::{QueryParams, RequestError};
 use crate::side::{LoadedData, Predictor, ServerState, ViewPane};
 use hyper::StatusCode;
 use pwrfgs_core::{
-    Appearance, Conditions, Image, Link, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin,
-    Parameters, PixelSubset, Query, Real, Statistic, neighbours,
+    Appearance, Conditions, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters,
+    PixelSubset, Query, Real, Statistic, neighbours,
 };
 use pwrfgs_experiment::folder::{CURVE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
@@ -120,10 +120,10 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     if !blends {
         return strengths.iter().zip(&primitives.opacities).map(|(s, o)| s * o).collect();
     }
-    let condition = stages.origin.local(tx);
+    let (conditions, orientations, links) = stages.setup.conditions(inputs, std::iter::once(Query::at(tx, receiver)));
     let request = Request {
-        conditions: Conditions::new(inputs, &condition),
-        links: &[Link { transmitter: 0, receiver }],
+        conditions: Conditions::new(inputs, &conditions).turned(&orientations),
+        links: &links,
         pixels: PixelSubset::All,
     };
     let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };

@@ -22,6 +22,8 @@ pub(super) struct PredictionRow<'a> {
     /// Number of the row, from 1.
     pub(super) number: usize,
     pub(super) tx: [f64; 3],
+    /// Orientation of a moving receiver, if given.
+    pub(super) orientation: Option<[f64; 4]>,
     pub(super) receiver: usize,
     /// Name of the receiver; none for spectra at a single receiver.
     pub(super) name: Option<&'a str>,

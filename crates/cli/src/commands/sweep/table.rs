@@ -132,7 +132,7 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
     _ = writeln!(
         text,
         "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
-         pruning; densification lengthens later steps",
+         pruning; densification lengthens later steps, and initialising, baselines and scoring are not included",
         duration(all)
     );
     text

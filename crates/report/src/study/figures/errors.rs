@@ -4,6 +4,7 @@
 //! mean over the test set does not describe positions farther away. A mean of powers or channels hides large errors.
 
 use super::Figure;
+use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
@@ -37,7 +38,7 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
         // Equal in all variants, except for splits that depend on the seed.
         let bins = bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
-        lines.push(ChartLine::new(points, Style::baseline(k)).named_at_end(name));
+        lines.push(ChartLine::new(points, row_style(setting, k, name)).named_at_end(name));
     }
     let x = ChartAxis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
     let Headline { name, higher, best, .. } = task.headline;
@@ -109,7 +110,7 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
         lines.push(line);
     }
     for (k, name) in setting.baselines().into_iter().enumerate() {
-        lines.push(ChartLine::new(points(&setting.variants[0].runs, name), Style::baseline(k)).named(name));
+        lines.push(ChartLine::new(points(&setting.variants[0].runs, name), row_style(setting, k, name)).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ..ChartAxis::default() };
     let y = ChartAxis { name: "share of the test set below".into(), ends: Some((0.0, 1.0)), log: false };

@@ -1,6 +1,7 @@
 //! Rate ratio against signal-to-noise ratio: cost of steering by the prediction for weak and strong transmitters.
 
 use super::Figure;
+use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
@@ -62,7 +63,7 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
         let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
-        Ok(ChartLine::new(curve(&measured), Style::baseline(k)).named_at_end(&name))
+        Ok(ChartLine::new(curve(&measured), row_style(setting, k, &name)).named_at_end(&name))
     };
     // The files of an external baseline may have been moved since the run.
     let is_there = |baseline: &&Plugin<dyn pwrfgs_core::Baseline>| baseline.check_test(data, &partition.test).is_ok();

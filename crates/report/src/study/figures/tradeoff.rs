@@ -82,10 +82,17 @@ fn height(key: &str, score: f64) -> f64 {
     if is_rate_ratio(key) { 1.0 - score } else { score }
 }
 
+/// Style of the `k`th row that is no variant.
+pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
+    if setting.is_external(name) { Style::external(setting.variants.len() + k) } else { Style::baseline(k) }
+}
+
 /// Horizontal lines over the whole width, with names at the right.
 pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
-        Some(ChartLine::level(height(key, setting.baseline(name, key)?), Style::baseline(k)).named_at_end(name))
+        Some(
+            ChartLine::level(height(key, setting.baseline(name, key)?), row_style(setting, k, name)).named_at_end(name),
+        )
     };
     setting.baselines().into_iter().enumerate().filter_map(line).collect()
 }

@@ -44,13 +44,13 @@ fn scale(unit: &str, largest: f64) -> (&str, f64) {
     }
 }
 
-/// Decimals of a column: three digits of the largest number, at most three decimals; none for numbers of Gaussians.
-fn decimals(metric: &MetricRow, largest: f64) -> usize {
-    if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || largest >= 100.0 {
+/// Decimals of a column: three digits of its median, at most three decimals; none for numbers of Gaussians.
+fn decimals(metric: &MetricRow, median: f64) -> usize {
+    if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || median >= 100.0 {
         0
-    } else if largest >= 10.0 {
+    } else if median >= 10.0 {
         1
-    } else if largest > 1.0 {
+    } else if median > 1.0 {
         2
     } else {
         3
@@ -64,11 +64,13 @@ fn column(
     ranked: bool,
 ) -> Option<(TableColumn, Vec<FormattedValue>)> {
     let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
-    let finite = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite());
-    let largest = finite.reduce(f64::max).or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
+    let mut sizes: Vec<f64> = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let largest = sizes.last().copied().or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
+    let median = sizes.get(sizes.len() / 2).copied().unwrap_or(largest);
     let (words, unit) = words(metric);
     let (unit, factor) = scale(&unit, largest);
-    let decimals = decimals(metric, largest * factor);
+    let decimals = decimals(metric, median * factor);
     let shown = |spread: &Option<Spread>| {
         let Some(Spread { mean, deviation, .. }) = *spread else { return FormattedValue::default() };
         let value = fixed(mean * factor, decimals);
