@@ -20,6 +20,15 @@ def spectra():
 
 
 @pytest.fixture(scope="module")
+def moving():
+    values = np.random.default_rng(4).random((12, 9, 36)).astype(np.float32)
+    turn = np.linspace(0, 3, 12)
+    turns = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=1)
+    transmitter = pwrfgs.Receiver(position=(2, 1, 2.9))
+    return pwrfgs.Dataset.from_arrays(TX, values, orientations=turns, receivers=transmitter, simulated=True)
+
+
+@pytest.fixture(scope="module")
 def powers():
     rssi = -40 - 10 * np.random.default_rng(2).random((12, 2))
     rssi[3, 1] = np.nan
@@ -35,14 +44,14 @@ def channels():
 
 def same(one, other):
     assert repr(one) == repr(other) and len(one) == len(other)
-    for name in ("tx", "ids", "receiver", "points", "spectra", "rssi", "csi", "frequencies_hz"):
+    for name in ("tx", "orientations", "ids", "receiver", "points", "spectra", "rssi", "csi", "frequencies_hz"):
         a, b = getattr(one, name), getattr(other, name)
         assert (a is None and b is None) or np.array_equal(a, b), name
     assert one.receivers == other.receivers
     assert all(np.array_equal(a, b) for a, b in zip(one.split("random", test=0.3), other.split("random", test=0.3)))
 
 
-@pytest.mark.parametrize("kind", ["spectra", "powers", "channels"])
+@pytest.mark.parametrize("kind", ["spectra", "moving", "powers", "channels"])
 def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
     data = request.getfixturevalue(kind)
     everything = data.observations(np.arange(len(data)))
@@ -58,6 +67,25 @@ def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
     same(data[np.arange(len(data)) % 2 == 0], data[::2])
     same(pickle.loads(pickle.dumps(data)), data)
     same(pickle.loads(pickle.dumps(part)), part)
+
+
+def test_a_model_of_a_moving_receiver_predicts_at_poses(moving, pipeline, tmp_path):
+    moving.save(tmp_path / "walk")
+    same(pwrfgs.Dataset.load(tmp_path / "walk")[:12], moving[:12])
+    trainer = pwrfgs.Trainer(pipeline, moving)
+    trainer.step()
+    model = trainer.model()
+    poses = np.concatenate([moving.tx, moving.orientations], axis=1)
+    there = model.predict(poses)
+    assert there.shape == (12, 9, 36) and np.array_equal(model.predict(poses[3]), there[3])
+    level = np.concatenate([moving.tx, np.tile([0, 0, 0, 1.0], (12, 1))], axis=1)
+    assert np.array_equal(model.predict(moving.tx), model.predict(level)) and not np.array_equal(model.predict(level), there)
+    model.save(tmp_path / "m.safetensors")
+    assert np.array_equal(pwrfgs.Model.load(tmp_path / "m.safetensors").predict(poses), there)
+    with pytest.raises(pwrfgs.InputError, match="orientations"):
+        pwrfgs.Dataset.from_arrays(TX, moving.spectra, orientations=np.zeros((12, 3)))
+    with pytest.raises(pwrfgs.InputError, match="pose 1: the quaternion is zero"):
+        pwrfgs.Dataset.from_arrays(TX, moving.spectra, orientations=np.zeros((12, 4)))
 
 
 def test_invalid_indices_are_reported(spectra):

@@ -42,9 +42,12 @@ pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
     Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }
 
+/// Positions, orientations, and whether there is a single one.
+type Places = (Vec<[f64; 3]>, Vec<[f64; 4]>, bool);
+
 /// Positions of transmitters, or of a receiver that `moves`; its orientations, if they are given; and whether `tx` is a single
 /// one.
-pub(super) fn poses(tx: &Bound<'_, PyAny>, moves: bool) -> PyResult<(Vec<[f64; 3]>, Vec<[f64; 4]>, bool)> {
+pub(super) fn poses(tx: &Bound<'_, PyAny>, moves: bool) -> PyResult<Places> {
     let one = axes(tx)? == 1;
     let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
     if let (true, Ok(values)) = (moves, numbers::<f64>("tx", tx, shape)) {

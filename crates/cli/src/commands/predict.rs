@@ -71,7 +71,8 @@ pub(crate) struct Predict {
 
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
-    let (txs, orientations) = positions(arguments, ensemble.members()[0].stages.setup.moves)?;
+    let places = places(arguments, ensemble.members()[0].stages.setup.moves)?;
+    let txs: Vec<[f64; 3]> = places.iter().map(|place| place.tx).collect();
     check_positions(&ensemble)?;
     let distances = ensemble.training_distances(&txs);
     let model = ensemble.prepare();
@@ -94,7 +95,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         PredictionRow {
             number: k + 1,
             tx,
-            orientation: orientations.get(k / listening.len()).copied(),
+            orientation: places[k / listening.len()].orientation,
             receiver,
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
             training_distance: distances.as_ref().map(|all| all.metres[k / listening.len()]),
@@ -117,21 +118,20 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Positions to predict at, and the orientations of a receiver that `moves`, if they are given.
-fn positions(arguments: &Predict, moves: bool) -> Result<(Vec<[f64; 3]>, Vec<[f64; 4]>)> {
+/// Positions to predict at, with orientations of a receiver that `moves`, if they are given.
+fn places(arguments: &Predict, moves: bool) -> Result<Vec<Query<'static>>> {
+    let at = |pose: Pose| Query { orientation: Some(pose.orientation), ..Query::at(pose.position, 0) };
     match (&arguments.tx, &arguments.tx_csv) {
         (Some(text), _) => match numbers::<7>(text).filter(|_| moves) {
-            Some([x, y, z, turn @ ..]) => {
-                let pose = Pose { position: [x, y, z], orientation: turn };
+            Some([x, y, z, orientation @ ..]) => {
+                let pose = Pose { position: [x, y, z], orientation };
                 let wrong = |(_, fault)| Err(Error::Config(format!("--tx {text}: {fault}")));
-                pose.fault().map_or(Ok((vec![pose.position], vec![turn])), wrong)
+                pose.fault().map_or(Ok(vec![at(pose)]), wrong)
             }
-            None => Ok((vec![position("--tx", text)?], Vec::new())),
+            None => Ok(vec![position("--tx", text)?.into()]),
         },
-        (_, Some(path)) if moves => {
-            Ok(read_poses(path)?.into_iter().map(|pose| (pose.position, pose.orientation)).unzip())
-        }
-        (_, Some(path)) => Ok((read_transmitters(path)?, Vec::new())),
+        (_, Some(path)) if moves => Ok(read_poses(path)?.into_iter().map(at).collect()),
+        (_, Some(path)) => Ok(read_transmitters(path)?.into_iter().map(Query::from).collect()),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     }
 }

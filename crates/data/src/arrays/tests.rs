@@ -53,7 +53,7 @@ fn reads_and_saves_poses_of_a_moving_receiver() {
     let folder = Folder::new();
     let rows = ["1,2,3,0,0,0,1", "4,5,6,0,0,1,0", "7,8,9,0,1,0,0", "1,1,1,0.6,0,0,0.8"];
     let table = |rows: &[&str]| {
-        format!("qw_old,x,y,z,qx,qy,qz,qw\n{}", rows.iter().map(|r| format!("9,{r}\n")).collect::<String>())
+        format!("qw_old,x,y,z,qx,qy,qz,qw\n{}", rows.iter().flat_map(|row| ["9,", row, "\n"]).collect::<String>())
     };
     folder.write("rx_pose.csv", table(&rows));
     let data = folder.try_load().unwrap();

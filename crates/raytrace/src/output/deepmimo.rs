@@ -18,6 +18,9 @@ use zip::{ZipWriter, result::ZipError, write::SimpleFileOptions};
 /// Largest number of paths per user in DeepMIMO.
 const MOST_PATHS: usize = 25;
 
+/// Number of a path.
+type PathValue<'a> = &'a dyn Fn(&PropagationPath) -> f64;
+
 /// Writes the matrices of every receiver, `power_t000_tx000_r001.npz` and so on, and `params.json` into `folder`. A user keeps
 /// its strongest paths; entries without a path are NaN. Phases contain the delay at the carrier. There are no objects.
 ///
@@ -72,12 +75,12 @@ fn write_paths(
     put: impl Fn(&str, &[usize], &[f64]) -> Result<()>,
 ) -> Result<()> {
     let most = paths.iter().map(Vec::len).max().unwrap_or(0).max(1);
-    let each = |value: &dyn Fn(&PropagationPath) -> f64| {
+    let each = |value: PathValue<'_>| {
         let entry = |(user, k): (usize, usize)| paths[user].get(k).map_or(f64::NAN, value);
         (0..paths.len() * most).map(|at| entry((at / most, at % most))).collect::<Vec<f64>>()
     };
     // Waves leave the base station where they arrive in the simulation. Elevations count from the zenith.
-    let matrices: [(&str, &dyn Fn(&PropagationPath) -> f64); 8] = [
+    let matrices: [(&str, PathValue<'_>); 8] = [
         ("power", &|path| 20.0 * path.gain.norm().log10()),
         ("phase", &|path| path.baseband(wavelength).arg().to_degrees()),
         ("delay", &PropagationPath::delay),
