@@ -21,6 +21,8 @@ const LEAST_CASES: usize = 40;
 const FROM: usize = 48;
 /// Shares of the prediction of the model that are compared.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+/// Compared factors on the noise of the observations: what a good model leaves is mostly noise.
+const NOISES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
 /// Log-likelihood by which a smaller share must be better: differences below it are noise of the search.
 const CLEARLY: f64 = 0.5;
 /// Smoothness 3/2 and 1/2.
@@ -32,6 +34,8 @@ const EXAMPLES: usize = 64;
 const LEAST_LINKS: usize = 10;
 /// Number of links per prediction call.
 const CHUNK: usize = 64;
+/// Log-likelihood, share, variance and correlation.
+type Fit = (f64, f64, f64, Correlation);
 
 /// Kriging of residuals: after training, a Gaussian process over the transmitter position predicts the difference between
 /// measurements and predictions, per receiver. The model file contains it.
@@ -42,7 +46,8 @@ const CHUNK: usize = 64;
 /// The share b and the variance maximise the likelihood of links that the model did not train on: its validation set, so
 /// the split needs one. An experiment with `join: true` gives all models the same validation set. With `folds`, it divides
 /// all known links into as many folds as there are models, and each model leaves one fold out. The correlation (Matern 1/2
-/// or 3/2, one length scale per axis for spectra and channels) is that of the observations.
+/// or 3/2, one length scale per axis for spectra and channels) is that of the observations. Its noise is multiplied by 1 to
+/// 256, by the same likelihood: residuals of a good model are mostly noise.
 ///
 /// Data need transmitter positions. A receiver without known links keeps the prediction of the model. All receivers share b
 /// and the correlation.
@@ -95,6 +100,10 @@ impl Kriged {
     pub fn check_data(&self, data: &Dataset, is_left_out: bool) -> Result<()> {
         if !data.placed || data.features.is_some() {
             let what = "has no transmitter positions, which Kriging of residuals needs; remove `residuals`";
+            return Err(Error::Config(format!("{} {what}", data.title)));
+        }
+        if data.orientations.is_some() {
+            let what = "has a moving receiver, and its residuals depend on the orientation; remove `residuals`";
             return Err(Error::Config(format!("{} {what}", data.title)));
         }
         if is_left_out {
@@ -198,10 +207,8 @@ impl Residuals {
             let left = |(y, f): (&Real, &Real)| y - process.fit.trend.at(*f, at);
             let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(left).collect();
             if left.iter().any(|v| !v.is_finite()) {
-                return Err(Error::Config(format!(
-                    "the prediction at {:?} is not finite; leave this link out",
-                    query.tx
-                )));
+                let what = format!("the prediction at {:?} is not finite; leave this link out", query.tx);
+                return Err(Error::Config(what));
             }
             places[query.receiver].push(at);
             values[query.receiver].extend(self.grid.sampled(&left));
@@ -272,16 +279,8 @@ impl<'a> Samples<'a> {
         let mut mean = vec![0.0; observed.len()];
         predicted.iter().for_each(|own| mean.iter_mut().zip(own).for_each(|(sum, v)| *sum += v));
         mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
-        Ok(Self {
-            known,
-            receivers,
-            places,
-            of_each: grid.len(),
-            is_exact: grid.stride == 1,
-            observed,
-            predicted,
-            mean,
-        })
+        let (of_each, is_exact) = (grid.len(), grid.stride == 1);
+        Ok(Self { known, receivers, places, of_each, is_exact, observed, predicted, mean })
     }
 
     /// Predictions of all links by the members that `left_out` a link: the mean of all, or one.
@@ -358,7 +357,8 @@ impl<'a> Samples<'a> {
     /// Share, variance and correlation for the known links of each receiver, for observations in units of their scales;
     /// `None` if no link was left out. All receivers share them, since one receiver may have few links.
     ///
-    /// The correlation is that of the observations: of residuals of left-out links, there are too few.
+    /// Kind and length scales of the correlation are those of the observations: of residuals of left-out links, there are
+    /// too few.
     fn most_likely(&self, of_each: &[Vec<usize>]) -> Option<(f64, f64, Correlation)> {
         let cases_of = |is_observed| of_each.iter().flat_map(|own| self.cases(own, is_observed)).collect::<Vec<_>>();
         let cases = cases_of(false);
@@ -380,13 +380,17 @@ impl<'a> Samples<'a> {
                 self.residual(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
             };
             let held_out = self.held_out(&cases, &scales, values);
-            (held_out.log_likelihood(&correlation), share, held_out.variance(&correlation) / self.of_each as f64)
+            let of_noise = |factor: f64| {
+                let noisy = Correlation { noise: factor * correlation.noise, ..correlation };
+                (held_out.log_likelihood(&noisy), share, held_out.variance(&noisy) / self.of_each as f64, noisy)
+            };
+            NOISES.map(of_noise).into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best })
         };
         // Links of one transmitter are not independent: all of its receivers count as one case.
         let least_gain = of_each.len() as f64 * CLEARLY;
-        let choose =
-            |best: (f64, f64, f64), next: (f64, f64, f64)| if next.0 > best.0 + least_gain { next } else { best };
-        SHARES.map(fit).into_iter().reduce(choose).map(|(_, share, variance)| (share, variance, correlation))
+        let choose = |best: Fit, next: Fit| if next.0 > best.0 + least_gain { next } else { best };
+        let best = SHARES.into_iter().filter_map(fit).reduce(choose);
+        best.map(|(_, share, variance, correlation)| (share, variance, correlation))
     }
 
     /// Process of the known links `own` of a receiver, with this share, variance in units of the scale, and correlation.
