@@ -128,16 +128,23 @@ fn every_pipeline_runs_some_steps() {
 
 #[test]
 fn joined_sweeps_score_mean_of_their_models() {
-    let set = [
-        "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
-        "split=Random()",
-        "baselines=[MeanSpectrum()]",
-    ];
+    let powers = format!(
+        "data=Simulated(scene: {:?}, samples: 30, points: 100, observe: Power())",
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/office-links.ron")
+    );
     let mut joined = 0;
     for path in files("experiments") {
-        if SweepPlan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}")).joined.is_none() {
+        let plan = SweepPlan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}"));
+        if plan.joined.is_none() {
             continue;
         }
+        let (data, names) = if plan.runs[0].pipeline.data.task() == Some(Task::Power) {
+            (&*powers, ["seed-0", "seed-1", "seed-2", "seed-3"])
+        } else {
+            let spectra = "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)";
+            (spectra, ["blended-0", "blended-1", "waves-0", "waves-1"])
+        };
+        let set = [data, "split=Random()", "baselines=[MeanSpectrum()]"];
         joined += 1;
         let folder = tempfile::tempdir().unwrap();
         let mut plan =
@@ -151,9 +158,9 @@ fn joined_sweeps_score_mean_of_their_models() {
             .unwrap_or_else(|e| panic!("{e}"));
         assert!(matches!(end.joined, Some(RunOutcome::Finished { already: false, .. })), "{end:?}");
         let model = pwrfgs::model::file::read_ensemble(&folder.path().join(JOINED).join("model.safetensors")).unwrap();
-        assert_eq!(model.names(), ["blended-0", "blended-1", "waves-0", "waves-1"]);
+        assert_eq!(model.names(), names);
         let scores = std::fs::read_to_string(folder.path().join(JOINED).join("scores.csv")).unwrap();
-        assert!(scores.contains("mean spectrum") && scores.contains("member waves-1"));
+        assert!(scores.contains("mean ") && scores.contains(&format!("member {}", names[3])));
     }
     assert!(joined > 0);
 }

@@ -159,6 +159,9 @@ pub(crate) fn predict_baseline<'py>(
     if data.features.is_some() {
         return Err(wrong(py, "these data use link features, but baselines here need positions"));
     }
+    if data.orientations.is_some() {
+        return Err(wrong(py, "the receiver of these data moves; score baselines with pwrfgs.evaluate or a pipeline"));
+    }
     if receiver >= data.scene.receivers.len() {
         let count = data.scene.receivers.len();
         return Err(wrong(py, &format!("invalid receiver index {receiver} (expected 0 to below {count})")));

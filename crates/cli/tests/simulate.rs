@@ -52,7 +52,11 @@ fn exported_scene_is_simulated_with_given_carrier_and_receiver() {
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();
     let made = call(folder, &["export-scene", "closet.ron", "--out", "closet"]);
-    assert!(stderr(&made).contains("3 meshes in closet; open scene.xml with sionna.rt"), "{}", stderr(&made));
+    assert!(
+        stderr(&made).contains("3 meshes in closet; read scene.xml with `simulate --carrier-hz 2.4e9` or sionna.rt"),
+        "{}",
+        stderr(&made)
+    );
     let more = ["--carrier-hz", "2.4e9", "--receiver", "0.2,1,1.5"];
     let simulate = ["simulate", "closet/scene.xml", "--samples", "5", "--points", "9", "--out", "again"];
     let made = call(folder, &[&simulate[..], &more].concat());
@@ -65,6 +69,74 @@ fn exported_scene_is_simulated_with_given_carrier_and_receiver() {
     let expected = "scene.xml:4:9: mesh `meshes/walls.ply` is missing";
     assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
     assert!(!folder.join("third").exists());
+}
+
+#[test]
+fn model_of_moving_receiver_predicts_at_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let moving = SCENE.replace("transmitter:", "moving_receiver: (turn_deg: 60),\n    transmitter:");
+    fs::write(folder.join("moving.ron"), moving).unwrap();
+    fs::write(folder.join("closet.ron"), SCENE).unwrap();
+    let refuse = |arguments: &[&str], expected: &str| {
+        let refused = call(folder, arguments);
+        assert_eq!(refused.status.code(), Some(2), "{arguments:?}");
+        assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
+    };
+    let run = |arguments: &[&str]| {
+        let made = call(folder, arguments);
+        assert!(made.status.success(), "{arguments:?}: {}", stderr(&made));
+    };
+    let simulate = |scene: &'static str, out: &'static str| {
+        vec!["simulate", scene, "--samples", "20", "--points", "50", "--npy", "--no-paths", "--out", out]
+    };
+    refuse(&["simulate", "moving.ron", "--out", "walk"], "add --npy --no-paths");
+    run(&simulate("moving.ron", "walk"));
+    run(&simulate("closet.ron", "fixed"));
+    let pipeline = r#"Pipeline(name: "walk", data: Arrays(root: "walk"), split: Random(test: 0.2, validation: 0.0),
+        initializer: Random(count: 20, std: 2.0), deformation: Fixed(), pruners: [],
+        training: (steps: 4, batch: 2, densify_until: 0, prune_until: 0), baselines: [NearestNeighbours(k: 1)],
+        metrics: [Ssim()])"#;
+    fs::write(folder.join("walk.ron"), pipeline).unwrap();
+    fs::write(folder.join("fixed.ron"), pipeline.replace("\"walk\"", "\"fixed\"")).unwrap();
+    run(&["run", "walk.ron", "-q"]);
+    let model = "runs/walk/model.safetensors";
+    let predict = |more: &[&'static str], out: &'static str| [&["predict", model], more, &["--out", out]].concat();
+    run(&predict(&["--tx", "1,1,1,0,0,0.6,0.8"], "one"));
+    run(&predict(&["--tx-csv", "walk/rx_pose.csv", "--stacked"], "all"));
+    let rows = fs::read_to_string(folder.join("one/predictions.csv")).unwrap();
+    assert!(rows.starts_with("row,x,y,z,qx,qy,qz,qw,azimuth_deg") && rows.contains("\n1,1,1,1,0,0,0.6,0.8,"), "{rows}");
+    refuse(&predict(&["--tx", "1,1,1,0,0,0.6,0.9"], "two"), "the quaternion has length");
+    refuse(&predict(&["--tx-csv", "fixed/tx_pos.csv"], "two"), "tx_pos.csv:1:1: no column `qx`");
+    refuse(&["evaluate", model, "--set", "data.root=fixed"], "moves, and that of the other is fixed");
+    refuse(&["compare", "walk"], "add --methods waves,P-WRFGS");
+    refuse(&["run", "walk.ron", "--set", "method=Nerf2()", "--out", "nerf"], "Nerf2");
+}
+
+#[test]
+fn scenario_of_deepmimo_has_base_stations_and_users() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let more =
+        "more_receivers: [(name: \"b\", position: (2.8, 1, 2), orientation: Facing(direction: (-1, 0, 0)))],\n    ";
+    fs::write(folder.join("closet.ron"), SCENE.replace("transmitter:", &format!("{more}transmitter:"))).unwrap();
+    let simulate = ["simulate", "closet.ron", "--samples", "7", "--layout", "deepmimo", "--out", "closet"];
+    let made = call(folder, &simulate);
+    let expected = "7 simulated users of closet at 2 receivers in closet";
+    assert!(made.status.success() && stderr(&made).contains(expected), "{}", stderr(&made));
+    assert!(stderr(&made).contains("from_deepmimo(\"closet\", pair=(0, 0, 1))"), "{}", stderr(&made));
+    let text = fs::read_to_string(folder.join("closet/params.json")).unwrap();
+    let params: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(params["txrx_sets"]["txrx_set_0"]["num_points"], 2);
+    assert_eq!(params["txrx_sets"]["txrx_set_1"]["num_active_points"], 7);
+    for name in ["power", "inter_pos", "rx_pos", "tx_pos"] {
+        for station in ["tx000", "tx001"] {
+            assert!(folder.join(format!("closet/{name}_t000_{station}_r001.npz")).is_file());
+        }
+    }
+    let refused = call(folder, &[&simulate[..], &["--no-paths"]].concat());
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("--no-paths: the layout deepmimo consists of paths"), "{}", stderr(&refused));
 }
 
 #[test]

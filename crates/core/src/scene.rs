@@ -109,6 +109,17 @@ impl Query<'static> {
     }
 }
 
+impl Query<'_> {
+    /// Returns the position, followed by the x and z axes of a moving receiver, each 1 m long.
+    pub fn coordinates(&self) -> Vec<f64> {
+        let axes = self.orientation.map(|orientation| {
+            let pose = Pose { orientation, ..Pose::IDENTITY };
+            [pose.turned([1.0, 0.0, 0.0]), pose.turned([0.0, 0.0, 1.0])].concat()
+        });
+        [self.tx.to_vec(), axes.unwrap_or_default()].concat()
+    }
+}
+
 /// Feature vector per link that replaces the transmitter position, such as an uplink channel, `[L, width]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {

@@ -157,6 +157,9 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     if model.task() != task {
         return refuse(format!("the model predicts {}, but the data are {}", model.task().plural, task.plural));
     }
+    if model.moves() != data.orientations.is_some() {
+        return refuse("the receiver of the model or of the data moves, and that of the other is fixed".into());
+    }
     let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
     if drawn != have {
         let size = |size| task.size_text(size).unwrap_or_default();

@@ -214,6 +214,9 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
 
 /// Rejects several receivers if the network reads the receiver position.
 pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
+    if setup.moves && setup.plane.angles.is_none() {
+        return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
+    }
     if setup.moves && deformation.traits().reads_receiver {
         return Err(
             "the deformation depends on the receiver position, but the receiver moves; use Factored() or Mlp()".into(),

@@ -69,6 +69,11 @@ impl<'a> Prepared<'a> {
         &self.members[0].model.stages.setup.receivers
     }
 
+    /// Returns whether the receiver moves, so that queries have orientations.
+    pub fn moves(&self) -> bool {
+        self.members[0].model.stages.setup.moves
+    }
+
     /// Returns the subcarrier frequencies, Hz; empty if the observations are not channels.
     pub fn frequencies(&self) -> &'a [f64] {
         &self.members[0].model.stages.setup.frequencies_hz

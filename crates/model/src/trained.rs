@@ -50,7 +50,10 @@ impl Initializer for Trained {
         let model = file::read(&self.model)?;
         let (own, expected) = (model.stages.method.get(), input.method);
         let text = |method: &dyn pwrfgs_core::Method| serde_json::to_string(method).unwrap_or_default();
-        if text(own) != text(expected) || model.stages.setup.receivers != input.data.scene.receivers {
+        if text(own) != text(expected)
+            || model.stages.setup.receivers != input.data.scene.receivers
+            || model.stages.setup.moves != input.data.orientations.is_some()
+        {
             let what = "its method or its receivers are others than those of the pipeline; copy projector, rasterizer, \
                         deformation, calibration and readout from the run that made it";
             return Err(Error::input(&self.model, what));

@@ -228,7 +228,7 @@ impl ViewPane {
         let places = |setup: &MeasurementSetup| -> Vec<_> {
             setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose)).collect()
         };
-        if a.task != b.task
+        if (a.task, a.moves) != (b.task, b.moves)
             || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
             || places(a) != places(b)
         {

@@ -49,13 +49,19 @@ type Places = (Vec<[f64; 3]>, Vec<[f64; 4]>, bool);
 /// one.
 pub(super) fn poses(tx: &Bound<'_, PyAny>, moves: bool) -> PyResult<Places> {
     let one = axes(tx)? == 1;
-    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
-    if let (true, Ok(values)) = (moves, numbers::<f64>("tx", tx, shape)) {
-        let split = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| ([x, y, z], [qx, qy, qz, qw]);
-        let (positions, orientations) = values.as_chunks().0.iter().map(split).unzip();
-        return Ok((positions, orientations, one));
+    let last: Option<usize> = tx.getattr("shape").and_then(|shape| shape.get_item(-1)?.extract()).ok();
+    if !moves || last != Some(7) {
+        return Ok((if one { vec![place("tx", tx)?] } else { places("tx", tx)? }, Vec::new(), one));
     }
-    Ok((if one { vec![place("tx", tx)?] } else { places("tx", tx)? }, Vec::new(), one))
+    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
+    let values = numbers::<f64>("tx", tx, shape)?;
+    let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
+    let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
+    if let Some((i, (_, fault))) = poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
+        return Err(wrong(tx.py(), &format!("tx[{i}]: {fault}")));
+    }
+    let (positions, orientations) = poses.into_iter().map(|pose| (pose.position, pose.orientation)).unzip();
+    Ok((positions, orientations, one))
 }
 
 /// Finds a receiver by name or index.

@@ -106,6 +106,10 @@ fn plan(arguments: &Compare, survey: &DataSurvey) -> Result<SweepPlan> {
         let why = format!("--methods {name}: no such method for these data{near} (methods: {})", known.join(", "));
         return Err(Error::Config(why));
     }
+    if data.orientations.is_some() && arguments.methods.is_empty() {
+        let why = "the receiver of these data moves, which not all methods support; add --methods waves,P-WRFGS";
+        return Err(Error::Config(why.into()));
+    }
     plan.runs.retain(|run| arguments.methods.is_empty() || arguments.methods.contains(&run.labels[0].1));
     for PlannedRun { pipeline, .. } in &mut plan.runs {
         let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));

@@ -71,7 +71,8 @@ pub(crate) struct Predict {
 
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
-    let places = places(arguments, ensemble.members()[0].stages.setup.moves)?;
+    let setup = &ensemble.members()[0].stages.setup;
+    let places = places(arguments, setup.moves.then(|| setup.pose().orientation))?;
     let txs: Vec<[f64; 3]> = places.iter().map(|place| place.tx).collect();
     check_positions(&ensemble)?;
     let distances = ensemble.training_distances(&txs);
@@ -118,19 +119,19 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Positions to predict at, with orientations of a receiver that `moves`, if they are given.
-fn places(arguments: &Predict, moves: bool) -> Result<Vec<Query<'static>>> {
+/// Positions to predict at, with orientations of a moving receiver: `level` if none is given.
+fn places(arguments: &Predict, level: Option<[f64; 4]>) -> Result<Vec<Query<'static>>> {
     let at = |pose: Pose| Query { orientation: Some(pose.orientation), ..Query::at(pose.position, 0) };
     match (&arguments.tx, &arguments.tx_csv) {
-        (Some(text), _) => match numbers::<7>(text).filter(|_| moves) {
+        (Some(text), _) => match numbers::<7>(text).filter(|_| level.is_some()) {
             Some([x, y, z, orientation @ ..]) => {
                 let pose = Pose { position: [x, y, z], orientation };
                 let wrong = |(_, fault)| Err(Error::Config(format!("--tx {text}: {fault}")));
                 pose.fault().map_or(Ok(vec![at(pose)]), wrong)
             }
-            None => Ok(vec![position("--tx", text)?.into()]),
+            None => Ok(vec![Query { orientation: level, ..position("--tx", text)?.into() }]),
         },
-        (_, Some(path)) if moves => Ok(read_poses(path)?.into_iter().map(at).collect()),
+        (_, Some(path)) if level.is_some() => Ok(read_poses(path)?.into_iter().map(at).collect()),
         (_, Some(path)) => Ok(read_transmitters(path)?.into_iter().map(Query::from).collect()),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     }

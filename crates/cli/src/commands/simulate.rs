@@ -23,7 +23,7 @@ LAYOUTS
             half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
   deepmimo  DeepMIMO v4: params.json and matrices of the 25 strongest paths of each user; receivers
             become base stations, transmitters become users
-All but deepmimo have tx_pos.csv, paths.csv, points.ply (surface points with normals), manifest.json (parameters)
+All but deepmimo have tx_pos.csv (rx_pose.csv if the receiver moves), paths.csv, points.ply (surface points with normals), manifest.json (parameters)
 and index files (every fifth transmitter is for test). Several receivers get a folder each, except
 for rssi and deepmimo. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
 A Mitsuba XML file of Sionna RT is a scene too: carrier 3.5 GHz and antennas 1.5 m above its lowest
@@ -195,8 +195,10 @@ fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout
     let at = if receivers == 1 { String::new() } else { format!(" at {receivers} receivers") };
     let how = match layout {
         OutputLayout::DeepMimo => {
-            let text = format!("{count} simulated users of {}{at} in {out} after {seconds:.1} s", scene.name);
-            return format!("{text}; in Python: pwrfgs.convert.from_deepmimo(\"{out}\")");
+            let pair = if receivers == 1 { "" } else { ", pair=(0, 0, 1)" };
+            let (users, name) = (recipe.samples, &scene.name);
+            let text = format!("{users} simulated users of {name}{at} in {out} after {seconds:.1} s");
+            return format!("{text}; in Python: pwrfgs.convert.from_deepmimo(\"{out}\"{pair})");
         }
         OutputLayout::Pictures | OutputLayout::Array => {
             let points = root.join(folder::POINTS);

@@ -137,7 +137,7 @@ fn reports_invalid_input() {
     };
     let cases = [
         (pictures(&[4, 6], 24), "DIR/s/spectra.npy: has shape [4, 6]; spectra are [M, H, W]"),
-        (pictures(&[3, 2, 3], 18), "DIR/s/spectra.npy: holds 3 spectra, but tx.npy 4 transmitters"),
+        (pictures(&[3, 2, 3], 18), "DIR/s/spectra.npy: holds 3 spectra, but tx.npy 4 positions"),
         (
             pictures(&[4, 2, 3], 23),
             "DIR/s/spectra.npy: 4 spectra of 3 x 2 pixels do not fit its 151 bytes; the file is truncated",

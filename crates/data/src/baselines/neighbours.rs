@@ -3,7 +3,7 @@
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Result, Task, evenly, ssim,
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task, evenly, ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -194,11 +194,7 @@ fn place(query: Query<'_>) -> Vec<f64> {
     if !query.features.is_empty() {
         return query.features.iter().map(|v| *v as f64).collect();
     }
-    let axes = query.orientation.map(|orientation| {
-        let pose = Pose { orientation, ..Pose::IDENTITY };
-        [pose.turned([1.0, 0.0, 0.0]), pose.turned([0.0, 0.0, 1.0])].concat()
-    });
-    [query.tx.to_vec(), axes.unwrap_or_default()].concat()
+    query.coordinates()
 }
 
 /// Similarity of prediction and observation; higher is better.

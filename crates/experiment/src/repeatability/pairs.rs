@@ -42,15 +42,19 @@ impl PairLag {
 pub(super) struct SamplePair {
     pub(super) earlier: usize,
     pub(super) later: usize,
-    /// Distance between the transmitters, metres.
+    /// Distance between the transmitters, metres; between the poses of a moving receiver as in `NearestNeighbours`.
     pub(super) distance: f64,
 }
 
 impl SamplePair {
     fn of(data: &Dataset, a: usize, b: usize) -> Self {
         let (earlier, later) = (a.min(b), a.max(b));
-        let [p, q] = [earlier, later].map(|i| data.sample(i).tx);
-        let distance = neighbours::distance(p, q);
+        let place = |i: usize| match &data.orientations {
+            Some(_) => data.query(i).coordinates(),
+            None => data.sample(i).tx.to_vec(),
+        };
+        let squares = place(earlier).into_iter().zip(place(later)).map(|(p, q)| (p - q).powi(2));
+        let distance = squares.sum::<f64>().sqrt();
         // Rounded to a nanometre, so that positions in whole millimetres have whole distances.
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
     }

@@ -69,6 +69,9 @@ impl ResidualsNote {
         if !setup.task.has_pixels && stride != 1 {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
         }
+        if setup.moves {
+            return Err("residuals of a moving receiver, which are not supported".into());
+        }
         if receivers.len() != setup.receivers.len() {
             let (have, need) = (receivers.len(), setup.receivers.len());
             return Err(format!("residuals of {have} receivers for a model of {need}"));

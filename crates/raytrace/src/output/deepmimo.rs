@@ -42,8 +42,10 @@ pub(super) fn write(
                 return Err(Error::Stopped);
             }
             let mut paths = station.trace(*user);
+            paths.retain(|path| path.gain.norm_sqr() > 0.0); // from behind a patch antenna
             paths.sort_by(|a, b| b.gain.norm_sqr().total_cmp(&a.gain.norm_sqr()));
             paths.truncate(MOST_PATHS);
+            paths.shrink_to_fit();
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, stations.len() * users.len());
             Ok(paths)
         };

@@ -167,8 +167,10 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
     let (predictor, receiver, task) = (predictor(side)?, receiver(side, parameters)?, side.setup.task);
     let known = side.known.as_deref();
     let by_position = predictor.by_position();
+    let turns = known.is_some_and(|known| known.data.orientations.is_some()); // a sample has its own pose
     let query = match (parameters.tx, parameters.link, known) {
-        (Some(tx), _, _) if by_position => Query::at(tx, receiver),
+        (Some(tx), None, _) if by_position => Query::at(tx, receiver),
+        (Some(tx), _, _) if by_position && !turns => Query::at(tx, receiver),
         (_, Some(i), Some(known)) if i < known.data.len() => known.data.query(i),
         _ => return Err(wrong("no position; set tx=x,y,z, or link=k of the data")),
     };

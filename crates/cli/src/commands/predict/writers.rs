@@ -22,7 +22,7 @@ pub(super) struct PredictionRow<'a> {
     /// Number of the row, from 1.
     pub(super) number: usize,
     pub(super) tx: [f64; 3],
-    /// Orientation of a moving receiver, if given.
+    /// Orientation of a moving receiver.
     pub(super) orientation: Option<[f64; 4]>,
     pub(super) receiver: usize,
     /// Name of the receiver; none for spectra at a single receiver.
@@ -38,8 +38,9 @@ impl PredictionRow<'_> {
     /// First columns of the row.
     fn begin(&self) -> String {
         let ([x, y, z], number) = (self.tx, self.number);
-        self.name
-            .map_or_else(|| format!("{number},{x},{y},{z}"), |name| format!("{number},{x},{y},{z},{}", field(name)))
+        let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
+        let turn = self.orientation.map_or_else(String::new, |turn| turn.map(|v| format!(",{v}")).concat());
+        format!("{number},{x},{y},{z}{turn}{name}")
     }
 
     /// Last columns of the row.
@@ -96,6 +97,8 @@ pub(super) fn writer<'a>(
 struct Spectra<'a> {
     plane: &'a ImagePlane,
     has_names: bool,
+    /// Whether rows have orientations of a moving receiver.
+    has_turns: bool,
     has_interval: bool,
     stacks: Vec<Stack>,
 }
@@ -109,7 +112,7 @@ impl<'a> Spectra<'a> {
         let stack = |(name, _)| Stack::floats(folder, &format!("{name}.npy"), size);
         let stacks = names.into_iter().filter(|(_, is_written)| folder.stacked && *is_written).map(stack);
         let stacks = stacks.collect::<Result<_>>()?;
-        Ok(Self { plane, has_names: model.receivers().len() > 1, has_interval, stacks })
+        Ok(Self { plane, has_names: model.receivers().len() > 1, has_turns: model.moves(), has_interval, stacks })
     }
 }
 
@@ -117,7 +120,8 @@ impl Writer for Spectra<'_> {
     fn header(&self) -> String {
         let receiver = if self.has_names { "receiver," } else { "" };
         let bound = if self.has_interval { "ssim_bound," } else { "" };
-        format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
+        let turn = if self.has_turns { "qx,qy,qz,qw," } else { "" };
+        format!("row,x,y,z,{turn}{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
     }
 
     fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
