@@ -89,7 +89,9 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
     refused(OutputLayout::Array, false).unwrap();
     let written = pwrfgs_data::read_poses(&folder.path().join("out/rx_pose.csv")).unwrap();
     assert_eq!(written.len(), 6);
-    for (wrong, what) in [("(turn_deg: 181)", "give degrees from 0 to 180"), ("(turn_deg: 4, x: 1)", "Unexpected field named `x`")] {
+    for (wrong, what) in
+        [("(turn_deg: 181)", "give degrees from 0 to 180"), ("(turn_deg: 4, x: 1)", "Unexpected field named `x`")]
+    {
         let text = scene_text(&format!("moving_receiver: {wrong},"));
         let said = SceneFile::parse(&text, Path::new("wrong.ron")).unwrap_err().to_string();
         assert!(said.contains(what) && said.contains("wrong.ron:13"), "{said}");
