@@ -71,7 +71,8 @@ def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
 
 def test_a_model_of_a_moving_receiver_predicts_at_poses(moving, pipeline, tmp_path):
     moving.save(tmp_path / "walk")
-    same(pwrfgs.Dataset.load(tmp_path / "walk")[:12], moving[:12])
+    again = pwrfgs.Dataset.load(tmp_path / "walk")
+    assert all(np.array_equal(getattr(again, name), getattr(moving, name)) for name in ("tx", "orientations", "spectra"))
     trainer = pwrfgs.Trainer(pipeline, moving)
     trainer.step()
     model = trainer.model()
