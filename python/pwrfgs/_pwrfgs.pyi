@@ -58,6 +58,7 @@ class Dataset:
         csi: Optional[ArrayLike] = None,
         *,
         receivers: Optional[Union[Receiver, Iterable[Union[Receiver, ArrayLike]]]] = None,
+        orientations: Optional[ArrayLike] = None,
         frequencies_hz: Optional[ArrayLike] = None,
         points: Optional[ArrayLike] = None,
         elevation_deg: Optional[Sequence[float]] = None,
@@ -75,6 +76,8 @@ class Dataset:
     def simulated(self) -> bool: ...
     @property
     def tx(self) -> NDArray[np.float64]: ...
+    @property
+    def orientations(self) -> Optional[NDArray[np.float64]]: ...
     @property
     def ids(self) -> NDArray[np.uint32]: ...
     @property
