@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,6 +70,16 @@ def test_model_of_arrays_far_from_zero():
 def test_model_of_arrays_rejects_invalid_input(change, said):
     with pytest.raises(pwrfgs.InputError, match=said):
         pwrfgs.Model.from_arrays(**{**waves(), "pose": POSE, **SIZE, **change})
+
+
+def test_compressed_model_predicts_nearly_the_same(model, run, cli, tmp_path):
+    whole = Path(run.folder) / "model.safetensors"
+    for bits in ("8", "16"):
+        small = tmp_path / f"{bits}.safetensors"
+        subprocess.run([cli, "compress", whole, "--out", small, "--bits", bits], check=True)
+        assert small.stat().st_size < 0.8 * whole.stat().st_size
+        again, tx = pwrfgs.Model.load(small), run.pipeline.load_data().tx[:20]
+        assert np.abs(again.predict(tx) - model.predict(tx)).max() < 0.02
 
 
 def test_model_is_pickled_with_all_its_bits(model, run, tmp_path):
