@@ -129,6 +129,25 @@ fn memorised_links_do_not_lower_the_variance() {
     }
 }
 
+/// A model that varies with the transmitter as the observations do leaves white noise. With the noise of the observations,
+/// the process would add the noise of neighbours to its predictions.
+#[test]
+fn residuals_of_good_model_are_noisier_than_observations() {
+    let mut varying = model(0.0);
+    let text = "Splatting(deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), projector: Mercator(), \
+                rasterizer: AlphaBlending(), calibration: Physical, readout: Magnitude)";
+    varying.stages.method = Plugin::parse(text).unwrap();
+    let random = &mut rng::stream(7, "weights", 0);
+    varying.weights = (0..varying.stages.network_weights()).map(|_| 0.5 * rng::normal(random)).collect();
+    let base = Ensemble::of(varying);
+    let data = data(&base, |i, _| 0.02 * rng::normal(&mut rng::stream(8, "noise", i as u64)));
+    let found = fit(&Kriged { stride: 1, ..Kriged::default() }, &base, &data).unwrap();
+    let ProcessFit { trend, correlation, .. } = found.processes()[0].as_ref().unwrap().fit;
+    assert!(trend.share >= 0.75 && correlation.noise > 0.2, "{trend:?}, {correlation:?}");
+    let whole = base.clone().with_residuals(Some(found));
+    assert!(error(&whole, &data) < 1.1 * error(&base, &data), "{} {}", error(&whole, &data), error(&base, &data));
+}
+
 /// As above: intervals are calibrated on links that the model did not train on, and have the width of their errors.
 #[test]
 fn memorised_links_do_not_narrow_intervals() {
