@@ -1,7 +1,7 @@
 //! `DataSource`, `Split`, `Baseline`: data, their division into sets, and reference predictors.
 
 use crate::plugin::{Plugin, registered};
-use crate::{Dataset, Image, Query, Result, Task, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Query, Real, Result, Task, plugin_kind, rng::Rng};
 use std::path::Path;
 
 /// Progress callback (done, total) of a long operation, called from any thread and in any order.
@@ -153,6 +153,14 @@ pub trait Predict: Send + Sync {
     /// the predictor has no estimate.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
         let _ = query;
+        None
+    }
+
+    /// Returns the observation of a link, and the derivative of Σ d·observation by the position of the transmitter
+    /// (metres, world frame; for a moving receiver by the position of the receiver). `cotangent` returns d from the
+    /// observation, which is not clamped. `None` if the prediction has no derivative, as that of nearest neighbours.
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        let _ = (query, cotangent);
         None
     }
 
