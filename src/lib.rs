@@ -19,6 +19,7 @@ pub use pwrfgs_core as core;
 pub use pwrfgs_data as data;
 pub use pwrfgs_experiment as experiment;
 pub use pwrfgs_init as init;
+pub use pwrfgs_localise as localise;
 pub use pwrfgs_methods as methods;
 pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;

@@ -16,6 +16,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("prune", &["core"]),
     ("metrics", &["core"]),
     ("data", &["core"]),
+    ("localise", &["core"]),
     ("model", &["core"]),
     ("methods", &["core", "networks", "raster"]),
     ("raytrace", &["core", "data"]),

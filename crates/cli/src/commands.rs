@@ -10,6 +10,8 @@ mod export;
 mod import;
 mod init;
 #[cfg(feature = "report")]
+mod locate;
+#[cfg(feature = "report")]
 mod map;
 mod options;
 mod pipelines;
@@ -48,6 +50,9 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Draw radio maps over a plane, as images and arrays
     Map(map::Map),
+    #[cfg(feature = "report")]
+    /// Locate transmitters from their spectra, received powers or channels
+    Locate(locate::Locate),
     #[cfg(feature = "viewer")]
     /// Show predictions in a browser while you move the transmitter
     View(view::View),
@@ -104,6 +109,8 @@ impl Command {
             Self::Predict(predict) => predict::predict(predict, verbosity),
             #[cfg(feature = "report")]
             Self::Map(map) => map::map(map, verbosity),
+            #[cfg(feature = "report")]
+            Self::Locate(locate) => locate::locate(locate, verbosity),
             #[cfg(feature = "viewer")]
             Self::View(view) => view::view(view, verbosity),
             Self::Evaluate(evaluate) => evaluate::evaluate(evaluate, verbosity),

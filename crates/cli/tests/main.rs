@@ -17,6 +17,7 @@ mod inspect;
 mod kinds;
 mod links;
 mod lobes;
+mod locate;
 mod maps;
 mod model_format;
 mod my_pruner;

@@ -1,0 +1,317 @@
+//! `pwrfgs locate`: positions of transmitters from their observations.
+
+mod observations;
+
+use super::options::{check_positions, numbers, read_models};
+use crate::output::{self, Verbosity};
+use crate::progress::RunProgress;
+use clap::Args;
+use pwrfgs::experiment::folder::PIPELINE;
+use pwrfgs::experiment::text::{aligned, fixed, grouped};
+use pwrfgs::experiment::{Observer as _, load as load_data, read_pipeline};
+use pwrfgs::localise::{Located, Locator, NearestFingerprints, mean_and_median, transmitters};
+use pwrfgs::model::Prepared;
+use pwrfgs::report::draw::location::LocationMap;
+use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
+use rayon::prelude::*;
+use serde_json::json;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Shares of the model in the fingerprints, among which validation samples choose.
+const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
+/// Width of an image in print, millimetres.
+const WIDTH_MM: f64 = 120.0;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Compares an observation with the fingerprints of the training positions: what was measured there,
+blended with what the model predicts there. Validation samples choose the blend, the sharpness of
+the weights, whether to descend along the model, and the size of the 90 % regions; train with
+validation samples, such as split=Voxel(size: 0.3, validation: 0.1), to get regions.
+
+Without OBSERVATIONS, locates the test samples of the model's data and prints the errors beside
+those of nearest fingerprints, of fingerprints predicted by Kriging, and of the centre of the room.
+
+OBSERVATIONS
+  spectra   .png, or .npy [B, height, width]
+  powers    .csv with a column per receiver (dBm; empty: not known), or .npy [B, receivers] (NaN)
+  channels  .npy [B, antennas, subcarriers], complex
+FILES of --out
+  locations.csv  estimate, true position and error if known, misfit (1: that of a typical sample;
+                 far above 1: like no known position), area and number of parts of the region
+  regions.json   outlines of every region in metres; a region may have several parts
+  errors.png     estimates and true positions; 00001.png ..: density and region of single samples
+
+EXAMPLES
+  pwrfgs locate runs/ble/model.safetensors --out located
+  pwrfgs locate runs/ble/model.safetensors powers.csv --prior 10,30,10,40")]
+pub(crate) struct Locate {
+    /// Trained model (model.safetensors of a run, beside its pipeline.ron)
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// Observations of unknown transmitters [default: test samples of the data]
+    #[arg(value_name = "OBSERVATIONS")]
+    pub(crate) observations: Option<PathBuf>,
+    /// Only positions in this box, metres
+    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
+    pub(crate) prior: Option<String>,
+    /// Change a setting of the pipeline, such as data.root=data/ble; repeatable
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// Number of samples whose density is drawn
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub(crate) pictures: usize,
+    /// Output folder; must be new or empty [default: write no files]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// A located transmitter: its name, the result, and the true position if known.
+struct Row {
+    name: String,
+    located: Located,
+    truth: Option<[f64; 3]>,
+}
+
+pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
+    let prior = arguments.prior.as_deref().map(parse_prior).transpose()?;
+    let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
+    check_positions(&ensemble)?;
+    let path = arguments.model.parent().unwrap_or(Path::new("")).join(PIPELINE);
+    if !path.is_file() {
+        return Err(Error::input(
+            &arguments.model,
+            format!("no {PIPELINE} next to this model; localisation needs its data"),
+        ));
+    }
+    let pipeline = read_pipeline(&path, &arguments.set)?;
+    let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
+    let (data, partition) = RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
+    let model = ensemble.prepare();
+    check_setup(&arguments.model, &model, &data)?;
+    let locator = RunProgress::during(verbosity, |progress| {
+        progress.on_stage("fingerprints", 0, 0);
+        Locator::fit(&data, fitting(&partition), &model, &SHARES)
+    })?;
+    verbosity.note(&summary(&locator, &data, &partition));
+    let locator = match prior {
+        Some([x0, x1, y0, y1]) => locator.within(|[x, y, _]| (x0..=x1).contains(&x) && (y0..=y1).contains(&y))?,
+        None => locator,
+    };
+    let rows = match &arguments.observations {
+        Some(path) => {
+            let all = observations::read(path, locator.features(), &data.scene.receivers)?;
+            let located: Vec<Located> = all.par_iter().map(|own| locator.locate(own)).collect();
+            let row = |(k, located)| Row { name: format!("{:05}", k + 1), located, truth: None };
+            located.into_iter().enumerate().map(row).collect()
+        }
+        None => test_rows(&locator, &data, &partition, verbosity),
+    };
+    if let (Some(folder), Some(out)) = (folder, &arguments.out) {
+        write(folder.path(), &rows, &locator, &data, arguments.pictures)?;
+        folder.publish()?;
+        verbosity.note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
+    }
+    if arguments.observations.is_some() {
+        output::result(&positions(&rows))
+    } else {
+        scores(&rows, &locator, &data, &partition)
+    }
+}
+
+fn fitting(partition: &Partition) -> FittingSet<'_> {
+    FittingSet { train: &partition.train, validation: &partition.validation }
+}
+
+fn parse_prior(text: &str) -> Result<[f64; 4]> {
+    let is_box = |[x0, x1, y0, y1]: &[f64; 4]| x0 < x1 && y0 < y1 && text.len() < 200;
+    numbers(text).filter(is_box).ok_or_else(|| {
+        Error::Config(format!(
+            "--prior {text}: expected X0,X1,Y0,Y1 in metres with X0 < X1 and Y0 < Y1, such as 0,5,-2,2"
+        ))
+    })
+}
+
+/// Rejects data whose observations differ from those of the model.
+fn check_setup(path: &Path, model: &Prepared<'_>, data: &Dataset) -> Result<()> {
+    let plane = model.plane();
+    if model.task() == data.task()
+        && (plane.width, plane.height) == (data.width, data.height)
+        && model.receivers().len() == data.scene.receivers.len()
+    {
+        return Ok(());
+    }
+    let what = format!(
+        "predicts other observations than {} has; give the data it was trained on with --set data.root=..",
+        data.title
+    );
+    Err(Error::input(path, what))
+}
+
+/// What was chosen, in one line.
+fn summary(locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> String {
+    let choice = locator.choice;
+    let validation = transmitters(data, &partition.validation).len();
+    if validation == 0 {
+        return "warning: no validation samples, so nothing is chosen and there are no regions; train with validation samples, \
+                such as --set split.validation=0.1"
+            .into();
+    }
+    let descent = if choice.descends { "descent along the model" } else { "no descent" };
+    let region = if locator.rule.is_some() { "" } else { "; fewer than 9 validation samples: no regions" };
+    format!(
+        "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{region}",
+        grouped(locator.positions().len() as i64),
+        grouped(validation as i64),
+        fixed(f64::from(choice.share) * 100.0, 0),
+        choice.sharpness
+    )
+}
+
+/// Locates the test samples.
+fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
+    let test = transmitters(data, &partition.test);
+    let all = locator.observations(data, &test);
+    RunProgress::during(verbosity, |progress| {
+        let mut rows = Vec::with_capacity(test.len());
+        for (some, observations) in test.chunks(64).zip(all.chunks(64)) {
+            progress.on_stage("locating", rows.len(), test.len());
+            let located: Vec<Located> = observations.par_iter().map(|own| locator.locate(own)).collect();
+            rows.extend(some.iter().zip(located).map(|(t, located)| {
+                let transmitter = data.transmitters[*t];
+                Row { name: format!("{:05}", transmitter.id), located, truth: Some(transmitter.position) }
+            }));
+        }
+        rows
+    })
+}
+
+/// Prints errors of the model and of the baselines.
+fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> Result<()> {
+    let known = fitting(partition);
+    let test = transmitters(data, &partition.test);
+    let all = locator.observations(data, &test);
+    let truths: Vec<[f64; 3]> = test.iter().map(|t| data.transmitters[*t].position).collect();
+    let errors =
+        |places: Vec<[f64; 3]>| places.iter().zip(&truths).map(|(a, b)| distance(*a, *b)).collect::<Vec<f64>>();
+    let header = ["", "median (m)", "mean (m)", "90 % (m)", "regions hold", "area (m²)"];
+    let mut lines = vec![header.map(String::from).to_vec()];
+    let held = |rows: &[&Located]| {
+        let held = rows.iter().zip(&truths).filter(|(located, truth)| located.holds(**truth) == Some(true)).count();
+        let mut areas: Vec<f64> = rows.iter().filter_map(|own| own.region()).map(|region| region.area()).collect();
+        areas.sort_unstable_by(f64::total_cmp);
+        let median = areas.get(areas.len() / 2)?;
+        Some((held as f64 / rows.len().max(1) as f64, *median))
+    };
+    let own: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
+    lines.push(line("model", errors(own.iter().map(|located| located.position).collect()), held(&own)));
+    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(|e| Error::Config(e.to_string()))?;
+    if kriging.supports(data.task()) && kriging.check_data(data).is_ok() {
+        let predictor = kriging.fit(data, known)?;
+        let locator = Locator::fit(data, known, predictor.as_ref(), &[1.0])?;
+        let located: Vec<Located> = all.par_iter().map(|own| locator.locate(own)).collect();
+        let own: Vec<&Located> = located.iter().collect();
+        lines.push(line(
+            "fingerprints of Kriging",
+            errors(located.iter().map(|own| own.position).collect()),
+            held(&own),
+        ));
+    }
+    let nearest = NearestFingerprints::fit(data, known, locator.features(), locator.floor());
+    let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
+    lines.push(line(&name, errors(all.par_iter().map(|own| nearest.locate(own)).collect()), None));
+    let centre = {
+        let places = locator.positions();
+        [0, 1, 2].map(|k| places.iter().map(|p| p[k]).sum::<f64>() / places.len() as f64)
+    };
+    lines.push(line("centre of the positions", errors(vec![centre; truths.len()]), None));
+    let kind = if data.is_simulated() { "simulated" } else { "measured" };
+    let heading = format!("{} ({kind}): {} test positions\n", data.title, grouped(test.len() as i64));
+    output::result(&(heading + &aligned(&lines, 1)))
+}
+
+fn line(name: &str, errors: Vec<f64>, region: Option<(f64, f64)>) -> Vec<String> {
+    let mut sorted = errors.clone();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let worst = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(f64::NAN);
+    let [mean, median] = mean_and_median(errors);
+    let [held, area] =
+        region.map_or_else(Default::default, |(held, area)| [format!("{} %", fixed(100.0 * held, 1)), fixed(area, 4)]);
+    vec![name.into(), fixed(median, 4), fixed(mean, 4), fixed(worst, 4), held, area]
+}
+
+/// Table of estimated positions.
+fn positions(rows: &[Row]) -> String {
+    let mut lines =
+        vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
+    for Row { name, located, .. } in rows {
+        let region = located.region();
+        let [area, parts] = region
+            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.outlines().len().to_string()]);
+        let mut line = vec![name.clone()];
+        line.extend(located.position.map(|v| fixed(v, 3)));
+        line.extend([fixed(located.misfit, 2), area, parts]);
+        lines.push(line);
+    }
+    aligned(&lines, 1)
+}
+
+/// Writes list, outlines and pictures.
+fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
+    let put = |name: &str, bytes: &[u8]| {
+        let path = folder.join(name);
+        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+    };
+    let mut list = "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds\n".to_owned();
+    let mut regions = Vec::new();
+    let flat = |p: [f64; 3]| [p[0], p[1]];
+    let map = LocationMap {
+        training: locator.positions().iter().copied().map(flat).collect(),
+        receivers: data
+            .scene
+            .receivers
+            .iter()
+            .map(|receiver| flat(data.scene.origin.world_pose(receiver.pose).position))
+            .collect(),
+        ..LocationMap::default()
+    };
+    for (k, Row { name, located, truth }) in rows.iter().enumerate() {
+        let ([x, y, z], region) = (located.position, located.region());
+        let outlines = region.as_ref().map(|region| region.outlines()).unwrap_or_default();
+        let area = region.as_ref().map_or_else(String::new, |region| format!("{:.6}", region.area()));
+        _ = write!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{}", located.misfit, outlines.len());
+        _ = match truth {
+            Some(t) => writeln!(
+                list,
+                ",{},{},{},{:.4},{}",
+                t[0],
+                t[1],
+                t[2],
+                distance(located.position, *t),
+                located.holds(*t).map_or("", |held| if held { "yes" } else { "no" })
+            ),
+            None => writeln!(list, ",,,,,"),
+        };
+        regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
+        if let Some(region) = region.filter(|_| k < pictures) {
+            let one = LocationMap {
+                title: format!("{}: observation {name}", data.title),
+                grid: (region.first, region.step),
+                columns: region.columns,
+                density: &region.values,
+                outlines,
+                estimates: vec![(flat(located.position), truth.map(flat))],
+                ..map.clone()
+            };
+            put(&format!("{name}.png"), &one.draw().png(WIDTH_MM))?;
+        }
+    }
+    put("locations.csv", list.as_bytes())?;
+    put("regions.json", serde_json::to_string(&regions).unwrap_or_default().as_bytes())?;
+    let title = format!("{}: {} positions", data.title, grouped(rows.len() as i64));
+    let estimates = rows.iter().map(|row| (flat(row.located.position), row.truth.map(flat))).collect();
+    put("errors.png", &LocationMap { title, estimates, ..map }.draw().png(WIDTH_MM))
+}

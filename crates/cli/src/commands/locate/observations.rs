@@ -1,0 +1,183 @@
+//! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
+
+use pwrfgs::localise::Features;
+use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::npy::Header;
+use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, did_you_mean, files, rows_of};
+use std::io::Read as _;
+use std::path::Path;
+
+/// Largest array that is read, bytes.
+const MOST: u64 = 1 << 30;
+
+/// Features `[receivers, count]` of every transmitter in a file; NaN for unknown values.
+pub(super) fn read(path: &Path, features: &Features, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
+    let task = features.task();
+    match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
+        Some("npy") if task.is_scalar => powers(path, &real(path, &[receivers.len()])?, receivers.len()),
+        Some("npy") if task.is_complex => images(path, features, receivers, complex(path, features)?),
+        Some("npy") => {
+            let (width, height) = features.size();
+            images(path, features, receivers, real(path, &[height, width])?)
+        }
+        Some("csv") if task.is_scalar => table(path, receivers),
+        Some("png") if task.has_pixels => images(path, features, receivers, picture(path, features)?),
+        _ => {
+            let what = match (task.has_pixels, task.is_scalar) {
+                (true, _) => "a PNG image, or an array [B, height, width] (.npy)",
+                (_, true) => "a CSV table with a column per receiver, or an array [B, receivers] (.npy)",
+                _ => "an array [B, antennas, subcarriers] of complex numbers (.npy)",
+            };
+            Err(Error::input(path, format!("is no file of {}; give {what}", task.plural)))
+        }
+    }
+}
+
+/// Numbers of a real array `[B, ..inner]`.
+fn real(path: &Path, inner: &[usize]) -> Result<Vec<Real>> {
+    let (header, bytes) = open(path)?;
+    let Some(number) = header.number() else {
+        let what = format!("holds numbers of type `{}`; save real numbers, such as a.astype('<f4')", header.descr);
+        return Err(Error::input(path, what));
+    };
+    check_shape(path, &header, inner)?;
+    let mut values = Vec::with_capacity(bytes.len() / number.bytes());
+    number.each(&bytes, |v| values.push(v as Real));
+    let scale = match number {
+        Number::U8 => 1.0 / 255.0,
+        Number::U16 => 1.0 / 65_535.0,
+        _ => return Ok(values),
+    };
+    Ok(values.into_iter().map(|v| v * scale).collect())
+}
+
+/// Observations of a complex array `[B, A, F]`, as rows of real and imaginary parts.
+fn complex(path: &Path, features: &Features) -> Result<Vec<Real>> {
+    let (width, height) = features.size();
+    let (header, bytes) = open(path)?;
+    check_shape(path, &header, &[height / 2, width])?;
+    let mut parts: Vec<Real> = Vec::new();
+    match header.descr.as_str() {
+        "<c8" => Number::F32.each(&bytes, |v| parts.push(v as Real)),
+        "<c16" => Number::F64.each(&bytes, |v| parts.push(v as Real)),
+        other => {
+            let what = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
+            return Err(Error::input(path, what));
+        }
+    }
+    let gains = parts.as_chunks::<2>().0;
+    Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|one| rows_of(one, width)).collect())
+}
+
+/// Header and numbers of an array file.
+fn open(path: &Path) -> Result<(Header, Vec<u8>)> {
+    let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
+    let mut rest = bytes.as_slice();
+    let header = Header::read(path, &mut rest)?;
+    let mut numbers = Vec::new();
+    rest.read_to_end(&mut numbers).map_err(|e| Error::read(path, e))?;
+    Ok((header, numbers))
+}
+
+/// Rejects arrays of another shape than `[B, ..inner]`, and damaged ones.
+fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
+    let expected = inner.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    if header.shape.len() != inner.len() + 1 || header.shape[1..] != *inner || header.fortran {
+        let order = if header.fortran { " in Fortran order" } else { "" };
+        let what = format!("has shape {}{order}; the model observes [B, {expected}] in C order", header.shape_text());
+        return Err(Error::input(path, what));
+    }
+    if header.shape[0] == 0 {
+        return Err(Error::input(path, "holds no observation; give one row or more"));
+    }
+    Ok(())
+}
+
+fn picture(path: &Path, features: &Features) -> Result<Vec<Real>> {
+    let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
+    let image = image::load_from_memory(&bytes).map_err(|e| Error::input(path, format!("is no PNG image: {e}")))?;
+    let (width, height) = features.size();
+    if (image.width() as usize, image.height() as usize) != (width, height) {
+        let what = format!(
+            "has {} x {} pixels; the model observes {width} x {height} (width x height)",
+            image.width(),
+            image.height()
+        );
+        return Err(Error::input(path, what));
+    }
+    Ok(image.to_luma8().into_raw().iter().map(|v| Real::from(*v) / 255.0).collect())
+}
+
+/// Features of spectra or channels at one receiver.
+fn images(path: &Path, features: &Features, receivers: &[Receiver], values: Vec<Real>) -> Result<Vec<Vec<f32>>> {
+    if receivers.len() != 1 {
+        let what = format!(
+            "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
+            features.task().plural,
+            receivers.len()
+        );
+        return Err(Error::input(path, what));
+    }
+    let (width, height) = features.size();
+    let numbers = width * height;
+    if !values.len().is_multiple_of(numbers) || values.is_empty() {
+        return Err(Error::input(path, "is truncated or damaged; copy it again"));
+    }
+    if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+        let what = format!("observation {} has a value that is not finite; leave it out", at / numbers + 1);
+        return Err(Error::input(path, what));
+    }
+    let of = |pixels: &[Real]| features.of(&Image { width, height, pixels: pixels.to_vec() });
+    Ok(values.chunks_exact(numbers).map(of).collect())
+}
+
+/// Rows of powers; NaN for receivers that are not known.
+fn powers(path: &Path, values: &[Real], receivers: usize) -> Result<Vec<Vec<f32>>> {
+    if values.is_empty() || !values.len().is_multiple_of(receivers) {
+        return Err(Error::input(path, "is truncated or damaged; copy it again"));
+    }
+    let rows: Vec<Vec<f32>> =
+        values.chunks_exact(receivers).map(|row| row.iter().map(|v| *v as f32).collect()).collect();
+    for (k, row) in rows.iter().enumerate() {
+        if row.iter().all(|v| v.is_nan()) {
+            return Err(Error::input(path, format!("row {}: no receiver has a power; give at least one", k + 1)));
+        }
+        if let Some(v) = row.iter().find(|v| v.is_infinite()) {
+            let what = format!("row {}: {v}; give dBm, or leave the value out (NaN or an empty cell)", k + 1);
+            return Err(Error::input(path, what));
+        }
+    }
+    Ok(rows)
+}
+
+/// Powers of a table with a column per receiver; an empty cell is not known.
+fn table(path: &Path, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
+    let text = files::read_text(path)?;
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let names: Vec<&str> = lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
+    let known = || receivers.iter().map(|receiver| receiver.name.as_str());
+    let place = |name: &&str| {
+        known().position(|own| own == *name).ok_or_else(|| {
+            let near = did_you_mean(name, known());
+            let what = format!("column `{}`: no such receiver in the model{near}", strip_control(name));
+            Error::at(path, 1, 1, what)
+        })
+    };
+    let columns: Vec<usize> = names.iter().map(place).collect::<Result<_>>()?;
+    let mut values = Vec::new();
+    for (k, line) in lines {
+        let mut row = vec![Real::NAN; receivers.len()];
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        if cells.len() != columns.len() {
+            let what = format!("{} cells, the header has {}; leave unknown powers empty", cells.len(), columns.len());
+            return Err(Error::at(path, k + 1, 1, what));
+        }
+        for (cell, column) in cells.iter().zip(&columns).filter(|(cell, _)| !cell.is_empty()) {
+            row[*column] = cell.parse().map_err(|_| {
+                Error::at(path, k + 1, 1, format!("`{}` is no number; give dBm or leave it empty", strip_control(cell)))
+            })?;
+        }
+        values.extend(row);
+    }
+    powers(path, &values, receivers.len())
+}

@@ -1,0 +1,90 @@
+//! Descent to the least value of a function of a position, by quasi-Newton steps (BFGS).
+
+const STEPS: usize = 20;
+const HALVINGS: usize = 8;
+/// Relative decrease below which the descent ends.
+const END: f64 = 1e-4;
+/// Share of the expected decrease that a step must reach (Armijo).
+const ENOUGH: f64 = 1e-4;
+
+/// Returns the position of the least value that the descent from `start` finds, and this value. `scales` are the lengths
+/// along the axes over which the function is expected to change, metres; no step is longer. `function` returns value and
+/// gradient. `None` if it has no gradient.
+pub(crate) fn descend(
+    start: [f64; 3],
+    scales: [f64; 3],
+    function: impl Fn([f64; 3]) -> Option<(f64, [f64; 3])>,
+) -> Option<([f64; 3], f64)> {
+    let place = |u: [f64; 3]| std::array::from_fn(|k| start[k] + scales[k] * u[k]);
+    let scaled = |u: [f64; 3]| {
+        let (value, gradient) = function(place(u))?;
+        Some((value, [0, 1, 2].map(|k| gradient[k] * scales[k])))
+    };
+    let mut inverse = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let mut u = [0.0; 3];
+    let (mut value, mut gradient) = scaled(u)?;
+    for _ in 0..STEPS {
+        let mut direction = inverse.map(|row| -dot(row, gradient));
+        let mut slope = dot(direction, gradient);
+        if !(slope < 0.0) {
+            (direction, slope) = (gradient.map(|g| -g), -dot(gradient, gradient));
+        }
+        let mut share = 1.0 / dot(direction, direction).sqrt().max(1.0);
+        let mut found = None;
+        for _ in 0..HALVINGS {
+            let next = [0, 1, 2].map(|k| u[k] + share * direction[k]);
+            let (new, own) = scaled(next)?;
+            if new <= value + ENOUGH * share * slope {
+                found = Some((next, new, own));
+                break;
+            }
+            share *= 0.5;
+        }
+        let Some((next, new, own)) = found else { break };
+        let (moved, turned) = ([0, 1, 2].map(|k| next[k] - u[k]), [0, 1, 2].map(|k| own[k] - gradient[k]));
+        inverse = updated(inverse, moved, turned);
+        let decrease = value - new;
+        (u, value, gradient) = (next, new, own);
+        if decrease < END * value.abs() {
+            break;
+        }
+    }
+    Some((place(u), value))
+}
+
+/// Returns the inverse of the Hessian after a step `moved` that changed the gradient by `turned`.
+fn updated(inverse: [[f64; 3]; 3], moved: [f64; 3], turned: [f64; 3]) -> [[f64; 3]; 3] {
+    let curvature = dot(moved, turned);
+    if !(curvature > 1e-12) {
+        return inverse;
+    }
+    let product = inverse.map(|row| dot(row, turned));
+    let outer = (1.0 + dot(turned, product) / curvature) / curvature;
+    std::array::from_fn(|i| {
+        std::array::from_fn(|j| {
+            inverse[i][j] + outer * moved[i] * moved[j] - (product[i] * moved[j] + moved[i] * product[j]) / curvature
+        })
+    })
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn descent_finds_the_least_value_of_a_skew_bowl() {
+        let least = [0.3, -0.2, 1.1];
+        let bowl = |x: [f64; 3]| {
+            let d = [0, 1, 2].map(|k| x[k] - least[k]);
+            let g = [8.0 * d[0] + d[1], d[0] + 2.0 * d[1], 0.5 * d[2]];
+            Some((0.5 * dot(d, g), g))
+        };
+        let (found, value) = descend([0.0; 3], [0.5; 3], bowl).unwrap();
+        assert!((0..3).all(|k| (found[k] - least[k]).abs() < 1e-2) && value < 1e-3, "{found:?}: {value}");
+        assert!(descend([0.0; 3], [1.0; 3], |_| None).is_none());
+    }
+}

@@ -1,0 +1,143 @@
+//! `Fingerprints`: features of the observations at known positions.
+
+use crate::Features;
+use pwrfgs_core::{Dataset, Link, Predict};
+use rayon::prelude::*;
+
+/// Features at K positions, structure of arrays. NaN stands for a value that is not known.
+#[derive(Clone, Debug, Default)]
+pub struct Fingerprints {
+    /// Positions `[K]`, metres.
+    pub positions: Vec<[f64; 3]>,
+    /// Features `[K, D]`: those of all receivers, one after another.
+    values: Vec<f32>,
+    /// Number of features D.
+    width: usize,
+}
+
+/// Features of all receivers for one transmitter, of which some are known.
+struct Row<'a> {
+    data: &'a Dataset,
+    features: &'a Features,
+    /// Value of a receiver without a link.
+    unheard: f32,
+}
+
+impl Row<'_> {
+    /// Returns the features of transmitter `t`; `of` returns those of a link.
+    fn of(&self, t: usize, of: impl Fn(usize) -> Vec<f32>) -> Vec<f32> {
+        let count = self.features.count();
+        let mut row = vec![self.unheard; count * self.data.scene.receivers.len()];
+        for link in self.data.links_of(&[t]) {
+            let Link { receiver, .. } = self.data.links[link];
+            row[receiver * count..][..count].copy_from_slice(&of(link));
+        }
+        row
+    }
+}
+
+impl Fingerprints {
+    /// Returns the measured fingerprints of `transmitters`. Powers of receivers without a link are `floor`: the transmitter
+    /// was not heard.
+    pub fn measured(features: &Features, data: &Dataset, transmitters: &[usize], floor: f32) -> Self {
+        Self::new(features, data, transmitters, floor, |link| features.of(&data.image(link)))
+    }
+
+    /// Returns the predicted fingerprints of `transmitters`, for the same links as [`Self::measured`].
+    pub fn predicted(
+        features: &Features,
+        data: &Dataset,
+        transmitters: &[usize],
+        floor: f32,
+        model: &dyn Predict,
+    ) -> Self {
+        Self::new(features, data, transmitters, floor, |link| features.of(&model.predict(data.query(link))))
+    }
+
+    fn new(
+        features: &Features,
+        data: &Dataset,
+        transmitters: &[usize],
+        floor: f32,
+        of: impl Fn(usize) -> Vec<f32> + Sync,
+    ) -> Self {
+        let unheard = if features.task().is_scalar { floor } else { f32::NAN };
+        let row = Row { data, features, unheard };
+        let rows: Vec<Vec<f32>> = transmitters.par_iter().map(|&t| row.of(t, &of)).collect();
+        let positions = transmitters.iter().map(|&t| data.transmitters[t].position).collect();
+        Self { positions, values: rows.concat(), width: features.count() * data.scene.receivers.len() }
+    }
+
+    /// Returns the number of positions K.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Returns whether there are no positions.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Returns the features of position `k`.
+    pub fn row(&self, k: usize) -> &[f32] {
+        &self.values[k * self.width..][..self.width]
+    }
+
+    /// Returns a mixture with a `share` of `other`, which has the same positions.
+    #[must_use]
+    pub fn blended(&self, other: &Self, share: f32) -> Self {
+        let values = self.values.iter().zip(&other.values).map(|(own, other)| own + share * (other - own)).collect();
+        Self { positions: self.positions.clone(), values, width: self.width }
+    }
+
+    /// Returns the fingerprints whose positions satisfy `is_kept`.
+    #[must_use]
+    pub fn filtered(&self, is_kept: impl Fn([f64; 3]) -> bool) -> Self {
+        let kept: Vec<usize> = (0..self.len()).filter(|k| is_kept(self.positions[*k])).collect();
+        let values = kept.iter().flat_map(|k| self.row(*k)).copied().collect();
+        Self { positions: kept.iter().map(|k| self.positions[*k]).collect(), values, width: self.width }
+    }
+
+    /// Returns the mean squared difference of an observation from every fingerprint, over the features that both know;
+    /// infinite if there are none.
+    pub fn misfits(&self, observation: &[f32]) -> Vec<f32> {
+        (0..self.len()).map(|k| misfit(observation, self.row(k))).collect()
+    }
+}
+
+/// Number of sums that run side by side.
+const LANES: usize = 16;
+
+/// Mean squared difference over the features that both know.
+fn misfit(a: &[f32], b: &[f32]) -> f32 {
+    let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    let (mut left, mut right) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let mut add = |k: usize, a: f32, b: f32| {
+        let d = a - b;
+        let is_known = f32::from(u8::from(!d.is_nan()));
+        sums[k] += if d.is_nan() { 0.0 } else { d * d };
+        counts[k] += is_known;
+    };
+    for (a, b) in (&mut left).zip(&mut right) {
+        (0..LANES).for_each(|k| add(k, a[k], b[k]));
+    }
+    left.remainder().iter().zip(right.remainder()).enumerate().for_each(|(k, (a, b))| add(k, *a, *b));
+    let count = counts.iter().sum::<f32>();
+    if count == 0.0 { f32::INFINITY } else { sums.iter().sum::<f32>() / count }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn misfit_is_the_mean_over_known_features() {
+        let a: Vec<f32> = (0..40).map(|k| k as f32).collect();
+        let mut b: Vec<f32> = a.iter().map(|v| v + 2.0).collect();
+        assert_eq!(misfit(&a, &b), 4.0);
+        b[3] = f32::NAN;
+        b[39] = f32::NAN;
+        assert_eq!(misfit(&a, &b), 4.0);
+        assert_eq!(misfit(&[f32::NAN], &[1.0]), f32::INFINITY);
+    }
+}

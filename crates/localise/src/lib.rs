@@ -1,0 +1,37 @@
+//! Localisation: from observations of an unknown transmitter to its position, and to a region that holds it.
+//!
+//! ```text
+//! training samples ── measured fingerprints ─┐
+//! model at their positions ── predicted ─────┴► blended fingerprints [K, D]
+//! observation [D] ── misfits [K] ── weights exp(-s·misfit/scale) ── weighted mean ── descent along the model ─► position
+//!                                        └── density over the floor ── level chosen on validation ─► region
+//! ```
+//! All choices use the validation set: the share of the model in the fingerprints, the sharpness s, whether to descend,
+//! and the level of the region. The true position of a new sample then lies in its region as often as those of validation
+//! samples do, if both sets are divided by the same rule (split conformal prediction).
+
+mod descent;
+mod features;
+mod fingerprints;
+mod locator;
+mod nearest;
+mod region;
+
+pub use features::Features;
+pub use fingerprints::Fingerprints;
+pub use locator::{Choice, Located, Locator, transmitters};
+pub use nearest::NearestFingerprints;
+pub use region::{Region, RegionRule};
+
+/// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.
+pub fn mean_and_median(mut errors: Vec<f64>) -> [f64; 2] {
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    [mean, median(&mut errors)]
+}
+
+/// Returns the median, the mean of the middle two of an even number; NaN without values.
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let n = values.len();
+    if n == 0 { f64::NAN } else { f64::midpoint(values[(n - 1) / 2], values[n / 2]) }
+}

@@ -1,0 +1,318 @@
+//! `Locator`: positions from observations.
+
+use crate::descent::descend;
+use crate::region::Density;
+use crate::{Features, Fingerprints, Region, RegionRule, mean_and_median, median};
+use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
+use rayon::prelude::*;
+
+/// Sharpnesses to choose from.
+const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+/// Kernel widths to choose from, in units of the distance between neighbouring training positions.
+const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
+/// Share of true positions that regions should hold.
+pub(crate) const HELD: f64 = 0.9;
+/// Maximum number of validation samples on which descent is compared with no descent.
+const COMPARED: usize = 100;
+
+/// Settings of a [`Locator`] that validation samples choose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// Share of the model in the fingerprints; the rest is measured.
+    pub share: f32,
+    /// Sharpness s of the weights exp(-s·misfit/scale).
+    pub sharpness: f64,
+    /// Misfit of the best fingerprint of a typical sample.
+    pub scale: f64,
+    /// Whether the weighted mean is improved by descent along the model.
+    pub descends: bool,
+}
+
+/// Finds the position of a transmitter from its observations.
+pub struct Locator<'a> {
+    features: Features,
+    model: &'a dyn Predict,
+    fingerprints: Fingerprints,
+    receivers: usize,
+    /// Power of a receiver that did not hear a transmitter.
+    floor: f32,
+    /// Half the distance between neighbouring training positions, metres.
+    spacing: f64,
+    /// Settings.
+    pub choice: Choice,
+    /// Rule of the regions; `None` without validation samples.
+    pub rule: Option<RegionRule>,
+}
+
+/// Position of a transmitter.
+#[derive(Clone, Debug)]
+pub struct Located {
+    /// Position, metres.
+    pub position: [f64; 3],
+    /// Misfit of the best fingerprint, relative to that of a typical sample. Far above 1, the observation resembles no
+    /// known position.
+    pub misfit: f64,
+    density: Option<(Density, f64)>,
+}
+
+impl Located {
+    /// Returns the region; `None` without rule.
+    pub fn region(&self) -> Option<Region> {
+        self.density.as_ref().map(|(density, share)| density.region(*share))
+    }
+
+    /// Returns whether the region holds a position; `None` without rule.
+    pub fn holds(&self, [x, y, _]: [f64; 3]) -> Option<bool> {
+        self.density.as_ref().map(|(density, share)| density.at([x, y]) >= share * density.highest())
+    }
+}
+
+/// Observation of a validation sample, and its true position.
+type Truth = (Vec<f32>, [f64; 3]);
+
+impl<'a> Locator<'a> {
+    /// Fits to the training links `known.train` of `data`. `shares` are the shares of the model among which the validation
+    /// links choose; without validation links the first is taken.
+    ///
+    /// # Errors
+    /// Data without positions, or with a moving receiver.
+    pub fn fit(data: &Dataset, known: FittingSet<'_>, model: &'a dyn Predict, shares: &[f32]) -> Result<Self> {
+        let what = if !data.placed || data.features.is_some() {
+            Some("they have no transmitter positions; localisation compares with known positions")
+        } else if data.orientations.is_some() {
+            Some("the receiver moves; localisation needs fixed receivers")
+        } else {
+            None
+        };
+        if let Some(what) = what {
+            return Err(Error::Config(format!("{}: {what}", data.title)));
+        }
+        let (train, validation) = (transmitters(data, known.train), transmitters(data, known.validation));
+        let features = Features::new(data, known.train);
+        let floor = known.train.iter().map(|i| data.image(*i).pixels[0] as f32).fold(f32::INFINITY, f32::min);
+        let measured = Fingerprints::measured(&features, data, &train, floor);
+        let is_used = |share: &f32| *share > 0.0;
+        let predicted =
+            shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, model));
+        let truths = Fingerprints::measured(&features, data, &validation, floor);
+        let truths: Vec<Truth> = (0..truths.len()).map(|k| (truths.row(k).to_vec(), truths.positions[k])).collect();
+        let mut best: Option<(f64, Choice, Fingerprints, Vec<Vec<f32>>)> = None;
+        for share in shares {
+            let own = predicted.as_ref().map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
+            let misfits: Vec<Vec<f32>> = truths.par_iter().map(|(observation, _)| own.misfits(observation)).collect();
+            let (error, sharpness, scale) = sharpness(&own.positions, &truths, &misfits);
+            if best.as_ref().is_none_or(|(least, ..)| error < *least) {
+                best = Some((error, Choice { share: *share, sharpness, scale, descends: false }, own, misfits));
+            }
+        }
+        let (error, choice, fingerprints, misfits) =
+            best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
+        let spacing = spacing(&fingerprints.positions);
+        let rule = region_rule(&fingerprints.positions, &truths, &misfits, choice.scale, spacing);
+        let receivers = data.scene.receivers.len();
+        let mut locator = Self { features, model, fingerprints, receivers, floor, spacing, choice, rule };
+        locator.choose_descent(&truths, error);
+        Ok(locator)
+    }
+
+    /// Restricts positions to those that satisfy `is_possible`.
+    ///
+    /// # Errors
+    /// No training position does.
+    pub fn within(mut self, is_possible: impl Fn([f64; 3]) -> bool) -> Result<Self> {
+        self.fingerprints = self.fingerprints.filtered(is_possible);
+        if self.fingerprints.is_empty() {
+            return Err(Error::Config(
+                "--prior: no training position is inside; give a box around some of them".into(),
+            ));
+        }
+        Ok(self)
+    }
+
+    /// Returns the features in which observations are compared.
+    pub fn features(&self) -> &Features {
+        &self.features
+    }
+
+    /// Returns the power of a receiver that did not hear a transmitter, dBm.
+    pub fn floor(&self) -> f32 {
+        self.floor
+    }
+
+    /// Returns the training positions that are compared, metres.
+    pub fn positions(&self) -> &[[f64; 3]] {
+        &self.fingerprints.positions
+    }
+
+    /// Returns what is known of `transmitters` of `data`, as [`Self::locate`] takes it.
+    pub fn observations(&self, data: &Dataset, transmitters: &[usize]) -> Vec<Vec<f32>> {
+        let all = Fingerprints::measured(&self.features, data, transmitters, self.floor);
+        (0..all.len()).map(|k| all.row(k).to_vec()).collect()
+    }
+
+    /// Locates a transmitter from its features at all receivers, `[receivers, count]`; NaN for unknown values.
+    pub fn locate(&self, observation: &[f32]) -> Located {
+        let misfits = self.fingerprints.misfits(observation);
+        let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
+        let weights = weights(&misfits, self.choice.sharpness / self.choice.scale);
+        let mut position = mean(&weights, &self.fingerprints.positions);
+        if self.choice.descends {
+            position = self.descended(observation, &weights, position).unwrap_or(position);
+        }
+        let density = self.rule.map(|rule| {
+            let weights = self::weights(&misfits, rule.sharpness / self.choice.scale);
+            (Density::new(&weights, &self.fingerprints.positions, rule.bandwidth), rule.share)
+        });
+        Located { position, misfit: f64::from(least) / self.choice.scale, density }
+    }
+
+    /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of the
+    /// spread of the weights.
+    fn descended(&self, observation: &[f32], weights: &[f64], start: [f64; 3]) -> Option<[f64; 3]> {
+        let mut squares = [self.spacing * self.spacing; 3];
+        for (w, p) in weights.iter().zip(&self.fingerprints.positions) {
+            (0..3).for_each(|k| squares[k] += w * (p[k] - start[k]).powi(2));
+        }
+        let scales = squares.map(f64::sqrt);
+        let gain = self.choice.sharpness / self.choice.scale;
+        let function = |at: [f64; 3]| {
+            let (misfit, gradient) = self.misfit(observation, at)?;
+            let away = [0, 1, 2].map(|k| (at[k] - start[k]) / scales[k]);
+            let value = gain * misfit + 0.5 * away.iter().map(|a| a * a).sum::<f64>();
+            Some((value, [0, 1, 2].map(|k| gain * gradient[k] + away[k] / scales[k])))
+        };
+        descend(start, scales, function).map(|(position, _)| position)
+    }
+
+    /// Returns the misfit of the prediction for a transmitter at `at`, and its derivative.
+    fn misfit(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
+        let count = self.features.count();
+        let is_heard = |v: &&f32| !v.is_nan() && !(self.features.task().is_scalar && **v <= self.floor);
+        let known = observation.iter().filter(is_heard).count().max(1) as f64;
+        let (mut sum, mut gradient) = (0.0, [0.0; 3]);
+        for receiver in 0..self.receivers {
+            let own = &observation[receiver * count..][..count];
+            if !own.iter().any(|v| is_heard(&v)) {
+                continue;
+            }
+            let differences = |image: &Image| {
+                let of = self.features.of(image);
+                of.iter().zip(own).map(|(f, o)| if o.is_nan() { 0.0 } else { f - o }).collect::<Vec<f32>>()
+            };
+            let cotangent = |image: &Image| -> Vec<Real> {
+                let d: Vec<f32> = differences(image).iter().map(|d| 2.0 * d / known as f32).collect();
+                self.features.vjp(image, &d)
+            };
+            let (image, d) = self.model.predict_vjp(Query::at(at, receiver), &cotangent)?;
+            sum += differences(&image).iter().map(|d| f64::from(*d).powi(2)).sum::<f64>() / known;
+            (0..3).for_each(|k| gradient[k] += d[k]);
+        }
+        Some((sum, gradient))
+    }
+
+    /// Turns descent on if it lowers the mean error of validation samples below that of the weighted means.
+    fn choose_descent(&mut self, truths: &[Truth], error: f64) {
+        let stride = truths.len().div_ceil(COMPARED).max(1);
+        let some: Vec<&Truth> = truths.iter().step_by(stride).collect();
+        if some.is_empty() || !error.is_finite() {
+            return;
+        }
+        let mean_error = |locator: &Self| {
+            let one = |(observation, truth): &&Truth| distance(locator.locate(observation).position, *truth);
+            mean_and_median(some.par_iter().map(one).collect())[0]
+        };
+        let without = mean_error(self);
+        self.choice.descends = true;
+        self.choice.descends = mean_error(self) < without;
+    }
+}
+
+/// Returns the transmitters of links, each once, ascending.
+pub fn transmitters(data: &Dataset, links: &[usize]) -> Vec<usize> {
+    let mut all: Vec<usize> = links.iter().map(|i| data.links[*i].transmitter).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// Returns the weights exp(-gain·misfit), which sum to 1.
+fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
+    let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
+    if !least.is_finite() {
+        return vec![1.0 / misfits.len() as f64; misfits.len()]; // nothing in common with any fingerprint
+    }
+    let weights: Vec<f64> = misfits.iter().map(|m| (-gain * (f64::from(*m) - least)).exp()).collect();
+    let sum: f64 = weights.iter().sum();
+    weights.iter().map(|w| w / sum).collect()
+}
+
+fn mean(weights: &[f64], positions: &[[f64; 3]]) -> [f64; 3] {
+    let mut sum = [0.0; 3];
+    for (w, p) in weights.iter().zip(positions) {
+        (0..3).for_each(|k| sum[k] += w * p[k]);
+    }
+    sum
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    pwrfgs_core::neighbours::distance(a, b)
+}
+
+/// Returns the least mean error over sharpnesses, its sharpness, and the scale of the misfits.
+fn sharpness(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>]) -> (f64, f64, f64) {
+    let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
+    let mut smallest: Vec<f64> = misfits.iter().map(least).filter(|m| m.is_finite()).collect();
+    let typical = median(&mut smallest);
+    let scale = if typical > 0.0 { typical } else { 1.0 };
+    let error = |sharpness: f64| {
+        let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
+            distance(mean(&weights(misfits, sharpness / scale), positions), *truth)
+        };
+        mean_and_median(misfits.par_iter().zip(truths).map(one).collect())[0]
+    };
+    let all = SHARPNESSES.map(|sharpness| (error(sharpness), sharpness));
+    let best = all.into_iter().filter(|(error, _)| error.is_finite()).min_by(|a, b| a.0.total_cmp(&b.0));
+    let (error, sharpness) = best.unwrap_or((f64::INFINITY, 4.0)); // no validation samples
+    (error, sharpness, scale)
+}
+
+/// Returns half the median distance of a position to its nearest neighbour; at least 0.1 mm.
+fn spacing(positions: &[[f64; 3]]) -> f64 {
+    let points: Vec<[Real; 3]> = positions.iter().map(|p| p.map(|v| v as Real)).collect();
+    let squares = pwrfgs_core::neighbours::nearest_other_squared(&points);
+    let mut distances: Vec<f64> =
+        squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()).collect();
+    let typical = median(&mut distances);
+    if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
+}
+
+/// Returns the rule with the highest mean log density at the true positions, and the level that holds [`HELD`] of them.
+/// `None` if there are too few for this share.
+fn region_rule(
+    positions: &[[f64; 3]],
+    truths: &[Truth],
+    misfits: &[Vec<f32>],
+    scale: f64,
+    spacing: f64,
+) -> Option<RegionRule> {
+    // The smallest of n values holds n/(n + 1) of new ones.
+    let rank = ((1.0 - HELD) * (truths.len() + 1) as f64).floor() as usize;
+    if rank == 0 {
+        return None;
+    }
+    let densities = |sharpness: f64, bandwidth: f64| -> Vec<(f64, f64)> {
+        let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
+            let density = Density::new(&weights(misfits, sharpness / scale), positions, bandwidth);
+            let at = density.at([truth[0], truth[1]]);
+            (at, at / density.highest())
+        };
+        misfits.par_iter().zip(truths).map(one).collect()
+    };
+    let all = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| (s, 2.0 * b * spacing)));
+    let score = |(s, b): (f64, f64)| densities(s, b).iter().map(|(at, _)| at.ln()).sum::<f64>();
+    let best = all.map(|own| (score(own), own)).max_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, (sharpness, bandwidth)) = best?;
+    let mut shares: Vec<f64> = densities(sharpness, bandwidth).into_iter().map(|(_, share)| share).collect();
+    shares.sort_unstable_by(f64::total_cmp);
+    Some(RegionRule { sharpness, bandwidth, share: shares[rank - 1] })
+}

@@ -1,0 +1,101 @@
+//! Where transmitters are: the region of one, and the errors of many.
+
+use super::plan::FloorPlan;
+use crate::canvas::{Anchor, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, VectorPath, WHITE};
+use pwrfgs_core::colour::sequential;
+
+/// Width of the drawing and maximum height of the map.
+const WIDTH: f64 = 470.0;
+const MOST_HEIGHT: f64 = 420.0;
+/// Heights for the title above and the note below the map.
+const HEAD: f64 = 22.0;
+const FOOT: f64 = 20.0;
+/// Colours of estimates and true positions (Okabe and Ito); their marks differ too.
+const ESTIMATE: Colour = Colour::hex(0xd5_5e00);
+const TRUTH: Colour = Colour::hex(0x00_5aa0);
+
+/// Estimated positions in a room, with the density over the floor if there is only one.
+#[derive(Clone, Debug, Default)]
+pub struct LocationMap<'a> {
+    /// Title above the map.
+    pub title: String,
+    /// Centre of the first cell of the density and side of a cell, metres.
+    pub grid: (Point, f64),
+    /// Number of columns.
+    pub columns: usize,
+    /// Density relative to the highest, row by row, lowest row first; empty for none.
+    pub density: &'a [f32],
+    /// Outlines of the region, metres.
+    pub outlines: Vec<Vec<Point>>,
+    /// Training positions.
+    pub training: Vec<Point>,
+    /// Receivers.
+    pub receivers: Vec<Point>,
+    /// Estimates, each with its true position if that is known.
+    pub estimates: Vec<(Point, Option<Point>)>,
+}
+
+impl LocationMap<'_> {
+    /// Draws the map.
+    pub fn draw(&self) -> Canvas {
+        let ends = self.estimates.iter().flat_map(|(own, truth)| std::iter::once(*own).chain(*truth));
+        let shown = self.training.iter().chain(self.outlines.iter().flatten()).copied().chain(ends);
+        let plan = FloorPlan::new(FloorPlan::corners(shown), ["x", "y"], WIDTH, MOST_HEIGHT);
+        let mut map = plan.canvas();
+        self.draw_density(&mut map, &plan);
+        plan.points(&mut map, self.training.iter().copied());
+        for outline in &self.outlines {
+            let corners: Vec<Point> = outline.iter().chain(outline.first()).map(|p| plan.place(*p)).collect();
+            map.line(&corners, Paint::stroke(WHITE, 2.6));
+            map.line(&corners, Paint::stroke(INK, 1.2));
+        }
+        self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
+        self.draw_estimates(&mut map, &plan);
+        plan.axes(&mut map);
+        let mut canvas = Canvas::new(plan.size[0].max(300.0), HEAD + plan.size[1] + FOOT);
+        let middle = canvas.width / 2.0;
+        canvas.text([middle, 15.0], Anchor::Middle, &self.title);
+        canvas.put([middle - plan.size[0] / 2.0, HEAD], 1.0, &map);
+        canvas.letters.size = 10.0;
+        let region = if self.outlines.is_empty() { "" } else { "; outline: 90 % region" };
+        let note = format!("orange circle: estimate; blue cross: true position; grey: training positions{region}");
+        canvas.text([middle, HEAD + plan.size[1] + LINE], Anchor::Middle, note);
+        canvas
+    }
+
+    fn draw_density(&self, map: &mut Canvas, plan: &FloorPlan) {
+        let (rows, (first, step)) = (self.density.len() / self.columns.max(1), self.grid);
+        if rows == 0 {
+            return;
+        }
+        let corner = |k: [f64; 2]| plan.place([first[0] + (k[0] - 0.5) * step, first[1] + (k[1] - 0.5) * step]);
+        let ([left, bottom], [right, top]) = (corner([0.0; 2]), corner([self.columns as f64, rows as f64]));
+        let colour = |v: &f32| {
+            let [r, g, b] = sequential(f64::from(*v).sqrt());
+            [r, g, b, (255.0 * f64::from(*v).sqrt().min(1.0)) as u8]
+        };
+        let upwards = (0..rows).rev().flat_map(|row| &self.density[row * self.columns..][..self.columns]);
+        let image =
+            RasterImage { width: self.columns, height: rows, rgba: upwards.flat_map(colour).collect(), smooth: false };
+        map.pixels([left, top], [right - left, bottom - top], image);
+    }
+
+    /// Draws a line from every true position to its estimate, and both ends.
+    fn draw_estimates(&self, map: &mut Canvas, plan: &FloorPlan) {
+        let is_single = self.estimates.len() == 1;
+        let (mut lines, mut crosses) = (VectorPath::default(), VectorPath::default());
+        for (own, truth) in
+            self.estimates.iter().filter_map(|(own, truth)| Some((plan.place(*own), plan.place((*truth)?))))
+        {
+            lines.add(&[own, truth]);
+            crosses.add_cross(truth, if is_single { 4.0 } else { 1.6 });
+        }
+        map.path(lines, Paint::stroke(INK.faint(0.6), 0.7));
+        map.path(crosses.clone(), Paint::stroke(WHITE, if is_single { 4.0 } else { 1.4 }));
+        map.path(crosses, Paint::stroke(TRUTH, if is_single { 2.0 } else { 0.8 }));
+        for (own, _) in &self.estimates {
+            let (radius, rim) = if is_single { (4.5, 1.2) } else { (1.5, 0.3) };
+            map.circle(plan.place(*own), radius, Paint::fill(ESTIMATE).outlined(WHITE, rim));
+        }
+    }
+}
