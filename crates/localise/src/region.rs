@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 /// Weight below which a position is left out of a density, relative to the largest.
-const FAINTEST: f64 = 1e-6;
+const FAINTEST: f64 = 1e-4;
 /// Number of cells along the longer side of the grid.
-const CELLS: f64 = 128.0;
+const CELLS: f64 = 96.0;
 
 /// How regions follow from weights; chosen on validation samples.
 #[derive(Clone, Copy, Debug, PartialEq)]

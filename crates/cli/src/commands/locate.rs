@@ -9,7 +9,7 @@ use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
 use pwrfgs::experiment::{Observer as _, load as load_data, read_pipeline};
-use pwrfgs::localise::{Located, Locator, NearestFingerprints, mean_and_median, transmitters};
+use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, mean_and_median, transmitters};
 use pwrfgs::model::Prepared;
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
@@ -69,11 +69,22 @@ pub(crate) struct Locate {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Number of samples of which the median area of regions is taken for a baseline.
+const AREAS: usize = 100;
+
 /// A located transmitter: its name, the result, and the true position if known.
 struct Row {
     name: String,
     located: Located,
+    region: Option<Region>,
     truth: Option<[f64; 3]>,
+}
+
+impl Row {
+    fn new(name: String, located: Located, truth: Option<[f64; 3]>) -> Self {
+        let region = located.region();
+        Self { name, located, region, truth }
+    }
 }
 
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
@@ -105,8 +116,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         Some(path) => {
             let all = observations::read(path, locator.features(), &data.scene.receivers)?;
             let located: Vec<Located> = all.par_iter().map(|own| locator.locate(own)).collect();
-            let row = |(k, located)| Row { name: format!("{:05}", k + 1), located, truth: None };
-            located.into_iter().enumerate().map(row).collect()
+            located.into_par_iter().enumerate().map(|(k, own)| Row::new(format!("{:05}", k + 1), own, None)).collect()
         }
         None => test_rows(&locator, &data, &partition, verbosity),
     };
@@ -179,10 +189,9 @@ fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbo
         let mut rows = Vec::with_capacity(test.len());
         for (some, observations) in test.chunks(64).zip(all.chunks(64)) {
             progress.on_stage("locating", rows.len(), test.len());
-            let located: Vec<Located> = observations.par_iter().map(|own| locator.locate(own)).collect();
-            rows.extend(some.iter().zip(located).map(|(t, located)| {
+            rows.par_extend(some.par_iter().zip(observations).map(|(t, own)| {
                 let transmitter = data.transmitters[*t];
-                Row { name: format!("{:05}", transmitter.id), located, truth: Some(transmitter.position) }
+                Row::new(format!("{:05}", transmitter.id), locator.locate(own), Some(transmitter.position))
             }));
         }
         rows
@@ -199,26 +208,19 @@ fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Parti
         |places: Vec<[f64; 3]>| places.iter().zip(&truths).map(|(a, b)| distance(*a, *b)).collect::<Vec<f64>>();
     let header = ["", "median (m)", "mean (m)", "90 % (m)", "regions hold", "area (m²)"];
     let mut lines = vec![header.map(String::from).to_vec()];
-    let held = |rows: &[&Located]| {
-        let held = rows.iter().zip(&truths).filter(|(located, truth)| located.holds(**truth) == Some(true)).count();
-        let mut areas: Vec<f64> = rows.iter().filter_map(|own| own.region()).map(|region| region.area()).collect();
-        areas.sort_unstable_by(f64::total_cmp);
-        let median = areas.get(areas.len() / 2)?;
-        Some((held as f64 / rows.len().max(1) as f64, *median))
+    let row = |name: &str, located: &[&Located], areas: Vec<f64>| {
+        let held = located.iter().zip(&truths).filter(|(own, truth)| own.holds(**truth) == Some(true)).count();
+        let share = held as f64 / located.len().max(1) as f64;
+        let region = (!areas.is_empty()).then(|| (share, mean_and_median(areas)[1]));
+        line(name, errors(located.iter().map(|own| own.position).collect()), region)
     };
     let own: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
-    lines.push(line("model", errors(own.iter().map(|located| located.position).collect()), held(&own)));
-    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(|e| Error::Config(e.to_string()))?;
-    if kriging.supports(data.task()) && kriging.check_data(data).is_ok() {
-        let predictor = kriging.fit(data, known)?;
-        let locator = Locator::fit(data, known, predictor.as_ref(), &[1.0])?;
-        let located: Vec<Located> = all.par_iter().map(|own| locator.locate(own)).collect();
-        let own: Vec<&Located> = located.iter().collect();
-        lines.push(line(
-            "fingerprints of Kriging",
-            errors(located.iter().map(|own| own.position).collect()),
-            held(&own),
-        ));
+    lines.push(row("model", &own, rows.iter().filter_map(|row| row.region.as_ref()).map(Region::area).collect()));
+    let kriged = kriged(data, known, &all)?;
+    if !kriged.is_empty() {
+        let some = kriged.iter().step_by(kriged.len().div_ceil(AREAS));
+        let areas = some.filter_map(Located::region).map(|region| region.area()).collect();
+        lines.push(row("fingerprints of Kriging", &kriged.iter().collect::<Vec<_>>(), areas));
     }
     let nearest = NearestFingerprints::fit(data, known, locator.features(), locator.floor());
     let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
@@ -231,6 +233,17 @@ fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Parti
     let kind = if data.is_simulated() { "simulated" } else { "measured" };
     let heading = format!("{} ({kind}): {} test positions\n", data.title, grouped(test.len() as i64));
     output::result(&(heading + &aligned(&lines, 1)))
+}
+
+/// Test samples located with Kriging in place of the model; none if it does not support the data.
+fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Vec<Located>> {
+    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(|e| Error::Config(e.to_string()))?;
+    if !kriging.supports(data.task()) || kriging.check_data(data).is_err() {
+        return Ok(Vec::new());
+    }
+    let predictor = kriging.fit(data, known)?;
+    let locator = Locator::fit(data, known, predictor.as_ref(), &[1.0])?;
+    Ok(observations.par_iter().map(|own| locator.locate(own)).collect())
 }
 
 fn line(name: &str, errors: Vec<f64>, region: Option<(f64, f64)>) -> Vec<String> {
@@ -247,9 +260,9 @@ fn line(name: &str, errors: Vec<f64>, region: Option<(f64, f64)>) -> Vec<String>
 fn positions(rows: &[Row]) -> String {
     let mut lines =
         vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
-    for Row { name, located, .. } in rows {
-        let region = located.region();
+    for Row { name, located, region, .. } in rows {
         let [area, parts] = region
+            .as_ref()
             .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.outlines().len().to_string()]);
         let mut line = vec![name.clone()];
         line.extend(located.position.map(|v| fixed(v, 3)));
@@ -278,9 +291,9 @@ fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pic
             .collect(),
         ..LocationMap::default()
     };
-    for (k, Row { name, located, truth }) in rows.iter().enumerate() {
-        let ([x, y, z], region) = (located.position, located.region());
-        let outlines = region.as_ref().map(|region| region.outlines()).unwrap_or_default();
+    for (k, Row { name, located, region, truth }) in rows.iter().enumerate() {
+        let [x, y, z] = located.position;
+        let outlines = region.as_ref().map(Region::outlines).unwrap_or_default();
         let area = region.as_ref().map_or_else(String::new, |region| format!("{:.6}", region.area()));
         _ = write!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{}", located.misfit, outlines.len());
         _ = match truth {
@@ -296,7 +309,7 @@ fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pic
             None => writeln!(list, ",,,,,"),
         };
         regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
-        if let Some(region) = region.filter(|_| k < pictures) {
+        if let Some(region) = region.as_ref().filter(|_| k < pictures) {
             let one = LocationMap {
                 title: format!("{}: observation {name}", data.title),
                 grid: (region.first, region.step),
