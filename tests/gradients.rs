@@ -6,9 +6,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, MeasurementSetup,
-    MethodVjp, ObservationRequest, Parameters, PixelSubset,
-    Receiver, Sampling, Task, rng, sigmoid,
+    Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link,
+    MeasurementSetup, MethodVjp, ObservationRequest, Parameters, PixelSubset, Receiver, Sampling, Task, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;

@@ -133,7 +133,14 @@ impl Method for SplattedChannel {
         let deformation = Some(&self.deformation);
         let (appearance, own) = (Appearance::Ellipsoids, self.deformation.traits());
         let differentiates_inputs = own.differentiates_inputs;
-        MethodTraits { task, inputs: own.inputs, appearance, deformation, differentiates_inputs, ..MethodTraits::default() }
+        MethodTraits {
+            task,
+            inputs: own.inputs,
+            appearance,
+            deformation,
+            differentiates_inputs,
+            ..MethodTraits::default()
+        }
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
