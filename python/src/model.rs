@@ -1,5 +1,6 @@
 //! `Model`: a trained model or an ensemble.
 
+mod derivative;
 pub(crate) mod made;
 
 use crate::arrays::{Gain, array, axes, numbers, observations, place, room};
@@ -237,15 +238,23 @@ impl Model {
     /// (complex64). The axis B is present if `tx` has it. The axis R is present if the model has several receivers and
     /// `receiver`, a name or an index, is not given. Models of link features need `features` [B, width] in place of
     /// `tx`.
-    #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
+    ///
+    /// With `vjp`, the gradient of a real loss in the observations (their shape; ∂/∂Re + i ∂/∂Im for channels), it gives
+    /// (observations, gradient in the positions, [3] or [B, 3]). For a moving receiver this is the gradient in its position.
+    /// A model of link features, or with a network in Python, has none.
+    #[pyo3(signature = (tx=None, receiver=None, *, features=None, vjp=None))]
     fn predict<'py>(
         &self,
         py: Python<'py>,
         tx: Option<&Bound<'py, PyAny>>,
         receiver: Option<&Bound<'py, PyAny>>,
         features: Option<&Bound<'py, PyAny>>,
+        vjp: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.links(py, tx, receiver, features)?;
+        if let Some(cotangents) = vjp {
+            return self.differentiated(py, &links, cotangents);
+        }
         // A single link as on the command line, many in groups that share work: bit-identical.
         self.observed(py, &links, |queries, numbers| match queries {
             [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
