@@ -4,7 +4,7 @@
 use crate::common::{cloud, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    FittingSet, GaussianCloud, MeasurementSetup, Origin, Predict as _, Projector, Query, Receiver, Sampling, rng,
+    FittingSet, GaussianCloud, MeasurementSetup, Origin, Projector, Query, Receiver, Sampling, rng,
 };
 use pwrfgs::model::{Ensemble, KnownLinks, Kriged, LeftOutBy, Model, Prepared, Residuals, Stages};
 use pwrfgs::prelude::*;
@@ -14,7 +14,7 @@ const AT: [Real; 3] = [0.31, -0.23, 0.72];
 /// Far enough from the coordinates of the room for an origin of its own.
 const ORIGIN: Origin = Origin([5_000.0, -3_000.0, 0.0]);
 const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(count: 2, longest_m: 9.0, shortest_m: 4.0), \
-                       position_encoding: Octaves(1), near: Some((count: 20, length_m: 0.4)))";
+                       position_encoding: Octaves(1), near: (count: 20, length_m: 0.4))";
 const MLP: &str = "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4, position_frequencies: 1, \
                    tx_frequencies: 1, head_init: 0.3)";
 const WRFGS: &str = "Wrfgs(depth: 2, width: 8, frequencies: 1, skip: None)";
@@ -121,7 +121,7 @@ fn data(task: Task, base: &Ensemble) -> Dataset {
         let image = |at: &[Real; 3]| ready.predict_timed(world(at)).0.clamped().pixels;
         let all: Vec<f32> =
             positions.iter().flat_map(|at| image(at).into_iter().enumerate().map(|(k, p)| pixel(at, k, p))).collect();
-        Observations::Spectra(Spectra::float((36, 9), &all).unwrap())
+        Spectra::float((36, 9), &all).unwrap().into()
     } else {
         Observations::Powers(positions.iter().map(|at| -60.0 + 5.0 * value(at) + 3.0 * at[2]).collect())
     };

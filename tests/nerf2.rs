@@ -79,7 +79,7 @@ impl Room {
         };
         let vjp = |x: &[Real], d: &[Real]| of_conditions(x, Some(d));
         // Frequencies up to 2⁹ rad per unit of length.
-        check_vjp(name, &self.conditions, |x| of_conditions(x, None), vjp, 1e-8, 2e-5);
+        check_vjp(name, &self.conditions, |x| of_conditions(x, None), vjp, 1e-7, 2e-5);
         // Some of every layer.
         let stride = 7;
         let all = |x: &[Real]| {

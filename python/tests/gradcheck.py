@@ -91,7 +91,8 @@ def predictions_are_differentiable():
         given["signals"] = given["signals"] @ [1, 1j]
         return pwrfgs.Model.from_arrays(**given, pose=POSE, height=12, width=48, deformation=deformation)
 
-    network = pwrfgs.Factored(depth=1, width=8, position_encoding=pwrfgs.Octaves(1), tx_encoding=pwrfgs.Octaves(1))
+    octaves = pwrfgs.settings.Encoding.Octaves(1)
+    network = pwrfgs.Factored(depth=1, width=8, position_encoding=octaves, tx_encoding=octaves)
     places = torch.tensor([[0.4, -0.2, 0.9], [1.2, 0.3, 0.7]], dtype=torch.float64, requires_grad=True)
     mine = model(network)
     found = pwrfgs.torch.predict(mine, places)
