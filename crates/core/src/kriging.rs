@@ -257,8 +257,7 @@ mod tests {
 
     #[test]
     fn derivatives_agree_with_central_differences() {
-        let places: Vec<Place> =
-            (0..40).map(|i| f64::from(i)).map(|i| in_space([i.sin(), (2.0 * i).cos(), 0.0])).collect();
+        let places: Vec<Place> = (0..40).map(f64::from).map(|i| in_space([i.sin(), (2.0 * i).cos(), 0.0])).collect();
         let (at, value) = ([0.21, -0.34, 0.4], |i: usize| (i as f64).cos());
         let check = |f: &dyn Fn([f64; 3]) -> f64, d: [f64; 3]| {
             for k in 0..3 {

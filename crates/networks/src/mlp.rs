@@ -94,11 +94,8 @@ impl Mlp {
 #[typetag::serde]
 impl Deformation for Mlp {
     fn traits(&self) -> DeformationTraits {
-        DeformationTraits {
-            varies_geometry: self.outputs == Outputs::All,
-            differentiates_inputs: true,
-            ..DeformationTraits::default()
-        }
+        let varies_geometry = self.outputs == Outputs::All;
+        DeformationTraits { varies_geometry, differentiates_inputs: true, ..DeformationTraits::default() }
     }
 
     fn layout(&self) -> Layout {
