@@ -112,7 +112,7 @@ class _Predict(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
     def forward(ctx: Any, tx: Any, model: Any, receiver: Any) -> Any:
         ctx.given, ctx.like = (model, receiver, _array(tx).copy()), tx.new_empty(0)
         found = model.predict(ctx.given[2], receiver)
-        kind = {} if isinstance(found, np.ndarray) else {"dtype": _REAL[-1]}  # one power is a float
+        kind: Dict[str, Any] = {} if isinstance(found, np.ndarray) else {"dtype": _REAL[-1]}  # one power is a float
         return torch.as_tensor(found, device=tx.device, **kind)
 
     @staticmethod
