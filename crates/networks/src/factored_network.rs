@@ -196,10 +196,10 @@ impl FactoredLayers {
         let mut d_inputs = d_txs.map(|d_txs| d_txs.chunks_mut(GROUP * txs.width()));
         let parts: Vec<Option<&mut [Real]>> =
             groups.iter().map(|_| d_inputs.as_mut().and_then(Iterator::next)).collect();
-        let group = |(((some, layers), d_mixed), d_txs): (((&Range<usize>, &Vec<Vec<Real>>), &WaveMixture), _)| {
-            self.group_vjp(weights, txs.rows(some.clone()), layers, d_mixed, d_txs)
+        let group = |(k, d_txs): (usize, Option<&mut [Real]>)| {
+            self.group_vjp(weights, txs.rows(groups[k].clone()), &layers[k], &d_mixed[k], d_txs)
         };
-        let sums: Vec<Vec<Real>> = groups.par_iter().zip(&layers).zip(&d_mixed).zip(parts).map(group).collect();
+        let sums: Vec<Vec<Real>> = parts.into_par_iter().enumerate().map(group).collect();
         dense::add_in_order(d_weights, &sums.iter().map(Vec::as_slice).collect::<Vec<_>>());
     }
 
