@@ -89,7 +89,7 @@ fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
         let mut d_weights = vec![0.0; model.weights.len()];
         let mut d_means = vec![[0.0; 3]; n];
         group.bench_function(BenchmarkId::new("backward", n), |b| {
-            b.iter(|| deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means)));
+            b.iter(|| deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means), None));
         });
     }
 }

@@ -200,9 +200,10 @@ impl Deformation for Python {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
     ) {
         if let Ok(own) = self.as_deformation() {
-            own.vjp(inputs, d, d_weights, d_means);
+            own.vjp(inputs, d, d_weights, d_means, d_txs);
         }
     }
 

@@ -6,8 +6,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Cache, ColumnSpec, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, MeasurementSetup,
-    Receiver, Sampling, Task, rng, sigmoid,
+    Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link,
+    MeasurementSetup, MethodVjp, ObservationRequest, Parameters, PixelSubset, Receiver, Sampling, Task, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -58,7 +58,14 @@ impl Deformation for Terms {
             signals: signals.as_chunks().0.to_vec(),
         }
     }
-    fn vjp(&self, _: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {
+    fn vjp(
+        &self,
+        _: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        _: Option<&mut [[Real; 3]]>,
+        _: Option<&mut [Real]>,
+    ) {
         let all = [d.scales.as_flattened(), d.quats.as_flattened(), d.signals.as_flattened()].concat();
         d_weights.iter_mut().zip(all).for_each(|(sum, d)| *sum += d);
     }
@@ -97,8 +104,44 @@ impl Step {
         .unwrap()
     }
 
-    /// Every column but `left_out`, then some of the weights, against differences.
+    /// Observations, and the derivative of Σ d·observations by the conditions and, if `alone`, without it.
+    fn by_conditions(&self, conditions: &[Real], d: Option<&[Real]>, alone: bool) -> (Vec<Real>, MethodVjp) {
+        let Stages { method, setup } = &*self.stages;
+        let (cloud, weights) = (&self.cloud, &self.weights);
+        let parameters = Parameters { cloud, gate: None, existence: None, weights };
+        let request = ObservationRequest {
+            conditions: Conditions::new(self.batch.width, conditions).turned(&self.batch.orientations),
+            links: &self.batch.links,
+            pixels: PixelSubset::All,
+        };
+        let observed = method.forward(setup, &parameters, &request);
+        let (numbers, mut sums) = (observed.numbers.clone(), MethodVjp::zeros(&parameters));
+        if !alone {
+            sums.conditions = vec![0.0; conditions.len()];
+        }
+        if let Some(d) = d {
+            method.vjp(setup, &parameters, &request, observed, d, &mut sums);
+        }
+        (numbers, sums)
+    }
+
+    /// Every network input of the transmitters, or every position of a moving receiver, against differences.
+    fn check_conditions(&self, name: &str) {
+        if !self.stages.method.traits().differentiates_inputs {
+            return;
+        }
+        let vjp = |x: &[Real], d: &[Real]| {
+            let (sums, alone) = (self.by_conditions(x, Some(d), false).1, self.by_conditions(x, Some(d), true).1);
+            assert!(alone.conditions.is_empty() && alone.weights == sums.weights, "{name}");
+            sums.conditions
+        };
+        let name = format!("{name}, by the conditions");
+        check_vjp(&name, &self.batch.conditions, |x| self.by_conditions(x, None, true).0, vjp, 1e-7, 1e-3);
+    }
+
+    /// Every column but `left_out`, then some of the weights, against differences; then the conditions.
     fn check(&self, name: &str, left_out: Option<&str>) {
+        self.check_conditions(name);
         let stride = self.weights.len().div_ceil(WEIGHTS).max(1);
         let pack = |cloud: &GaussianCloud, weights: &[Real]| -> Vec<Real> {
             let columns = cloud.columns().filter(|(name, ..)| Some(*name) != left_out);

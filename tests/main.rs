@@ -6,6 +6,7 @@ mod array;
 mod baselines;
 mod changes;
 mod common;
+mod derivatives;
 mod determinism;
 mod documentation;
 mod elevations;

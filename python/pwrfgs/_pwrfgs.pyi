@@ -139,13 +139,14 @@ class Model:
     def _from_bytes(bytes: bytes) -> Model: ...
     def __reduce__(self) -> Tuple[Any, ...]: ...
     def _repr_html_(self) -> str: ...
-    # `Any` in what these two give: one power of one receiver is a float.
+    # `Any` in what these two give: one power of one receiver is a float, and with `vjp` there are two arrays.
     def predict(
         self,
         tx: Optional[ArrayLike] = None,
         receiver: Optional[Union[str, SupportsIndex]] = None,
         *,
         features: Optional[ArrayLike] = None,
+        vjp: Optional[ArrayLike] = None,
     ) -> Union[_Observed, Any]: ...
     def spread(
         self,

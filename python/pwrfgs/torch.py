@@ -1,4 +1,4 @@
-"""PyTorch: ``rasterize`` supports autograd; ``loss`` and ``Deformation`` make a loss and a network of your own for training.
+"""PyTorch: ``rasterize`` and ``predict`` support autograd; ``loss`` and ``Deformation`` make a loss and a network of your own for training.
 Requires torch, which is imported only here."""
 
 from __future__ import annotations
@@ -105,6 +105,33 @@ def rasterize(
         return _Rasterize.apply(*(x[b] if name in sizes else x for name, x in given.items()), settings)
 
     return torch.stack([one(b) for b in range(next(iter(sizes.values())))])
+
+
+class _Predict(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
+    @staticmethod
+    def forward(ctx: Any, tx: Any, model: Any, receiver: Any) -> Any:
+        ctx.given, ctx.like = (model, receiver, _array(tx).copy()), tx.new_empty(0)
+        found = model.predict(ctx.given[2], receiver)
+        kind: Dict[str, Any] = {} if isinstance(found, np.ndarray) else {"dtype": _REAL[-1]}  # one power is a float
+        return torch.as_tensor(found, device=tx.device, **kind)
+
+    @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator, unused-ignore]
+    def backward(ctx: Any, d: Any) -> Any:
+        model, receiver, tx = ctx.given
+        return _like(model.predict(tx, receiver, vjp=_array(d))[1], ctx.like), None, None
+
+
+def predict(model: _pwrfgs.Model, tx: Any, receiver: Any = None) -> Any:
+    """Observations of a trained model as ``model.predict``, with first-order gradients in ``tx``: positions [3] or [B, 3] of
+    transmitters, metres, float32 or float64. For a moving receiver they are its positions, with the orientation of the model.
+
+    The weights of the model have no gradient. A model of link features, or with a network in Python, has no gradient in
+    ``tx``, which the backward pass reports. Computes on the CPU for tensors on any device."""
+    _check("tx", tx, (torch.float32, torch.float64))
+    if tx.dim() not in (1, 2) or tx.shape[-1] != 3:
+        raise InputError(f"tx has shape {list(tx.shape)}, expected [3] or [B, 3]")
+    return _Predict.apply(tx, model, receiver)
 
 
 def _shared(given: Dict[str, Any], settings: Dict[str, Any]) -> Any:

@@ -1,25 +1,21 @@
 //! `Model`: a trained model or an ensemble.
 
 pub(crate) mod made;
+mod observed;
 
-use crate::arrays::{Gain, array, axes, numbers, observations, place, room};
-use crate::border::{LOOK, carried, free, wrong};
+use crate::arrays::{Gain, array, axes, numbers, place};
+use crate::border::{free, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Activated, Error, MeasurementSetup, Query, Real, Result};
+use pwrfgs_core::{Activated, Error, Query, Real};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
-use rayon::prelude::*;
 use self_cell::self_cell;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
-use std::time::Instant;
-
-/// Number of links per library call: one group of the library, so that results stay in cache.
-const CHUNK: usize = 16;
 
 self_cell!(
     /// Models with their cached results.
@@ -108,52 +104,6 @@ impl Model {
         };
         Ok(Links { txs, orientations, features, receivers, lead })
     }
-
-    /// Array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in order.
-    fn observed<'py>(
-        &self,
-        py: Python<'py>,
-        links: &Links,
-        work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
-    ) -> PyResult<Bound<'py, PyAny>> {
-        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
-        let (size, lead) = ((plane.width, plane.height), &links.lead);
-        room::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
-        let all = free(py, || {
-            let mut all = vec![0.0; lead.iter().product::<usize>() * size.0 * size.1];
-            self.fill(links, &mut all, work).map(|()| all)
-        })?;
-        if lead.is_empty() && task.is_scalar {
-            return Ok(all[0].into_pyobject(py)?.into_any());
-        }
-        observations(py, *task, size, lead, all)
-    }
-
-    /// Processes `all` in chunks, and returns an error for values that are not finite.
-    fn fill(&self, links: &Links, all: &mut [Real], work: impl Fn(&[Query<'_>], &mut [Real])) -> Result<()> {
-        let of_each = self.stages().plane.width * self.stages().plane.height;
-        let mut looked = Instant::now();
-        for (chunk, numbers) in all.chunks_mut(CHUNK * of_each).enumerate() {
-            let queries: Vec<Query<'_>> =
-                (0..numbers.len() / of_each).map(|k| links.query(chunk * CHUNK + k)).collect();
-            work(&queries, numbers);
-            if looked.elapsed() > LOOK {
-                #[allow(clippy::redundant_closure_for_method_calls)] // the method itself is of one lifetime
-                Python::attach(|py| py.check_signals()).map_err(carried)?;
-                looked = Instant::now();
-            }
-            // Without an early exit the loop is vectorised.
-            let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
-            if let Some(k) = numbers.par_chunks_exact(of_each).position_first(|own| !finite(own)) {
-                return Err(Error::Config(format!(
-                    "what is predicted for a transmitter at {:?} is not finite: numbers of the model overflow there; \
-                     leave the position out if it is far from all that the model has seen",
-                    queries[k].tx
-                )));
-            }
-        }
-        Ok(())
-    }
 }
 
 #[pymethods]
@@ -237,15 +187,23 @@ impl Model {
     /// (complex64). The axis B is present if `tx` has it. The axis R is present if the model has several receivers and
     /// `receiver`, a name or an index, is not given. Models of link features need `features` [B, width] in place of
     /// `tx`.
-    #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
+    ///
+    /// With `vjp`, the gradient of a real loss in the observations (their shape; ∂/∂Re + i ∂/∂Im for channels), it gives
+    /// (observations, gradient in the positions, [3] or [B, 3]). For a moving receiver this is the gradient in its position.
+    /// A model of link features, or with a network in Python, has none.
+    #[pyo3(signature = (tx=None, receiver=None, *, features=None, vjp=None))]
     fn predict<'py>(
         &self,
         py: Python<'py>,
         tx: Option<&Bound<'py, PyAny>>,
         receiver: Option<&Bound<'py, PyAny>>,
         features: Option<&Bound<'py, PyAny>>,
+        vjp: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.links(py, tx, receiver, features)?;
+        if let Some(cotangents) = vjp {
+            return self.differentiated(py, &links, cotangents);
+        }
         // A single link as on the command line, many in groups that share work: bit-identical.
         self.observed(py, &links, |queries, numbers| match queries {
             [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),

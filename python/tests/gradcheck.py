@@ -85,6 +85,37 @@ def derivatives_are_central_differences():
         assert torch.autograd.gradcheck(picture, given, eps=1e-7, atol=1e-4, rtol=1e-3, nondet_tol=0)
 
 
+def predictions_are_differentiable():
+    def model(deformation):
+        given = gaussians(4)
+        given["signals"] = given["signals"] @ [1, 1j]
+        return pwrfgs.Model.from_arrays(**given, pose=POSE, height=12, width=48, deformation=deformation)
+
+    octaves = pwrfgs.settings.Encoding.Octaves(1)
+    network = pwrfgs.Factored(depth=1, width=8, position_encoding=octaves, tx_encoding=octaves)
+    places = torch.tensor([[0.4, -0.2, 0.9], [1.2, 0.3, 0.7]], dtype=torch.float64, requires_grad=True)
+    mine = model(network)
+    found = pwrfgs.torch.predict(mine, places)
+    assert found.dtype == REAL and np.array_equal(found.detach().numpy(), mine.predict(places.detach().numpy()))
+    (slope,) = torch.autograd.grad(found.square().sum(), places)
+    assert slope.dtype == torch.float64 and slope.shape == (2, 3) and slope.abs().min() > 0
+    (alone,) = torch.autograd.grad(pwrfgs.torch.predict(mine, places[1].float(), 0).square().sum(), places)
+    assert torch.allclose(alone[1], slope[1], rtol=1e-4) and alone[0].abs().sum() == 0
+    if REAL == torch.float64:
+        assert torch.autograd.gradcheck(lambda tx: pwrfgs.torch.predict(mine, tx), [places], eps=1e-6, atol=1e-4, rtol=1e-3)
+    for refused_call, words in (
+        (lambda: pwrfgs.torch.predict(mine, places[:, :2]), "tx has shape [2, 2], expected [3] or [B, 3]"),
+        (lambda: pwrfgs.torch.predict(mine, places.half()), "tx: unsupported type torch.float16"),
+        (lambda: pwrfgs.torch.predict(model(Net()), places).sum().backward(), "this model has no derivative by the position"),
+    ):
+        try:
+            refused_call()
+        except pwrfgs.InputError as error:
+            assert words in str(error), error
+        else:
+            raise AssertionError(f"{words}: not refused")
+
+
 def pose_tensors(count=None):
     """Position and orientation of a receiver, or of several, which want gradients."""
     turn = np.array([0.2, -0.3, 0.5, 0.8]) + (0.1 * np.arange(4) * np.arange(count or 1)[:, None] if count else 0)
@@ -236,6 +267,7 @@ def main() -> None:
     batches_are_their_images_one_by_one()
     receiver_is_found_by_its_gradient()
     networks_and_losses_of_torch_are_trained()
+    predictions_are_differentiable()
     loader_gives_batches_by_workers()
     loop_of_the_readme_ends_in_a_report()
     if REAL == torch.float64:

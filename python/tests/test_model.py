@@ -26,6 +26,21 @@ def test_one_place_and_many(model):
     assert np.array_equal(model.predict(places.astype(np.float32).astype(np.float64)), model.predict(places.astype(np.float32)))
 
 
+def test_derivative_by_position(model):
+    places = np.array([[0.5, 0.2, 1.0], [1.0, -0.5, 1.2]])
+    rng = np.random.default_rng(1)
+    d = rng.normal(size=(2, 15, 60))
+    found, slopes = model.predict(places, vjp=d)
+    assert np.allclose(found, model.predict(places), atol=1e-6) and slopes.shape == (2, 3)
+    one, slope = model.predict(places[0], vjp=d[0])
+    assert one.shape == (15, 60) and np.allclose(slope, slopes[0], rtol=1e-5)
+    step, moves = 1e-2, rng.normal(size=(2, 3))
+    value = [(model.predict(places + sign * step * moves) * d).sum() for sign in (1, -1)]
+    assert np.isclose((value[0] - value[1]) / (2 * step), (slopes * moves).sum(), rtol=5e-2, atol=1e-2)
+    with pytest.raises(pwrfgs.InputError, match=r"vjp has shape \[2, 15\], expected \[2, 15, 60\]"):
+        model.predict(places, vjp=d[:, :, 0])
+
+
 def test_arrays_as_they_come(model):
     places = np.random.default_rng(0).normal(size=(6, 3))
     want = model.predict(places)

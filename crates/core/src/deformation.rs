@@ -29,13 +29,16 @@ pub trait Deformation:
         None
     }
 
-    /// Adds to `d_weights` (length of `weights`), and to `d_means` if given, for the cotangents `d` of the output.
+    /// Adds to `d_weights` (length of `weights`), and to `d_means` and the cotangents `d_txs` `[B, inputs]` of the
+    /// transmitter inputs if given, for the cotangents `d` of the output. `d_txs` is given only to a deformation that
+    /// [differentiates](DeformationTraits::differentiates_inputs) its inputs.
     fn vjp(
         &self,
         inputs: &DeformationInputs<'_>,
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
     );
 
     /// Returns the part of the signals that is linear in the transmitter inputs, for an initialisation in closed form;
@@ -76,6 +79,8 @@ pub struct DeformationTraits {
     /// Number of values per Gaussian, independent of the number of transmitters, that [`Deformation::forward`] and its
     /// derivative store in addition to the terms. Used for memory estimates; 0 if they work in small chunks.
     pub kept_per_gaussian: usize,
+    /// Whether [`Deformation::vjp`] supports the derivative by the inputs of the transmitters.
+    pub differentiates_inputs: bool,
 }
 
 impl Default for DeformationTraits {
@@ -88,6 +93,7 @@ impl Default for DeformationTraits {
             reads_receiver: false,
             couples_gaussians: false,
             kept_per_gaussian: 0,
+            differentiates_inputs: false,
         }
     }
 }

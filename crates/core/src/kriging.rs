@@ -9,6 +9,7 @@ use crate::Cholesky;
 use crate::neighbours::{Nearest, distance};
 pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::LN_10;
 
 /// Position of a sample: x, y and z in metres, and its time in samples, 0 for processes over space alone.
 pub type Place = [f64; 4];
@@ -39,16 +40,7 @@ pub struct Solution {
 
 /// Predicts a measurement at `at` from at least one sample at `places`, in units of the length scales.
 pub fn solve(correlation: &Correlation, mean: Mean, places: &[Place], at: Place) -> Solution {
-    let n = places.len();
-    let mut factor = vec![0.0; n * n];
-    for i in 0..n {
-        for j in 0..i {
-            factor[i * n + j] = correlation.kind.at(distance(places[i], places[j]));
-        }
-        factor[i * n + i] = 1.0 + correlation.noise;
-    }
-    // Rounding may cancel a pivot if positions coincide and noise is near zero.
-    let factor = Cholesky::floored(factor, n, 1e-12);
+    let (n, factor) = (places.len(), factored(correlation, places));
     let towards: Vec<f64> = places.iter().map(|place| correlation.kind.at(distance(*place, at))).collect();
     let mut weights = towards.clone();
     factor.solve(&mut weights);
@@ -62,6 +54,20 @@ pub fn solve(correlation: &Correlation, mean: Mean, places: &[Place], at: Place)
         variance += lacking * lacking / total;
     }
     Solution { weights, variance: variance.max(correlation.noise) }
+}
+
+/// Factor of the covariance of measurements at `places`.
+fn factored(correlation: &Correlation, places: &[Place]) -> Cholesky {
+    let n = places.len();
+    let mut factor = vec![0.0; n * n];
+    for i in 0..n {
+        for j in 0..i {
+            factor[i * n + j] = correlation.kind.at(distance(places[i], places[j]));
+        }
+        factor[i * n + i] = 1.0 + correlation.noise;
+    }
+    // Rounding may cancel a pivot if positions coincide and noise is near zero.
+    Cholesky::floored(factor, n, 1e-12)
 }
 
 /// Samples of a process, each prediction from the nearest of them.
@@ -86,10 +92,38 @@ impl LocalKriging {
     /// Returns the samples, at most `count`, that predict a measurement at `at` (metres), and their weights.
     pub fn solve(&self, at: Place, count: usize) -> (Vec<usize>, Solution) {
         let at = self.correlation.scaled(at);
-        let near: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<Place> = near.iter().map(|&i| self.places[i]).collect();
+        let (near, places) = self.near(at, count);
         let solution = solve(&self.correlation, self.mean, &places, at);
         (near, solution)
+    }
+
+    /// Returns the samples nearest to `at`, and their places, all in units of the length scales.
+    fn near(&self, at: Place, count: usize) -> (Vec<usize>, Vec<Place>) {
+        let near: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
+        let places = near.iter().map(|&i| self.places[i]).collect();
+        (near, places)
+    }
+
+    /// Returns the derivative of Σ d(i)·weight(i) of [`Self::solve`] by the position, 1/metre: the samples stay the same.
+    pub fn solve_vjp(&self, at: Place, count: usize, d: impl Fn(usize) -> f64) -> [f64; 3] {
+        let at = self.correlation.scaled(at);
+        let (near, places) = self.near(at, count);
+        let factor = factored(&self.correlation, &places);
+        // Weights are K⁻¹·t with the correlations t, plus the part of K⁻¹·1 that they lack to a sum of 1.
+        let mut d_towards: Vec<f64> = near.iter().map(|&i| d(i)).collect();
+        factor.solve(&mut d_towards);
+        if self.mean == Mean::Unknown {
+            let mut ones = vec![1.0; places.len()];
+            factor.solve(&mut ones);
+            let share = d_towards.iter().sum::<f64>() / ones.iter().sum::<f64>();
+            d_towards.iter_mut().zip(&ones).for_each(|(d, o)| *d -= share * o);
+        }
+        let mut d_at = [0.0; 3];
+        for (place, d) in places.iter().zip(&d_towards) {
+            let slope = d * self.correlation.kind.slope(distance(*place, at));
+            (0..3).for_each(|k| d_at[k] += slope * (at[k] - place[k]) / self.correlation.scales[k]);
+        }
+        d_at
     }
 }
 
@@ -114,6 +148,16 @@ impl CorrelationKind {
             Self::Exponential => "exponential",
             Self::Matern32 => "Matern 3/2",
             Self::SquaredExponential => "squared exponential",
+        }
+    }
+
+    /// Returns the derivative of [`Self::at`] over d; 0 at d = 0.
+    fn slope(self, d: f64) -> f64 {
+        match self {
+            Self::Exponential if d == 0.0 => 0.0,
+            Self::Exponential => -(-d).exp() / d,
+            Self::Matern32 => -3.0 * (-3f64.sqrt() * d).exp(),
+            Self::SquaredExponential => -(-0.5 * d * d).exp(),
         }
     }
 
@@ -189,6 +233,13 @@ impl PathLoss {
         (Self { level: levels.first().copied().unwrap_or(of_all), slope }, levels)
     }
 
+    /// Derivative of the power at `from` of a receiver at `to` by `from`, dB/m; 0 below the minimum distance.
+    pub fn slope_at(&self, from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
+        let distance = distance(from, to);
+        let along = if distance > NEAREST_M { -self.slope / (LN_10 * distance * distance) } else { 0.0 };
+        [0, 1, 2].map(|k| along * (from[k] - to[k]))
+    }
+
     /// Power in dBm at a distance, given as its logarithm.
     pub fn at(&self, log_m: f64) -> f64 {
         self.level - self.slope * log_m
@@ -203,6 +254,35 @@ pub fn log_distance(from: [f64; 3], to: [f64; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn derivatives_agree_with_central_differences() {
+        let places: Vec<Place> = (0..40).map(f64::from).map(|i| in_space([i.sin(), (2.0 * i).cos(), 0.0])).collect();
+        let (at, value) = ([0.21, -0.34, 0.4], |i: usize| (i as f64).cos());
+        let check = |f: &dyn Fn([f64; 3]) -> f64, d: [f64; 3]| {
+            for k in 0..3 {
+                let moved = |h: f64| f(std::array::from_fn(|j| if j == k { at[j] + h } else { at[j] }));
+                let difference = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                assert!((difference - d[k]).abs() < 1e-7 * difference.abs().max(1.0), "{difference} and {}", d[k]);
+            }
+        };
+        for (kind, mean) in
+            CorrelationKind::ALL.into_iter().flat_map(|kind| [(kind, Mean::Zero), (kind, Mean::Unknown)])
+        {
+            let correlation = Correlation { kind, scales: [0.5, 0.8, 1.2, f64::INFINITY], noise: 0.05 };
+            let kriging = LocalKriging::new(correlation, mean, places.iter().copied());
+            let sum = |at: [f64; 3]| {
+                let (near, solution) = kriging.solve(in_space(at), 12);
+                near.iter().zip(&solution.weights).map(|(&i, w)| w * value(i)).sum()
+            };
+            check(&sum, kriging.solve_vjp(in_space(at), 12, value));
+            let own = kriging.solve_vjp(places[3], 12, value);
+            assert!(own.iter().all(|d| d.is_finite()), "{kind:?} at a sample: {own:?}");
+        }
+        let law = PathLoss { level: -40.0, slope: 21.0 };
+        check(&|at| law.at(log_distance(at, [1.0, 2.0, 0.5])), law.slope_at(at, [1.0, 2.0, 0.5]));
+        assert_eq!(law.slope_at(at, at), [0.0; 3]);
+    }
 
     #[test]
     fn fits_path_loss_and_returns_constant_if_degenerate() {

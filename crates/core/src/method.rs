@@ -159,10 +159,14 @@ pub struct MethodVjp {
     pub weights: Vec<Real>,
     /// Statistics for pruners and densification; zeros if the method draws no splats.
     pub stats: CloudStats,
+    /// Derivative with respect to the [conditions](ObservationRequest::conditions) `[T, inputs]`. Empty if not requested; to
+    /// request it from a method that [supports](MethodTraits::differentiates_inputs) it, set it to zeros. The position of a
+    /// moving receiver also changes the geometry, which this includes.
+    pub conditions: Vec<Real>,
 }
 
 impl MethodVjp {
-    /// Creates zeros for parameters of this size.
+    /// Creates zeros for parameters of this size, without the conditions.
     pub fn zeros(parameters: &Parameters<'_>) -> Self {
         let n = parameters.cloud.len();
         Self {
@@ -171,6 +175,7 @@ impl MethodVjp {
             existence: vec![0.0; n],
             weights: vec![0.0; parameters.weights.len()],
             stats: CloudStats::zeros(n),
+            conditions: Vec::new(),
         }
     }
 }
@@ -313,6 +318,8 @@ pub struct MethodTraits<'a> {
     /// Whether its spectra are scaled from 0 to 1 over the drawn pixels, so that the sampled pixels of a measured
     /// spectrum must be scaled in the same way.
     pub stretches: bool,
+    /// Whether [`Method::vjp`] supports the derivative by the [conditions](MethodVjp::conditions).
+    pub differentiates_inputs: bool,
 }
 
 impl MethodTraits<'_> {
@@ -336,6 +343,7 @@ impl Default for MethodTraits<'_> {
             supports_existence_gate: false,
             blends: false,
             stretches: false,
+            differentiates_inputs: false,
         }
     }
 }

@@ -81,6 +81,10 @@ impl Predict for Constant {
     fn predict(&self, _: Query<'_>) -> Image {
         self.0.clone()
     }
+
+    fn predict_vjp(&self, _: Query<'_>, _: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        Some((self.0.clone(), [0.0; 3]))
+    }
 }
 
 impl ReceiverPredictor for Constant {
@@ -162,6 +166,10 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
 impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
     fn predict(&self, query: Query<'_>) -> Image {
         self.of(query.receiver).predict(query)
+    }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        self.of(query.receiver).predict_vjp(query, cotangent)
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {

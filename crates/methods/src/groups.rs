@@ -59,6 +59,22 @@ impl ReceiverGroup {
         self.rows.iter().filter_map(distance).collect()
     }
 
+    /// Adds to the cotangents of the positions, given those of [`Self::distances`].
+    pub(crate) fn distances_vjp(
+        &self,
+        pose: &Pose,
+        request: &ObservationRequest<'_>,
+        d: impl Iterator<Item = Real>,
+        d_positions: &mut [Real],
+    ) {
+        let (txs, d_txs) = (request.conditions.positions(), d_positions.as_chunks_mut::<3>().0);
+        for (row, d) in self.rows.iter().zip(d) {
+            let way = Vec3::from_array(txs[*row]) - pose.origin();
+            let d_way = way.normalize_or_zero() * d;
+            d_txs[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
+        }
+    }
+
     /// Returns the rows of `numbers` values that belong to its links.
     pub(crate) fn gather<'a>(&self, all: &'a [Real], numbers: usize) -> Cow<'a, [Real]> {
         if self.links.windows(2).all(|pair| pair[1] == pair[0] + 1) {
@@ -151,7 +167,8 @@ pub(crate) fn vjp(
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
     if !own.deltas.is_empty() {
         let d_network = &mut sums.weights[..inputs.weights.len()];
-        deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means));
+        let d_txs = Some(sums.conditions.as_mut_slice()).filter(|d_txs| !d_txs.is_empty());
+        deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means), d_txs);
     }
     for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
         sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);

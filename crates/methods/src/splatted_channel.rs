@@ -128,10 +128,19 @@ fn offsets_mut<'a>(setup: &MeasurementSetup, weights: &'a mut [Real]) -> &'a mut
 #[typetag::serde]
 impl Method for SplattedChannel {
     fn traits(&self) -> MethodTraits<'_> {
-        let (task, inputs) = (Some(Task::Channel), self.deformation.traits().inputs);
+        let task = Some(Task::Channel);
         // `Points` are virtual transmitters in the viewer; these are Gaussians with their initial scales and rotations.
         let deformation = Some(&self.deformation);
-        MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, deformation, ..MethodTraits::default() }
+        let (appearance, own) = (Appearance::Ellipsoids, self.deformation.traits());
+        let differentiates_inputs = own.differentiates_inputs;
+        MethodTraits {
+            task,
+            inputs: own.inputs,
+            appearance,
+            deformation,
+            differentiates_inputs,
+            ..MethodTraits::default()
+        }
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {

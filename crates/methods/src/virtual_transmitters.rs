@@ -81,7 +81,7 @@ impl Method for VirtualTransmitters {
     fn traits(&self) -> MethodTraits<'_> {
         let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
         let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
-        MethodTraits { task: Some(Task::Channel), columns, ..MethodTraits::default() }
+        MethodTraits { task: Some(Task::Channel), columns, differentiates_inputs: true, ..MethodTraits::default() }
     }
 
     /// The cloud is independent of the transmitter.
@@ -117,12 +117,23 @@ impl Method for VirtualTransmitters {
         sums: &mut MethodVjp,
     ) {
         let (positions, antennas) = (positions(request), array(&setup.receivers[0]));
-        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &setup.frequencies_hz };
-        let found = field_vjp(p.cloud, p.gate, &links, &gains_of(d, setup.frequencies_hz.len()));
-        for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
-            sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
+        let d = gains_of(d, setup.frequencies_hz.len());
+        // The field depends on distances and directions only: its derivative by a position is that by a common move of all
+        // Gaussians the other way, link by link.
+        let at_once = if sums.conditions.is_empty() { positions.len() } else { 1 };
+        let of_each = at_once * antennas.len() * setup.frequencies_hz.len();
+        let parts = positions.chunks(at_once.max(1)).zip(d.chunks(of_each.max(1))).zip(request.links);
+        for ((positions, d), link) in parts {
+            let links = ChannelInputs { positions, antennas: &antennas, frequencies: &setup.frequencies_hz };
+            let found = field_vjp(p.cloud, p.gate, &links, d);
+            for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
+                sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
+            }
+            sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
+            if let Some(d_position) = sums.conditions.get_mut(3 * link.transmitter..3 * link.transmitter + 3) {
+                found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
+            }
         }
-        sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
         sums.stats.visible.iter_mut().for_each(|input| *input += 1.0);
         // Contribution of each Gaussian to the channel, averaged over directions, for pruners by blending weight.
         let more = p.cloud.extra(HARMONICS);

@@ -1,5 +1,7 @@
 //! `Prepared`: models ready to predict, with all transmitter-independent values precomputed.
 
+mod derivative;
+
 use crate::{Model, Residuals};
 use pwrfgs_core::{
     Cache, Conditions, GaussianCloud, Image, ImagePlane, ObservationRequest, Parameters, PixelSubset, Predict, Query,
@@ -182,11 +184,19 @@ impl Predict for Model {
     fn predict(&self, query: Query<'_>) -> Image {
         Self::predict(self, query)
     }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        self.prepare().predict_vjp(query, cotangent)
+    }
 }
 
 impl Predict for Prepared<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         self.predict_timed(query).0
+    }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        Prepared::predict_vjp(self, query, cotangent)
     }
 
     /// That of the residual process; `None` without residual processes.
@@ -209,9 +219,13 @@ impl<'a> Member<'a> {
 
     fn predict(&self, query: Query<'_>) -> (Image, StageTimes) {
         let start = Instant::now();
-        let one = || self.observations(&[query]);
-        let (mut images, times) = if self.cloud.len() < POOL { one() } else { rayon::scope(|_| one()) };
+        let (mut images, times) = self.enter(|| self.observations(&[query]));
         (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), prepare: self.seconds, ..times })
+    }
+
+    /// Runs a prediction in the thread pool if it is worth it.
+    fn enter<T: Send>(&self, run: impl FnOnce() -> T + Send) -> T {
+        if self.cloud.len() < POOL { run() } else { rayon::scope(|_| run()) }
     }
 
     /// Predicts one group of links at a time: they share a projection, or at least the network, and each uses one
@@ -235,6 +249,18 @@ impl<'a> Member<'a> {
 
     /// Predicts the values of the links of one call, as contiguous observations.
     fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
+        let stages = &self.model.stages;
+        self.with_request(queries, |parameters, request| {
+            stages.method.predict(&stages.setup, parameters, request, &self.ready)
+        })
+    }
+
+    /// Calls the method with the links of one call.
+    fn with_request<T>(
+        &self,
+        queries: &[Query<'_>],
+        run: impl FnOnce(&Parameters<'_>, &ObservationRequest<'_>) -> T,
+    ) -> T {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
         let (conditions, orientations, links) = stages.setup.conditions(inputs, queries.iter().copied());
@@ -243,8 +269,7 @@ impl<'a> Member<'a> {
             links: &links,
             pixels: PixelSubset::All,
         };
-        let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights };
-        stages.method.predict(&stages.setup, &parameters, &request, &self.ready)
+        run(&Parameters { cloud: &self.cloud, gate: None, existence: None, weights }, &request)
     }
 }
 

@@ -117,6 +117,20 @@ impl ResidualValues {
     }
 }
 
+impl ResidualValues {
+    /// Σ d·residual of link `i`.
+    fn dot(&self, i: usize, d: &[Real]) -> f64 {
+        let (n, wide) = (d.len(), |v: Real, d: &Real| v as f64 * *d as f64);
+        match self {
+            Self::Exact(values) => values[i * n..][..n].iter().zip(d).map(|(v, d)| wide(*v, d)).sum(),
+            Self::Short(values, units) => {
+                let sum: f64 = values[i * n..][..n].iter().zip(d).map(|(v, d)| wide(Real::from(*v), d)).sum();
+                units[i] as f64 * sum
+            }
+        }
+    }
+}
+
 impl ResidualProcess {
     pub(crate) fn new(fit: ProcessFit, places: Vec<[Real; 3]>, values: ResidualValues) -> Self {
         let mean = if fit.trend.path_loss.is_some() { Mean::Zero } else { Mean::Unknown };
@@ -165,6 +179,22 @@ impl Residuals {
         near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
         image.pixels.iter_mut().for_each(|pixel| *pixel = process.fit.trend.at(*pixel, at));
         self.grid.add_to(&sum, &mut image.pixels);
+    }
+
+    /// Backward pass of [`Self::correct`]: returns the cotangent of the position, given those of the corrected values,
+    /// which become those of the prediction of the model.
+    pub(crate) fn correct_vjp(&self, d: &mut [Real], query: Query<'_>, origin: Origin) -> [f64; 3] {
+        let Some(process) = self.process(query.receiver) else { return [0.0; 3] };
+        let (at, trend) = (origin.local(query.tx), &process.fit.trend);
+        let d_sum = self.grid.add_to_vjp(d);
+        let mut d_at = process.kriging.solve_vjp(place(at), self.neighbours, |i| process.values.dot(i, &d_sum));
+        if let Some((law, receiver)) = trend.path_loss {
+            let all = (1.0 - trend.share) * d.iter().map(|d| *d as f64).sum::<f64>();
+            let slope = law.slope_at(at.map(|v| v as f64), receiver);
+            (0..3).for_each(|k| d_at[k] += all * slope[k]);
+        }
+        d.iter_mut().for_each(|d| *d *= trend.share as Real);
+        d_at
     }
 
     /// Standard deviation of a measurement of a link about the prediction, per value. Without a process, it is the largest

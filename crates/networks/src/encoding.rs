@@ -276,6 +276,16 @@ impl Encoder {
         }
     }
 
+    /// Adds the derivative of [`Self::encode`] to `d_points`, given γ and its cotangent, `[·, B]` each.
+    pub(super) fn encode_vjp(&self, (gamma, d_gamma): (&[Real], &[Real]), d_points: &mut [[Real; 3]]) {
+        let rows = d_points.len();
+        let scale = if let Self::Waves(_, scale) = self { *scale as Real } else { 1.0 };
+        for (r, d_point) in d_points.iter_mut().enumerate() {
+            d_point.iter_mut().enumerate().for_each(|(k, sum)| *sum += scale * d_gamma[k * rows + r]);
+        }
+        self.waves_vjp(&gamma[3 * rows..], &d_gamma[3 * rows..], d_points);
+    }
+
     /// Adds the derivative through the waves to `d_points`, given their values `[·, N]` (γ without its first three
     /// rows) and their cotangents.
     pub(super) fn waves_vjp(&self, waves: &[Real], d_waves: &[Real], d_points: &mut [[Real; 3]]) {
@@ -322,13 +332,14 @@ impl Pseudo {
         (0..rows).map(|r| std::array::from_fn(|k| 2.0 * y[k * rows + r].tanh())).collect()
     }
 
-    /// Adds to `d_weights`, given the encoding γ and its cotangent.
+    /// Adds to `d_weights`, and to the cotangents of the features if given, from the encoding γ and its cotangent.
     pub(super) fn vjp(
         &self,
         weights: &[Real],
         txs: Conditions<'_>,
         (gamma, d_gamma): (&[Real], &[Real]),
         d_weights: &mut [Real],
+        d_txs: Option<&mut [Real]>,
     ) {
         let (rows, positions) = (txs.len(), self.positions(weights, txs));
         let mut d_positions = vec![[0.0; 3]; rows];
@@ -337,6 +348,9 @@ impl Pseudo {
         let d_y: Vec<Real> = (0..3 * rows).map(|i| slope(i / rows, i % rows)).collect();
         dense::add_bias_vjp(&d_y, self.layer.bias_mut(d_weights));
         self.layer.whole().weight_vjp(d_weights, &self.inputs(txs), &d_y);
+        if let Some(d_txs) = d_txs {
+            self.layer.whole().features_vjp(weights, &d_y, self.gain, d_txs);
+        }
     }
 }
 

@@ -89,6 +89,7 @@ impl Deformation for Factored {
         DeformationTraits {
             inputs: self.tx_encoding.inputs(),
             kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // waves and their derivatives
+            differentiates_inputs: true,
             ..DeformationTraits::default()
         }
     }
@@ -118,8 +119,9 @@ impl Deformation for Factored {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
     ) {
-        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_means);
+        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_means, d_txs);
     }
 
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {

@@ -181,6 +181,7 @@ impl FactoredLayers {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
     ) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         if means.is_empty() || txs.is_empty() {
@@ -192,10 +193,13 @@ impl FactoredLayers {
             groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
         let mixed: Vec<WaveMixture> = layers.par_iter().map(|own| self.mixed(weights, own)).collect();
         let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
-        let group = |((some, layers), d_mixed): ((&Range<usize>, &Vec<Vec<Real>>), &WaveMixture)| {
-            self.group_vjp(weights, txs.rows(some.clone()), layers, d_mixed)
+        let mut d_inputs = d_txs.map(|d_txs| d_txs.chunks_mut(GROUP * txs.width()));
+        let parts: Vec<Option<&mut [Real]>> =
+            groups.iter().map(|_| d_inputs.as_mut().and_then(Iterator::next)).collect();
+        let group = |(k, d_txs): (usize, Option<&mut [Real]>)| {
+            self.group_vjp(weights, txs.rows(groups[k].clone()), &layers[k], &d_mixed[k], d_txs)
         };
-        let sums: Vec<Vec<Real>> = groups.par_iter().zip(&layers).zip(&d_mixed).map(group).collect();
+        let sums: Vec<Vec<Real>> = parts.into_par_iter().enumerate().map(group).collect();
         dense::add_in_order(d_weights, &sums.iter().map(Vec::as_slice).collect::<Vec<_>>());
     }
 
@@ -274,8 +278,15 @@ impl FactoredLayers {
         }
     }
 
-    /// Returns the derivatives of the weights from some transmitters.
-    fn group_vjp(&self, weights: &[Real], txs: Conditions<'_>, layers: &[Vec<Real>], d: &WaveMixture) -> Vec<Real> {
+    /// Returns the derivatives of the weights from some transmitters; adds those of their inputs to `d_txs` if given.
+    fn group_vjp(
+        &self,
+        weights: &[Real],
+        txs: Conditions<'_>,
+        layers: &[Vec<Real>],
+        d: &WaveMixture,
+        mut d_txs: Option<&mut [Real]>,
+    ) -> Vec<Real> {
         let (batch, width, waves) = (txs.len(), self.features, self.branch.inputs);
         let mut d_weights = vec![0.0; weights.len()];
         let mut d_h = vec![0.0; width * batch];
@@ -296,6 +307,9 @@ impl FactoredLayers {
             dense::add_bias_vjp(&d.base[c], d_last);
             if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
                 near.vjp(c, correlations, &d.waves[c], &mut d_weights);
+                if let Some(d_txs) = &mut d_txs {
+                    near.position_vjp(weights, c, txs, correlations, &d.waves[c], d_txs.as_chunks_mut().0);
+                }
             }
         }
         let mut d_own = d_h.split_off((width - self.direct) * batch);
@@ -305,10 +319,15 @@ impl FactoredLayers {
             if l == 0 && self.direct > 0 {
                 layer.whole().input_vjp(weights, &d_h, &mut d_own, StoreMode::Add);
             }
-            if let (0, Some(pseudo)) = (l, &self.pseudo) {
+            if l == 0 && self.direct == 0 && (self.pseudo.is_some() || d_txs.is_some()) {
                 let mut d_gamma = vec![0.0; layer.inputs * batch];
                 layer.whole().input_vjp(weights, &d_h, &mut d_gamma, StoreMode::Set);
-                pseudo.vjp(weights, txs, (&layers[0], &d_gamma), &mut d_weights);
+                let own = (layers[0].as_slice(), d_gamma.as_slice());
+                match (&self.pseudo, &mut d_txs) {
+                    (Some(pseudo), d_txs) => pseudo.vjp(weights, txs, own, &mut d_weights, d_txs.as_deref_mut()),
+                    (None, Some(d_txs)) => self.tx_encoding.encode_vjp(own, d_txs.as_chunks_mut().0),
+                    (None, None) => {}
+                }
             }
             if l > 0 {
                 let mut d_x = vec![0.0; layer.inputs * batch];
@@ -321,6 +340,9 @@ impl FactoredLayers {
             self.tx_encoding.encode_all(txs, &mut raw);
             dense::add_bias_vjp(&d_own, white.bias_mut(&mut d_weights));
             white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
+            if let (Some(d_txs), Encoder::Features(_, gain)) = (d_txs, &self.tx_encoding) {
+                white.whole().features_vjp(weights, &d_own, *gain as Real, d_txs);
+            }
         }
         d_weights
     }

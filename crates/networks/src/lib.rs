@@ -49,12 +49,20 @@ pub struct Fixed {}
 #[typetag::serde]
 impl Deformation for Fixed {
     fn traits(&self) -> DeformationTraits {
-        DeformationTraits::default()
+        DeformationTraits { differentiates_inputs: true, ..DeformationTraits::default() }
     }
 
     fn forward(&self, _: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         Deltas::default()
     }
 
-    fn vjp(&self, _: &DeformationInputs<'_>, _: &Deltas, _: &mut [Real], _: Option<&mut [[Real; 3]]>) {}
+    fn vjp(
+        &self,
+        _: &DeformationInputs<'_>,
+        _: &Deltas,
+        _: &mut [Real],
+        _: Option<&mut [[Real; 3]]>,
+        _: Option<&mut [Real]>,
+    ) {
+    }
 }

@@ -96,6 +96,18 @@ impl LayerPart {
     }
 }
 
+impl LayerPart {
+    /// Adds the derivative through W·(gain·x) to features `d_x` `[R, columns]`, row by row.
+    pub fn features_vjp(&self, weights: &[Real], d_y: &[Real], gain: Real, d_x: &mut [Real]) {
+        let (features, mut own) = (self.columns.len(), vec![0.0; d_x.len()]);
+        self.input_vjp(weights, d_y, &mut own, StoreMode::Set);
+        let rows = own.len() / features;
+        for (k, own) in own.chunks_exact(rows).enumerate() {
+            own.iter().enumerate().for_each(|(r, d)| d_x[r * features + k] += gain * d);
+        }
+    }
+}
+
 /// Tensors of a network, in order, during the layout of its layers.
 #[derive(Debug, Default)]
 pub struct LayoutBuilder {

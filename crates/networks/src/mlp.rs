@@ -6,7 +6,7 @@
 //! ```
 
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
-use crate::encoding::{self, check_frequencies, encode};
+use crate::encoding::{self, check_frequencies, encode, encode_vjp};
 use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real};
@@ -94,7 +94,8 @@ impl Mlp {
 #[typetag::serde]
 impl Deformation for Mlp {
     fn traits(&self) -> DeformationTraits {
-        DeformationTraits { varies_geometry: self.outputs == Outputs::All, ..DeformationTraits::default() }
+        let varies_geometry = self.outputs == Outputs::All;
+        DeformationTraits { varies_geometry, differentiates_inputs: true, ..DeformationTraits::default() }
     }
 
     fn layout(&self) -> Layout {
@@ -106,9 +107,16 @@ impl Deformation for Mlp {
         network.forward(inputs.weights, inputs.means, inputs.txs.positions())
     }
 
-    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {
+    fn vjp(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        _: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
+    ) {
         assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
-        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights);
+        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_txs);
     }
 
     fn check(&self) -> Result<(), String> {
@@ -252,7 +260,13 @@ impl MlpLayers {
         }
     }
 
-    pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real]) {
+    pub(super) fn vjp(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        d_txs: Option<&mut [Real]>,
+    ) {
         let DeformationInputs { weights, means, .. } = *inputs;
         let txs = inputs.txs.positions();
         let sides = self.tx_sides(weights, txs);
@@ -273,7 +287,7 @@ impl MlpLayers {
         let mut folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
         dense::add_in_order(&mut folded.first, &sums.iter().map(|s| s.folded.first.as_slice()).collect::<Vec<_>>());
         dense::add_in_order(&mut folded.joined, &sums.iter().map(|s| s.folded.joined.as_slice()).collect::<Vec<_>>());
-        self.tx_vjp(weights, &sides, &folded, d_weights);
+        self.tx_vjp(weights, &sides, &folded, d_weights, d_txs);
     }
 
     /// Backward pass of one chunk for some transmitters; recomputes its forward pass first.
@@ -316,7 +330,14 @@ impl MlpLayers {
     }
 
     /// Backward pass of the transmitter branch, for all transmitters at once.
-    fn tx_vjp(&self, weights: &[Real], sides: &[TxSide], d_folded: &Joints, d_weights: &mut [Real]) {
+    fn tx_vjp(
+        &self,
+        weights: &[Real],
+        sides: &[TxSide],
+        d_folded: &Joints,
+        d_weights: &mut [Real],
+        d_txs: Option<&mut [Real]>,
+    ) {
         let batch = sides.len();
         let stack = |of: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(of).copied().collect() };
         let features = stack(|s| &s.features);
@@ -333,6 +354,12 @@ impl MlpLayers {
         let d_z = Matrix::new(&d_hidden, batch, first.outputs);
         product(first.weight_mut(d_weights), StoreMode::Add, d_z.t(), Matrix::new(&gamma, batch, first.inputs));
         d_hidden.chunks_exact(first.outputs).for_each(|d| dense::add(first.bias_mut(d_weights), d));
+        let Some(d_txs) = d_txs else { return };
+        let mut d_gamma = vec![0.0; gamma.len()];
+        product(MatrixMut::new(&mut d_gamma, batch, first.inputs), StoreMode::Set, d_z, first.weight(weights));
+        let own = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
+        let each = own.zip(d_txs.as_chunks_mut().0.chunks_mut(1));
+        each.for_each(|((gamma, d), d_tx)| encode_vjp(gamma, d, self.tx_frequencies, d_tx));
     }
 }
 

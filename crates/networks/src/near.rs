@@ -98,6 +98,35 @@ impl NearLayer {
         product(MatrixMut::new(d_table, self.count, self.waves), StoreMode::Add, correlations, d_waves.t());
     }
 
+    /// Adds to the cotangents of the transmitters from channel `c`. A correlation has no derivative at its position
+    /// and from its end on.
+    pub(super) fn position_vjp(
+        &self,
+        weights: &[Real],
+        c: usize,
+        txs: Conditions<'_>,
+        correlations: &[Real],
+        d_waves: &[Real],
+        d_txs: &mut [[Real; 3]],
+    ) {
+        let batch = txs.len();
+        let table = Matrix::new(&weights[self.of(c)..][..self.count * self.waves], self.count, self.waves);
+        let mut d = vec![0.0; self.count * batch];
+        let d_waves = Matrix::new(d_waves, self.waves, batch);
+        product(MatrixMut::new(&mut d, self.count, batch), StoreMode::Set, table, d_waves);
+        let places = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
+        for ((d, values), z) in d.chunks_exact(batch).zip(correlations.chunks_exact(batch)).zip(places) {
+            for (((d, value), p), d_tx) in d.iter().zip(values).zip(txs.positions()).zip(d_txs.iter_mut()) {
+                let way: [Real; 3] = std::array::from_fn(|k| p[k] - z[k]);
+                let distance = way.iter().map(|v| v * v).sum::<Real>().sqrt();
+                if *value > 0.0 && distance > 0.0 {
+                    let slope = -d * value / (self.length * distance);
+                    d_tx.iter_mut().zip(way).for_each(|(sum, v)| *sum += slope * v);
+                }
+            }
+        }
+    }
+
     /// Returns the offset of the weights of channel `c`.
     fn of(&self, c: usize) -> usize {
         self.weight + c * self.count * self.waves
@@ -123,6 +152,17 @@ mod tests {
         assert!((found[4] - GAIN * (-1.0 as Real).exp()).abs() < 1e-5);
         assert_eq!(found[6..], [0.0; 3]);
         assert_eq!(plan.layout().fixed().first(), Some(&(0..9)));
+    }
+
+    #[test]
+    fn correlation_has_no_derivative_at_its_position() {
+        let (layer, plan) = planned(|plan| Near { count: 1, length_m: 0.1 }.layer(plan, 1));
+        let mut weights = vec![1.0; plan.numbers()];
+        layer.place(&[[0.5, 0.0, 0.0]], &mut weights);
+        let (txs, mut d_txs) = ([[0.5, 0.0, 0.0], [9.0, 0.0, 0.0]], [[0.0; 3]; 2]);
+        let correlations = layer.correlations(&weights, Conditions::from(&txs));
+        layer.position_vjp(&weights, 0, Conditions::from(&txs), &correlations, &[1.0; 2], &mut d_txs);
+        assert_eq!(d_txs, [[0.0; 3]; 2]);
     }
 
     #[test]

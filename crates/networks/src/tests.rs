@@ -2,7 +2,7 @@
 //! sizes.
 
 use super::{Encoding, Factored, Fixed, Mlp, Near, Outputs, Wrfgs};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
+use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
 
 const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
 
@@ -34,32 +34,42 @@ fn cotangent(like: &Deltas) -> Deltas {
     deltas_like(like, &values)
 }
 
-/// Compares with central differences along every weight, and along every centre if the deformation differentiates them.
+/// Compares with central differences along every weight, along every input of the transmitters, and along every centre if
+/// the deformation differentiates them.
 fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: usize, along_means: bool) {
     deformation.check().unwrap();
     let mut weights = deformation.layout().init(&mut rng::stream(2, name, 0));
-    deformation.start((&points(5, "training")).into(), &mut weights);
+    let width = deformation.traits().inputs;
+    let conditions = |n: usize, name: &str| points(n * width, name).as_flattened()[..n * width].to_vec();
+    deformation.start(Conditions::new(width, &conditions(5, "training")), &mut weights);
     let fixed = deformation.layout().fixed();
-    let (means, txs) = (points(n, "means"), points(batch, "txs"));
+    let (means, txs) = (points(n, "means"), conditions(batch, "txs"));
     let moved = if along_means { means.as_flattened() } else { &[] };
-    let x = [weights.as_slice(), moved].concat();
+    let x = [weights.as_slice(), &txs, moved].concat();
     let split = |x: &[Real]| {
-        let (w, m) = x.split_at(weights.len());
+        let (w, rest) = x.split_at(weights.len());
+        let (txs, m) = rest.split_at(txs.len());
         let mut w = w.to_vec();
         fixed.iter().for_each(|range| w[range.clone()].copy_from_slice(&weights[range.clone()]));
-        (w, if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() })
+        (w, txs.to_vec(), if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() })
     };
     let f = |x: &[Real]| {
-        let (w, means) = split(x);
-        flat(&deformation.forward(&DeformationInputs::new(&w, &means, &txs, &POSE), &None))
+        let (w, txs, means) = split(x);
+        let inputs = DeformationInputs::new(&w, &means, Conditions::new(width, &txs), &POSE);
+        flat(&deformation.forward(&inputs, &None))
     };
     let vjp = |x: &[Real], d: &[Real]| {
-        let (w, means) = split(x);
-        let inputs = DeformationInputs::new(&w, &means, &txs, &POSE);
+        let (w, txs, means) = split(x);
+        let inputs = DeformationInputs::new(&w, &means, Conditions::new(width, &txs), &POSE);
         let d = deltas_like(&deformation.forward(&inputs, &None), d);
         // Starts from ones to show that derivatives are added.
-        let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
-        deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means));
+        let (mut d_weights, mut d_txs, mut d_means) = (vec![1.0; w.len()], vec![1.0; txs.len()], vec![[1.0; 3]; n]);
+        deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means), Some(&mut d_txs));
+        // Derivatives that are not requested change no other.
+        let (mut alone, mut alone_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
+        deformation.vjp(&inputs, &d, &mut alone, along_means.then_some(&mut alone_means), None);
+        assert!(alone == d_weights && alone_means == d_means, "{name}");
+        d_weights.extend(d_txs);
         if along_means {
             d_weights.extend_from_slice(d_means.as_flattened());
         }
@@ -119,6 +129,12 @@ fn factored_derivatives_agree_with_central_differences() {
     check_derivative("factored, coordinates", &bare, 3, 1, true);
     let near = Some(Near { count: 6, length_m: 0.8 });
     check_derivative("factored, near", &Factored { near, ..small_factored() }, 4, 35, true);
+    let features = Encoding::Features { width: 4, gain: 0.7 };
+    check_derivative("factored, features", &Factored { tx_encoding: features, ..small_factored() }, 3, 2, true);
+    let pseudo = Encoding::PseudoPosition { width: 5, gain: 0.7, octaves: 2 };
+    check_derivative("factored, pseudo-positions", &Factored { tx_encoding: pseudo, ..small_factored() }, 3, 2, true);
+    let lengths = Encoding::Wavelengths { count: 2, longest_m: 9.0, shortest_m: 2.0 };
+    check_derivative("factored, wavelengths", &Factored { tx_encoding: lengths, ..small_factored() }, 3, 2, true);
     let waves = Encoding::Waves { count: 4, reach: 3.0, seed: 1 };
     check_derivative(
         "factored, waves",
@@ -169,7 +185,9 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
         let inputs = DeformationInputs::new(&weights, &means, &txs, &POSE);
         let deltas = deformation.forward(&inputs, &None);
         let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
-        deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means));
+        let mut d_txs = vec![0.0; 3 * batch];
+        deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means), Some(&mut d_txs));
+        d_weights.extend(d_txs);
         d_weights.extend_from_slice(d_means.as_flattened());
         (deltas, d_weights)
     })
@@ -199,7 +217,7 @@ fn batch_is_bit_identical_to_single_calls() {
         let batch = deformation.forward(&inputs((&txs).into()), &None);
         let d = cotangent(&batch);
         let mut d_batch = vec![0.0; weights.len()];
-        deformation.vjp(&inputs((&txs).into()), &d, &mut d_batch, None);
+        deformation.vjp(&inputs((&txs).into()), &d, &mut d_batch, None, None);
         let mut d_singles = vec![0.0; weights.len()];
         for (b, tx) in txs.chunks(1).enumerate() {
             let single = deformation.forward(&inputs(tx.into()), &None);
@@ -210,7 +228,7 @@ fn batch_is_bit_identical_to_single_calls() {
                 signals: d.signals[rows.clone()].to_vec(),
             };
             assert_eq!(single, part(&batch));
-            deformation.vjp(&inputs(tx.into()), &part(&d), &mut d_singles, None);
+            deformation.vjp(&inputs(tx.into()), &part(&d), &mut d_singles, None, None);
         }
         let largest = d_batch.iter().fold(0.0, |m: Real, d| m.max(d.abs()));
         for (a, b) in d_batch.iter().zip(&d_singles) {

@@ -86,7 +86,12 @@ impl Wrfgs {
 impl Deformation for Wrfgs {
     fn traits(&self) -> DeformationTraits {
         let couples_gaussians = self.gain.is_none();
-        DeformationTraits { replaces_signals: true, couples_gaussians, ..DeformationTraits::default() }
+        DeformationTraits {
+            replaces_signals: true,
+            couples_gaussians,
+            differentiates_inputs: true,
+            ..DeformationTraits::default()
+        }
     }
 
     fn layout(&self) -> Layout {
@@ -118,6 +123,7 @@ impl Deformation for Wrfgs {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
     ) {
         if d.signals.is_empty() {
             return;
@@ -127,10 +133,10 @@ impl Deformation for Wrfgs {
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
         let Some(d_means) = d_means else {
-            network.vjp(inputs, &d_products, d_weights, None);
+            network.vjp(inputs, &d_products, d_weights, None, d_txs);
             return;
         };
-        let along_gain = network.vjp(inputs, &d_products, d_weights, Some(&mut *d_means));
+        let along_gain = network.vjp(inputs, &d_products, d_weights, Some(&mut *d_means), d_txs);
         let norm = Self::norm(inputs.means, inputs.pose);
         if self.gain.is_none() && norm > 0.0 {
             // g·∂L/∂g is available; with g = 40·F, ∂g/∂X = g·(X - r)/F².

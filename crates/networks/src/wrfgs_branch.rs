@@ -35,6 +35,7 @@ pub(super) struct BranchScratch {
     pub(super) out: Vec<Real>,
     d: Vec<Real>,
     spare: Vec<Real>,
+    d_offset: Vec<[Real; 3]>, // cotangents of X - p
 }
 
 /// Computes |lrelu(z)| with slope 0.01.
@@ -75,12 +76,26 @@ impl Branch {
         txs.par_iter().map(side).collect()
     }
 
-    /// Backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`.
-    pub(super) fn tx_vjp(&self, sides: &[TxSide], d_folded: &[Real], d_weights: &mut [Real]) {
+    /// Backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`. Adds to
+    /// `d_weights`, and to the cotangents of the positions if given.
+    pub(super) fn tx_vjp(
+        &self,
+        weights: &[Real],
+        sides: &[TxSide],
+        d_folded: &[Real],
+        d_weights: &mut [Real],
+        d_txs: Option<&mut [[Real; 3]]>,
+    ) {
         let [_, of_tx, _] = self.parts();
+        let mut d_txs = d_txs.map(|d_txs| d_txs.chunks_mut(1));
         for (side, d) in sides.iter().zip(d_folded.chunks_exact(self.signal[0].outputs)) {
             of_tx.weight_vjp(d_weights, &side.gamma, d);
             dense::add(self.signal[0].bias_mut(d_weights), d);
+            if let Some(d_tx) = d_txs.as_mut().and_then(Iterator::next) {
+                let mut d_gamma = vec![0.0; side.gamma.len()];
+                of_tx.input_vjp(weights, d, &mut d_gamma, StoreMode::Set);
+                encode_vjp(&side.gamma, &d_gamma, self.frequencies, d_tx);
+            }
         }
     }
 
@@ -111,7 +126,8 @@ impl Branch {
     }
 
     /// Backward pass of [`Self::forward`], whose activations are in `room`. Adds to the cotangents of the weights, the
-    /// folded bias `[width]`, `from_feature`, and the centres if requested.
+    /// folded bias `[width]`, `from_feature`, and the centres and the transmitter if requested.
+    #[allow(clippy::too_many_arguments)] // the two ends of the derivative
     pub(super) fn vjp(
         &self,
         weights: &[Real],
@@ -120,8 +136,9 @@ impl Branch {
         d_folded: &mut [Real],
         d_from_feature: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_tx: Option<&mut [Real; 3]>,
     ) {
-        let BranchScratch { offset, hidden: [first, second], out, d, spare } = room;
+        let BranchScratch { offset, hidden: [first, second], out, d, spare, d_offset } = room;
         self.out.whole().weight_vjp(d_weights, second, out);
         dense::add_bias_vjp(out, self.out.bias_mut(d_weights));
         spare.resize(second.len(), 0.0);
@@ -134,9 +151,18 @@ impl Branch {
         dense::add(d_from_feature, d);
         let [_, _, of_offset] = self.parts();
         of_offset.weight_vjp(d_weights, offset, d);
+        if d_means.is_none() && d_tx.is_none() {
+            return;
+        }
+        spare.resize(offset.len(), 0.0);
+        of_offset.input_vjp(weights, d, spare, StoreMode::Set);
+        if let Some(d_tx) = d_tx {
+            d_offset.clear();
+            d_offset.resize(out.len() / 2, [0.0; 3]);
+            encode_vjp(offset, spare, self.frequencies, d_offset);
+            d_offset.iter().for_each(|d| (0..3).for_each(|k| d_tx[k] -= d[k]));
+        }
         if let Some(d_means) = d_means {
-            spare.resize(offset.len(), 0.0);
-            of_offset.input_vjp(weights, d, spare, StoreMode::Set);
             encode_vjp(offset, spare, self.frequencies, d_means);
         }
     }

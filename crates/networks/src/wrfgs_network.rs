@@ -55,6 +55,8 @@ struct GradientSum {
     along_gain: f64,
     /// Cotangents of the centres of its items, in sequence, if requested.
     means: Option<Vec<[Real; 3]>>,
+    /// Cotangents of the transmitters `[B]` through their distances to the centres, if requested.
+    txs: Option<Vec<[Real; 3]>>,
     /// Offset of the current item in `means`.
     row: usize,
 }
@@ -163,14 +165,15 @@ impl WrfgsLayers {
         all
     }
 
-    /// Backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `d_weights`, and to `d_means` if
-    /// given; returns Σ d·S·A.
+    /// Backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `d_weights`, and to `d_means` and
+    /// `d_txs` if given; returns Σ d·S·A.
     pub(super) fn vjp(
         &self,
         inputs: &DeformationInputs<'_>,
         d: &[Real],
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [Real]>,
     ) -> f64 {
         let DeformationInputs { weights, means, .. } = *inputs;
         let txs = inputs.txs.positions();
@@ -185,6 +188,7 @@ impl WrfgsLayers {
                     trunk_biases: self.trunk.zero_joints(self.trunk.width),
                     along_gain: 0.0,
                     means: d_means.is_some().then(Vec::new),
+                    txs: d_txs.is_some().then(|| vec![[0.0; 3]; txs.len()]),
                     row: 0,
                 };
                 let mut scratch = Scratch::default();
@@ -195,9 +199,13 @@ impl WrfgsLayers {
             })
             .collect();
         dense::add_in_order(d_weights, &sums.iter().map(|s| s.weights.as_slice()).collect::<Vec<_>>());
+        let mut d_txs = d_txs.map(|d_txs| d_txs.as_chunks_mut::<3>().0);
         for sum in &sums {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
-            self.branch.tx_vjp(&sides, &sum.folded, d_weights);
+            self.branch.tx_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());
+            if let (Some(d_txs), Some(own)) = (&mut d_txs, &sum.txs) {
+                dense::add(d_txs.as_flattened_mut(), own.as_flattened());
+            }
         }
         if let Some(d_means) = d_means {
             let of_items = sums.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied();
@@ -240,7 +248,8 @@ impl WrfgsLayers {
             phase.fill(0.0); // unused
             let d_means = sum.means.as_mut().map(|d_means| &mut d_means[sum.row..]);
             let d_folded = &mut sum.folded[b * width..(b + 1) * width];
-            self.branch.vjp(weights, branch, &mut sum.weights, d_folded, d_from_feature, d_means);
+            let d_tx = sum.txs.as_mut().map(|d_txs| &mut d_txs[b]);
+            self.branch.vjp(weights, branch, &mut sum.weights, d_folded, d_from_feature, d_means, d_tx);
         }
         self.begin_vjp(weights, scratch, sum);
     }

@@ -1,6 +1,6 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-use super::log_distance::{log_distance, points};
+use super::log_distance::{log_distance, points, receiver};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
@@ -202,6 +202,26 @@ impl Predict for Process<'_> {
         };
         let dbm = self.trend.at(query) + weighted.map(residual).sum::<f64>();
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
+    }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        let image = self.predict(query);
+        let (d, data) = (cotangent(&image), self.trend.data);
+        let along = |k: usize| {
+            if self.trend.law.is_some() {
+                let mut one = [0.0];
+                self.trend.residual(self.samples[k], 1, &mut one);
+                return f64::from(d[0]) * f64::from(one[0]);
+            }
+            let sample = data.image(self.samples[k]);
+            sample.pixels.iter().zip(&d).map(|(v, d)| f64::from(*v) * f64::from(*d)).sum()
+        };
+        let mut d_tx = self.kriging.solve_vjp(self.place_of(query), self.settings.neighbours, along);
+        if let Some(law) = self.trend.law {
+            let slope = law.slope_at(query.tx, receiver(data, query));
+            (0..3).for_each(|k| d_tx[k] += f64::from(d[0]) * slope[k]);
+        }
+        Some((image, d_tx))
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {

@@ -84,11 +84,22 @@ struct PathLosses<'a> {
     borrowed: Vec<String>,
 }
 
+impl PathLosses<'_> {
+    fn of(&self, query: Query<'_>) -> PathLoss {
+        *self.of_each.get(query.receiver).or(self.of_each.first()).expect("data have a receiver")
+    }
+}
+
 impl Predict for PathLosses<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let law = self.of_each.get(query.receiver).or(self.of_each.first()).expect("data have a receiver");
-        let dbm = law.at(log_distance(self.data, query));
+        let dbm = self.of(query).at(log_distance(self.data, query));
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
+    }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        let image = self.predict(query);
+        let d = f64::from(cotangent(&image)[0]);
+        Some((image, self.of(query).slope_at(query.tx, receiver(self.data, query)).map(|slope| d * slope)))
     }
 
     fn note(&self) -> Option<String> {
@@ -101,10 +112,14 @@ impl Predict for PathLosses<'_> {
 
 /// log10 of the distance from transmitter to receiver, metres.
 pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
+    kriging::log_distance(query.tx, receiver(data, query))
+}
+
+/// Position of the receiver, metres, world frame.
+pub(super) fn receiver(data: &Dataset, query: Query<'_>) -> [f64; 3] {
     let receiver = data.scene.receivers.get(query.receiver).map_or([0.0; 3], |receiver| receiver.pose.position);
     let origin = data.scene.origin.0;
-    let receiver = [0, 1, 2].map(|k| receiver[k] + origin[k]);
-    kriging::log_distance(query.tx, receiver)
+    [0, 1, 2].map(|k| receiver[k] + origin[k])
 }
 
 /// (log10 of the distance, dBm) of power links.

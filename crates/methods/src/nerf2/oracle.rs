@@ -125,7 +125,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 group.back(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
-        network.emission_vjp(&conditions, 1.0, &into.emission, &mut into.weights);
+        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (&mut into.weights, &mut []));
         into.weights
     };
     let found = back(true);

@@ -121,6 +121,7 @@ impl Method for Splatting {
             supports_existence_gate: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
+            differentiates_inputs: self.deformation.traits().differentiates_inputs,
             ..MethodTraits::default()
         }
     }
@@ -183,7 +184,7 @@ impl Method for Splatting {
     ) {
         let ForwardCache { deltas, drawings } = cached(&observed.cache);
         let (numbers, n) = (setup.numbers(), p.cloud.len());
-        let network = self.parts(setup, p.weights).0;
+        let (network, laws) = self.parts(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
@@ -193,9 +194,22 @@ impl Method for Splatting {
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
             let distances = group.distances(&view.pose, request);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
+            let is_requested = !sums.conditions.is_empty();
+            if let (Some([_, exponent]), true) = (laws.of(group.receiver), is_requested) {
+                let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
+                group.distances_vjp(&view.pose, request, d_distances, &mut sums.conditions);
+            }
+            // A spectrum depends on the Gaussians relative to the receiver: its derivative by the position of a moving
+            // receiver, whose links have a geometry each, is that by a common move of all Gaussians the other way.
+            let moved = is_requested && request.conditions.pose(group.row()).is_some();
+            let before = moved.then(|| sum_of(&own.cloud.means));
             let d = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, p.cloud, terms, p.into(), &d_blended, own)
             });
+            if let Some(before) = before {
+                let (after, d_position) = (sum_of(&own.cloud.means), &mut sums.conditions[3 * group.row()..][..3]);
+                d_position.iter_mut().zip(before).zip(after).for_each(|((sum, before), after)| *sum += before - after);
+            }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
         let pose = setup.pose();
@@ -293,6 +307,11 @@ impl Method for Splatting {
         };
         groups::gaussians(&*self.deformation, self.activation(), setup, p, tx, strengths)
     }
+}
+
+/// Returns the sum of the rows.
+fn sum_of(rows: &[[Real; 3]]) -> [Real; 3] {
+    rows.iter().fold([0.0; 3], |sum, row| [0, 1, 2].map(|k| sum[k] + row[k]))
 }
 
 fn add(times: &mut StageTimes, [projection, sort, blending]: [f64; 3]) {

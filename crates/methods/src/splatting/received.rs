@@ -88,6 +88,11 @@ pub(super) fn vjp(
     d_blended
 }
 
+/// Returns the derivative of a power by the distance.
+pub(super) fn distance_slope(exponent: Real, distance: Real) -> Real {
+    if distance > NEAREST_M { -BEL * exponent / (consts::LN_10 * distance) } else { 0.0 }
+}
+
 impl Splatting {
     /// Initialises the path-loss term by a fit to the training set with equal signals in all directions: an offset per
     /// receiver and one common exponent. A receiver without training links has the mean offset.

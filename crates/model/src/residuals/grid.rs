@@ -75,6 +75,28 @@ impl CoarseGrid {
     }
 }
 
+impl CoarseGrid {
+    /// Returns the cotangents of the stored pixels of [`Self::add_to`], given those of the pixels.
+    pub(crate) fn add_to_vjp(&self, d_pixels: &[Real]) -> Vec<Real> {
+        if self.stride == 1 {
+            return d_pixels.to_vec();
+        }
+        let (width, mut d_stored) = (self.columns.len(), vec![0.0; self.len()]);
+        let mut d_wide = vec![0.0; self.size[0] * width];
+        for (d, node) in d_pixels.chunks_exact(width).zip(&self.rows) {
+            for &(k, weight) in node {
+                d_wide[k * width..][..width].iter_mut().zip(d).for_each(|(sum, d)| *sum += weight * d);
+            }
+        }
+        for (d_row, d_wide) in d_stored.chunks_exact_mut(self.size[1]).zip(d_wide.chunks_exact(width)) {
+            for (node, d) in self.columns.iter().zip(d_wide) {
+                node.iter().for_each(|&(k, weight)| d_row[k] += weight * d);
+            }
+        }
+        d_stored
+    }
+}
+
 /// Weights of a cubic convolution (Keys, IEEE Transactions on Acoustics, Speech, and Signal Processing 29, 1981) at
 /// pixel `at`. Beyond the border, the last stored pixel repeats, or the first follows.
 fn node(at: usize, stride: usize, count: usize, wraps: bool) -> Node {

@@ -1,0 +1,86 @@
+//! Derivative of a prediction by the position of the transmitter: backward through residual processes, mean and method.
+
+use super::{Member, Prepared, mean};
+use pwrfgs_core::{ForwardOutput, Image, MethodVjp, Query, Real};
+
+impl Prepared<'_> {
+    /// Returns whether [`Self::predict_vjp`] has a derivative: every model reads positions and differentiates them.
+    pub fn has_derivative(&self) -> bool {
+        self.models().all(|model| {
+            let traits = model.stages.method.traits();
+            traits.inputs == 3 && traits.differentiates_inputs
+        })
+    }
+
+    /// Predicts the observation of a link as [`Self::predict_timed`], with the derivative of Σ d·observation by the
+    /// position of the transmitter (metres, world frame). `cotangent` returns d from the observation.
+    ///
+    /// For a moving receiver it is the derivative by its position at constant orientation. The derivative of a value that
+    /// is clamped to [0, 1] is 0 outside. Images with the calibration `AsReleased` are clamped as in training.
+    ///
+    /// `None` without [a derivative](Self::has_derivative), and for links with features.
+    ///
+    /// # Panics
+    /// If `cotangent` does not return one number per value of the observation.
+    pub fn predict_vjp<'q>(
+        &self,
+        query: impl Into<Query<'q>>,
+        cotangent: impl Fn(&Image) -> Vec<Real>,
+    ) -> Option<(Image, [f64; 3])> {
+        let (query, task) = (query.into(), self.task());
+        if !self.has_derivative() || !query.features.is_empty() {
+            return None;
+        }
+        let observed: Vec<ForwardOutput> = self.members.iter().map(|member| member.forward(query)).collect();
+        let image = |own: &ForwardOutput| {
+            let (width, height) = (self.plane().width, self.plane().height);
+            Image { width, height, pixels: own.numbers.clone() }
+        };
+        let predicted = mean(observed.iter().map(image).collect(), task);
+        let corrected = self.corrected(predicted.clone(), query);
+        let mut d = cotangent(&corrected);
+        assert_eq!(d.len(), corrected.pixels.len(), "a cotangent for each value");
+        let mut d_tx = [0.0; 3];
+        if let Some(residuals) = self.residuals {
+            d_tx = residuals.correct_vjp(&mut d, query, self.members[0].model.stages.origin);
+            clamp_vjp(task.has_pixels, &predicted.pixels, &mut d);
+        }
+        let (several, share) = (self.members.len() > 1, 1.0 / self.members.len() as Real);
+        for (member, own) in self.members.iter().zip(observed) {
+            let mut d: Vec<Real> = d.iter().map(|d| share * d).collect();
+            clamp_vjp(several && task.has_pixels, &own.numbers, &mut d);
+            let found = member.vjp(query, own, &d);
+            (0..3).for_each(|k| d_tx[k] += found[k]);
+        }
+        Some((corrected, d_tx))
+    }
+}
+
+/// Backward pass of the clamp to [0, 1], if values are `clamped`.
+fn clamp_vjp(clamped: bool, values: &[Real], d: &mut [Real]) {
+    if clamped {
+        d.iter_mut().zip(values).filter(|(_, v)| !(0.0..=1.0).contains(*v)).for_each(|(d, _)| *d = 0.0);
+    }
+}
+
+impl Member<'_> {
+    fn forward(&self, query: Query<'_>) -> ForwardOutput {
+        let stages = &self.model.stages;
+        let run = || self.with_request(&[query], |p, request| stages.method.forward(&stages.setup, p, request));
+        self.enter(run)
+    }
+
+    /// Returns the derivative by the position, given the cotangents of the observation.
+    fn vjp(&self, query: Query<'_>, observed: ForwardOutput, d: &[Real]) -> [f64; 3] {
+        let stages = &self.model.stages;
+        let run = || {
+            self.with_request(&[query], |p, request| {
+                let conditions = vec![0.0; request.conditions.values().len()];
+                let mut sums = MethodVjp { conditions, ..MethodVjp::zeros(p) };
+                stages.method.vjp(&stages.setup, p, request, observed, d, &mut sums);
+                [0, 1, 2].map(|k| sums.conditions[k] as f64)
+            })
+        };
+        self.enter(run)
+    }
+}

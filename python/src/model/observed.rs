@@ -1,0 +1,106 @@
+//! Predicted observations as arrays, and their derivative by the positions of the transmitters.
+
+use super::{Links, Model};
+use crate::arrays::{Gain, array, numbers, observations, room};
+use crate::border::{LOOK, carried, free, wrong};
+use pwrfgs_core::{Error, MeasurementSetup, Query, Real, Result, rows_of};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+use std::sync::Mutex;
+use std::time::Instant;
+
+/// Number of links per library call: one group of the library, so that results stay in cache.
+const CHUNK: usize = 16;
+
+impl Model {
+    /// Array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in order.
+    pub(super) fn observed<'py>(
+        &self,
+        py: Python<'py>,
+        links: &Links,
+        work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
+        let (size, lead) = ((plane.width, plane.height), &links.lead);
+        room::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
+        let all = free(py, || {
+            let mut all = vec![0.0; lead.iter().product::<usize>() * size.0 * size.1];
+            self.fill(links, &mut all, work).map(|()| all)
+        })?;
+        if lead.is_empty() && task.is_scalar {
+            return Ok(all[0].into_pyobject(py)?.into_any());
+        }
+        observations(py, *task, size, lead, all)
+    }
+
+    /// Processes `all` in chunks, and returns an error for values that are not finite.
+    fn fill(&self, links: &Links, all: &mut [Real], work: impl Fn(&[Query<'_>], &mut [Real])) -> Result<()> {
+        let of_each = self.stages().plane.width * self.stages().plane.height;
+        let mut looked = Instant::now();
+        for (chunk, numbers) in all.chunks_mut(CHUNK * of_each).enumerate() {
+            let queries: Vec<Query<'_>> =
+                (0..numbers.len() / of_each).map(|k| links.query(chunk * CHUNK + k)).collect();
+            work(&queries, numbers);
+            if looked.elapsed() > LOOK {
+                #[allow(clippy::redundant_closure_for_method_calls)] // the method itself is of one lifetime
+                Python::attach(|py| py.check_signals()).map_err(carried)?;
+                looked = Instant::now();
+            }
+            // Without an early exit the loop is vectorised.
+            let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
+            if let Some(k) = numbers.par_chunks_exact(of_each).position_first(|own| !finite(own)) {
+                return Err(Error::Config(format!(
+                    "what is predicted for a transmitter at {:?} is not finite: numbers of the model overflow there; \
+                     leave the position out if it is far from all that the model has seen",
+                    queries[k].tx
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns (observations, derivative by the positions `[3]` or `[B, 3]`), given the cotangents of the observations.
+    pub(super) fn differentiated<'py>(
+        &self,
+        py: Python<'py>,
+        links: &Links,
+        cotangents: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let ready = self.prepared();
+        if !ready.has_derivative() || !links.features.is_empty() {
+            let why = "its network reads link features or is a Python class";
+            return Err(wrong(py, &format!("vjp: this model has no derivative by the position, since {why}")));
+        }
+        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
+        let (size, of_each) = ((plane.width, plane.height), plane.width * plane.height);
+        let shape: Vec<Option<usize>> = links.lead.iter().copied().chain(task.shape(size)).map(Some).collect();
+        let d: Vec<Real> = if task.is_complex {
+            let gains = numbers::<Gain>("vjp", cotangents, &shape)?;
+            rows_of(&gains.iter().map(|d| [d.re, d.im]).collect::<Vec<_>>(), plane.width)
+        } else if shape.is_empty() {
+            vec![cotangents.extract()?]
+        } else {
+            numbers("vjp", cotangents, &shape)?
+        };
+        let slopes: Mutex<Vec<[f64; 3]>> = Mutex::default();
+        let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
+            let mut slopes = slopes.lock().expect("no other thread has it");
+            let all = d[slopes.len() * of_each..].par_chunks_exact(of_each).zip(numbers.par_chunks_exact_mut(of_each));
+            let one = |(query, (d, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
+                let found = ready.predict_vjp(*query, |_| d.to_vec());
+                let (image, slope) = found.expect("a model with a derivative");
+                numbers.copy_from_slice(&image.pixels);
+                slope
+            };
+            slopes.extend(queries.par_iter().zip(all).map(one).collect::<Vec<_>>());
+        };
+        let observed = self.observed(py, links, work)?;
+        let of_links = slopes.into_inner().expect("no other thread has it");
+        let of_tx = |own: &[[f64; 3]]| own.iter().fold([0.0; 3], |sum, d| [0, 1, 2].map(|k| sum[k] + d[k]));
+        let receivers = links.receivers.len();
+        let all: Vec<f64> = of_links.chunks_exact(receivers).flat_map(of_tx).collect();
+        let batch = links.lead.len() > usize::from(receivers > 1);
+        let shape = if batch { vec![links.txs.len(), 3] } else { vec![3] };
+        Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())
+    }
+}
