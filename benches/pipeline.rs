@@ -60,7 +60,7 @@ fn links(criterion: &mut Criterion) {
             origin: Origin::ZERO,
             receivers: (0..21).map(receiver).collect(),
             task: Task::Power,
-            plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
+            plane: ImagePlane::plain(1, 1),
             frequencies_hz: Vec::new(),
             moves: false,
         };

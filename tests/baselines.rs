@@ -8,7 +8,7 @@ use std::path::Path;
 
 fn scores(metric: &dyn Metric, predictions: &[Image], truths: &[Image], data: &Dataset) -> Vec<f64> {
     let plane =
-        ImagePlane { width: data.width, height: data.height, wraps: true, angles: None, sampling: Sampling::WHOLE };
+        ImagePlane { wraps: true, ..ImagePlane::plain(data.width, data.height) };
     let evaluation = Evaluation { predictions, truths, ..Evaluation::of(data, &plane) };
     match metric.evaluate(&evaluation).expect("pictures of one size").remove(0).values {
         Values::PerSample(values) => values,

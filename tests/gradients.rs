@@ -187,7 +187,7 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let plane = if kind == Task::Spectrum {
         base.setup.plane.clone()
     } else {
-        ImagePlane { width: size.0, height: size.1, wraps: false, angles: None, sampling: Sampling::WHOLE }
+        ImagePlane::plain(size.0, size.1)
     };
     let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
     let setup = MeasurementSetup { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.setup.clone() };

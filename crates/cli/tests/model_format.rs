@@ -138,7 +138,7 @@ pub(crate) fn models() -> impl Iterator<Item = Model> {
 fn virtual_transmitters(order: usize) -> Model {
     let antennas = vec![[0.0; 3], [0.1, 0.0, 0.02], [0.0, -0.1, 0.0]];
     let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
-    let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None, sampling: Sampling::WHOLE };
+    let plane = ImagePlane::plain(2, 6);
     let frequencies_hz = vec![0.9e9, 0.95e9];
     let setup = MeasurementSetup {
         origin: Origin([10.0, 0.0, -3.0]),

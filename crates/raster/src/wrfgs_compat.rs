@@ -30,7 +30,7 @@ pub struct WrfgsCompat {}
 #[typetag::serde]
 impl Projector for WrfgsCompat {
     fn plane(&self, width: usize, height: usize) -> ImagePlane {
-        ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE }
+        ImagePlane::plain(width, height)
     }
 
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {

@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn plane_without_angles_has_no_sky_plot() {
-        let plane = ImagePlane { width: 4, height: 2, wraps: false, angles: None, sampling: Sampling::WHOLE };
+        let plane = ImagePlane::plain(4, 2);
         let image = Image::zeros(4, 2);
         assert!(sky(&image, &plane, ColourScale::Power, &[]).is_none());
         let map = map(&image, &plane, ColourScale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);
@@ -323,13 +323,7 @@ mod tests {
 
     #[test]
     fn ticks_keep_the_ends() {
-        let plane = ImagePlane {
-            width: 360,
-            height: 90,
-            wraps: true,
-            angles: Some((DEGREE, DEGREE)),
-            sampling: Sampling::WHOLE,
-        };
+        let plane = ImagePlane { wraps: true, angles: Some((DEGREE, DEGREE)), ..ImagePlane::plain(360, 90) };
         let [azimuth, _] = rulers(&plane);
         let labels = |n| azimuth.ticks(90.0, n).into_iter().map(|t| t.0).collect::<Vec<_>>();
         assert_eq!(labels(4.0), ["0°", "90°", "180°", "270°", "360°"]);
