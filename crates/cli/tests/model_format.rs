@@ -16,7 +16,7 @@ use std::process::Command;
 pub(crate) const NO_PYTHON: &str = "docs/model-format.md was not followed in Python";
 
 /// Deformation, projector, rasterizer, calibration and readout: each of them somewhere.
-const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
+const CASES: [(&str, &str, &str, Calibration, Readout); 11] = [
     ("Mlp(depth: 4, width: 24, skip: Some(1))", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
     (
         "Mlp(depth: 2, width: 16, skip: None, tx_frequencies: 3, outputs: Signals)",
@@ -55,6 +55,7 @@ const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
     ),
     ("Wrfgs(depth: 2, width: 12, skip: None, gain: 30)", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
     ("Fixed()", "Mercator()", "ArrayResponse(widened: false)", Physical, Readout::Power),
+    ("Fixed()", "Pinhole(near_m: 0.5, margin: 0.05)", "AlphaBlending()", Physical, Readout::Magnitude),
     ("Mlp(depth: 2, width: 16, skip: None)", "WrfgsCompat()", "AlphaBlending()", AsReleased, Readout::Magnitude),
     (
         "Factored(width: 12, tx_encoding: Wavelengths(count: 3, longest_m: 40, shortest_m: 2), \

@@ -108,7 +108,7 @@ const PUBLIC: [PublicData; 5] = [
         source: "https://github.com/SunLab-UGA/RF-3DGS",
         download: "follow the link to its data in the README (no direct link for curl)",
         folder: "any",
-        pipelines: UNREADABLE,
+        pipelines: "write one with `pwrfgs init`",
         digests: &[],
     },
     PublicData {
