@@ -7,8 +7,7 @@ use pwrfgs_metrics::{RateRatio, Ssim};
 use std::path::Path;
 
 fn scores(metric: &dyn Metric, predictions: &[Image], truths: &[Image], data: &Dataset) -> Vec<f64> {
-    let plane =
-        ImagePlane { wraps: true, ..ImagePlane::plain(data.width, data.height) };
+    let plane = ImagePlane { wraps: true, ..ImagePlane::plain(data.width, data.height) };
     let evaluation = Evaluation { predictions, truths, ..Evaluation::of(data, &plane) };
     match metric.evaluate(&evaluation).expect("pictures of one size").remove(0).values {
         Values::PerSample(values) => values,

@@ -61,9 +61,13 @@ fn write_folder(root: &Path, model: &Model, poses: &[Pose]) {
         writeln!(lists[usize::from(k % 4 == 3)], "{k:03}").unwrap();
         let query = Query { orientation: Some(pose.orientation), ..Query::at(pose.position, 0) };
         let bytes = model.predict(query).to_bytes();
-        image::GrayImage::from_raw(width as u32, height as u32, bytes).unwrap().save(root.join(format!("images/{k:03}.png"))).unwrap();
+        image::GrayImage::from_raw(width as u32, height as u32, bytes)
+            .unwrap()
+            .save(root.join(format!("images/{k:03}.png")))
+            .unwrap();
     }
-    let points = model.cloud.means.iter().enumerate().map(|(i, [x, y, z])| format!("{i} {} {y} {z} 9 9 9 0.1\n", x + 0.1));
+    let points =
+        model.cloud.means.iter().enumerate().map(|(i, [x, y, z])| format!("{i} {} {y} {z} 9 9 9 0.1\n", x + 0.1));
     fs::write(root.join("sparse/0/images.txt"), images).unwrap();
     fs::write(root.join("sparse/0/points3D.txt"), points.collect::<String>()).unwrap();
     fs::write(root.join("train_index.txt"), &lists[0]).unwrap();
@@ -149,6 +153,9 @@ fn projector_and_data_without_matching_camera_are_refused() {
         model.stages.setup.plane.camera = camera;
         file::write(&path, &model).unwrap();
         let message = file::read(&path).unwrap_err();
-        assert!(message.is_input() && message.to_string().contains("plane: the projector does not support"), "{message}");
+        assert!(
+            message.is_input() && message.to_string().contains("plane: the projector does not support"),
+            "{message}"
+        );
     }
 }

@@ -184,11 +184,7 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let method: Plugin<dyn Method> = plugin(method);
     let kind = method.traits().task.unwrap();
     let base = Stages { method, setup: step.stages.setup.clone() };
-    let plane = if kind == Task::Spectrum {
-        base.setup.plane.clone()
-    } else {
-        ImagePlane::plain(size.0, size.1)
-    };
+    let plane = if kind == Task::Spectrum { base.setup.plane.clone() } else { ImagePlane::plain(size.0, size.1) };
     let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
     let setup = MeasurementSetup { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.setup.clone() };
     let stages = Stages { setup, ..base };

@@ -67,6 +67,8 @@ impl Bench {
                 picture.save(&path).map_err(|e| Error::input(&path, e))?;
             }
         }
+        let path = folder.join("colmap/images/00003.jpg");
+        image::GrayImage::new(12, 6).save(&path).map_err(|e| Error::input(&path, e))?;
         runs(folder)?;
         models(folder)?;
         let seeds = TARGETS.iter().map(|target| seeds(folder, target)).collect::<Result<_>>()?;

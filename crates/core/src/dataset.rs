@@ -2,8 +2,8 @@
 
 use crate::messages::strip_control;
 use crate::{
-    Camera, Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver, Result,
-    Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
+    Camera, Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver,
+    Result, Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
 };
 
 /// All data of a source, in columns: transmitters, receivers, links between them, and the observation of each link.

@@ -23,9 +23,11 @@ const CAMERAS: [(&str, usize, usize); 5] =
     [("SIMPLE_PINHOLE", 1, 0), ("PINHOLE", 2, 0), ("SIMPLE_RADIAL", 1, 1), ("RADIAL", 1, 2), ("OPENCV", 2, 4)];
 const TO_TEXT: &str = "colmap model_converter --output_type TXT";
 const UNDISTORT: &str = "run `colmap image_undistorter`, and read its output folder";
-const ONE_CAMERA: &str = "give all images one camera: run COLMAP with --ImageReader.single_camera 1, or keep the images of one";
+const ONE_CAMERA: &str =
+    "give all images one camera: run COLMAP with --ImageReader.single_camera 1, or keep the images of one";
 const CAMERA_LINE: &str = "write CAMERA_ID MODEL WIDTH HEIGHT and the parameters of the model";
-const IMAGE_LINE: &str = "write IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and then the line of its 2D points, which may be empty";
+const IMAGE_LINE: &str =
+    "write IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and then the line of its 2D points, which may be empty";
 const POINT_LINE: &str = "write POINT3D_ID X Y Z R G B ERROR, and then the track";
 
 /// Images of a moving camera, with poses in the text format of COLMAP, as RF-3DGS uses it. The transmitter is fixed.
@@ -99,7 +101,10 @@ impl DataSource for Colmap {
         if size != shared.size {
             let ((w, h), (width, height)) = (size, shared.size);
             let what = format!("is {w} x {h} pixels, but its camera in cameras.txt {width} x {height}");
-            return Err(Error::input(paths[0], format!("{what}; use the images that COLMAP read, or correct cameras.txt")));
+            return Err(Error::input(
+                paths[0],
+                format!("{what}; use the images that COLMAP read, or correct cameras.txt"),
+            ));
         }
         let samples: Vec<Sample> = (1..).zip(&views).map(|(id, view)| Sample::new(id, view.pose.position)).collect();
         let mean = |k: usize| views.iter().map(|view| view.pose.position[k] / views.len() as f64).sum();
@@ -162,7 +167,8 @@ fn is_data(line: &str) -> bool {
 
 /// Parses a whole number, such as an id.
 fn whole(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<u32> {
-    let fault = || Error::at(path, line, field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
+    let fault =
+        || Error::at(path, line, field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
     field.text.parse().ok().ok_or_else(fault)
 }
 
@@ -184,7 +190,8 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
             let what = format!("{} has {} parameters, expected {needed}", model.text, parameters.len());
             return fault(model.column, format!("{what}; {CAMERA_LINE}"));
         }
-        let values = parameters.iter().map(|field| number(path, line, *field, CAMERA_LINE)).collect::<Result<Vec<_>>>()?;
+        let values =
+            parameters.iter().map(|field| number(path, line, *field, CAMERA_LINE)).collect::<Result<Vec<_>>>()?;
         if let Some(k) = (focal + 2..needed).find(|k| values[*k] != 0.0) {
             return fault(parameters[k].column, format!("the lens distortion is not zero; {UNDISTORT}"));
         }
@@ -289,7 +296,8 @@ fn shared_camera(
 /// Position of a word of an index file in the images: the name, with or without extension.
 fn find(views: &[View], word: &str) -> Result<(u32, usize), String> {
     let same = |view: &View| view.name == word || Path::new(&view.name).with_extension("") == Path::new(word);
-    let fault = || format!("{} is no image of images.txt; write names such as {}", quoted(word), quoted(&views[0].name));
+    let fault =
+        || format!("{} is no image of images.txt; write names such as {}", quoted(word), quoted(&views[0].name));
     let k = views.iter().position(same).ok_or_else(fault)?;
     Ok((k as u32 + 1, k))
 }

@@ -187,7 +187,8 @@ fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), Stri
         alike && plane.wraps == drawn.wraps && plane.camera == drawn.camera
     };
     if let Some(camera) = plane.camera {
-        let drawn = projector.plane_of_camera(width, height, camera).map_err(|why| format!("plane: the projector {why}"))?;
+        let drawn =
+            projector.plane_of_camera(width, height, camera).map_err(|why| format!("plane: the projector {why}"))?;
         return if *plane == drawn { Ok(()) } else { Err("plane: has a camera and angles".into()) };
     }
     let elevation = plane.elevation().filter(|elevation| elevation.fault().is_none());

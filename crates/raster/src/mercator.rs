@@ -1,10 +1,7 @@
 //! `Mercator`: the projector of the paper; azimuth and elevation are linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
-use pwrfgs_core::{
-    Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3,
-    consts::DEG,
-};
+use pwrfgs_core::{Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
 use serde::{Deserialize, Serialize};
 
 /// Lower limit of cos(elevation) in the Jacobian: cos 89.5°.

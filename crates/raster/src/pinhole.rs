@@ -222,7 +222,9 @@ mod tests {
         let plane = |camera| Pinhole::default().plane_of_camera(96, 72, camera).unwrap_err();
         assert!(plane(Camera { focal: [0.0, 1.0], ..CAMERA }).contains("give focal lengths above 0"));
         assert!(plane(Camera { centre: [f64::NAN, 1.0], ..CAMERA }).contains("principal point [NaN, 1.0]"));
-        assert!(Pinhole::default().plane_of(96, 72, Elevation::UPPER).unwrap_err().contains("use projector: Mercator()"));
+        assert!(
+            Pinhole::default().plane_of(96, 72, Elevation::UPPER).unwrap_err().contains("use projector: Mercator()")
+        );
         let other = crate::Mercator::default().plane_of_camera(96, 72, CAMERA).unwrap_err();
         assert!(other.contains("use projector: Pinhole()"), "{other}");
     }

@@ -63,7 +63,7 @@ const UPLINKS: &str = "uplink";
 
 const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_info.yml, or spectra.npy (spectra); gateway_rssi.csv \
                        and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
-                       base-station.yml (channels); see docs/data.md";
+                       base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
 
 /// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the centre
 /// of a Gaussian together, so what it learns of a lobe in one direction holds for others.
@@ -74,6 +74,17 @@ const MOVING_LOBES: [&str; 4] = [
     "training.optimizer.network.first=0.004",
     "training.optimizer.network_decay=0.1",
 ];
+
+/// Changes to `COARSE_SPECTRA` for images of a camera: small Gaussians, whose brightness does not depend on the pose.
+const CAMERA_IMAGES: [&str; 5] = [
+    "projector=Pinhole()",
+    "deformation=Fixed()",
+    "pruners=[OpacityThreshold(epsilon: 0.005)]",
+    "training.moving_stride=true",
+    "training.tx_jitter_m=0.0",
+];
+/// Number of trained pixels per image of a camera above which there is a stride.
+const PIXELS: usize = 40_000;
 
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
@@ -122,6 +133,10 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
         format!("split={}", survey.split),
     ];
     let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
+        _ if survey.data.camera.is_some() => {
+            set.extend(of_camera(&survey.data));
+            (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
+        }
         _ if survey.data.task().has_pixels => {
             let stride = survey.stride();
             set.push(format!("training.stride={stride}"));
@@ -164,6 +179,25 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
     let mut pipeline = Pipeline::parse(start.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;
     Ok(pipeline)
+}
+
+/// Settings for images of a camera.
+fn of_camera(data: &Dataset) -> Vec<String> {
+    let Dataset { width, height, .. } = *data;
+    let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
+    let strides = || (1..=16).filter(divides);
+    let stride = strides().find(|stride| width * height <= PIXELS * stride * stride).or_else(|| strides().last());
+    let extent = extent(data).max(0.01);
+    let start = if data.scene.points.is_empty() {
+        format!("Random(count: 2000, std: {:.3})", extent / 4.0)
+    } else {
+        "PointCloud(max_points: 4000, nearest: 3)".into()
+    };
+    let mut set = CAMERA_IMAGES.map(str::to_owned).to_vec();
+    set.push(format!("training.stride={}", stride.unwrap_or(1)));
+    set.push(format!("training.optimizer.means.first={:.6}", 0.001 * extent));
+    set.push(format!("initializer={start}"));
+    set
 }
 
 /// Writes the text of the file.
@@ -263,6 +297,10 @@ impl DataSurvey {
             );
         }
         notes.extend(self.data.task().has_pixels.then(|| match &self.clouds[..] {
+            _ if self.data.camera.is_some() => match self.data.scene.points.len() {
+                0 => "The model has no points: Gaussians start at random amid the camera positions.".into(),
+                points => format!("Gaussians start on the points of the model ({points})."),
+            },
             [] => "The folder has no point cloud of the room: Gaussians start on a grid of directions.".into(),
             [(name, points), others @ ..] => {
                 let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();

@@ -137,11 +137,7 @@ impl Description {
     /// Returns the grid of an observation of `size` (columns, rows): columns of pixels cover the full circle, rows are
     /// `elevation`.
     pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
-        if self.has_pixels {
-            ImagePlane::around(width, height, elevation)
-        } else {
-            ImagePlane::plain(width, height)
-        }
+        if self.has_pixels { ImagePlane::around(width, height, elevation) } else { ImagePlane::plain(width, height) }
     }
 }
 

@@ -7,7 +7,8 @@ use std::fs;
 
 const CAMERA: &str = "# a comment\n7 PINHOLE 4 3 5.0 6.0 2.0 1.5\n";
 /// A camera at (1, 2, 3) that looks along world x; one at the origin with the axes of the world.
-const IMAGES: &str = "# a comment\n2 0.5 0.5 -0.5 0.5 2 3 -1 7 b.png\n1.5 2.5 -1 0.5 0.5 9\n\n1 1 0 0 0 0 0 0 7 part/a.jpg\n\n";
+const IMAGES: &str =
+    "# a comment\n2 0.5 0.5 -0.5 0.5 2 3 -1 7 b.png\n1.5 2.5 -1 0.5 0.5 9\n\n1 1 0 0 0 0 0 0 7 part/a.jpg\n\n";
 
 struct Folder(tempfile::TempDir);
 
@@ -114,8 +115,14 @@ fn reports_invalid_files_with_line_and_advice() {
     let camera = |line: &str| with("sparse/0/cameras.txt", line);
     let image = |from: &str, to: &str| with("sparse/0/images.txt", &IMAGES.replace(from, to));
     let cases = [
-        (camera("7 OPENCV 4 3 5 6 2 1.5 0.1 0 0 0"), "cameras.txt:1:24: the lens distortion is not zero; run `colmap image_und"),
-        (camera("7 FULL_OPENCV 4 3 5"), "cameras.txt:1:3: camera model `FULL_OPENCV` is no pinhole; run `colmap image_undistorter`"),
+        (
+            camera("7 OPENCV 4 3 5 6 2 1.5 0.1 0 0 0"),
+            "cameras.txt:1:24: the lens distortion is not zero; run `colmap image_und",
+        ),
+        (
+            camera("7 FULL_OPENCV 4 3 5"),
+            "cameras.txt:1:3: camera model `FULL_OPENCV` is no pinhole; run `colmap image_undistorter`",
+        ),
         (camera("7 PINHOLE 4 3 5 6 2"), "cameras.txt:1:3: PINHOLE has 3 parameters, expected 4; write CAMERA_ID MODEL"),
         (camera("7 PINHOLE 4"), "cameras.txt:1:1: has 3 fields; write CAMERA_ID"),
         (camera("7 PINHOLE 4 3.5 5 6 2 1"), "cameras.txt:1:13: `3.5` is not a whole number"),
@@ -123,19 +130,31 @@ fn reports_invalid_files_with_line_and_advice() {
         (camera("7 PINHOLE 4 3 nan 6 2 1"), "cameras.txt:1:15: `nan` is not finite"),
         (camera("6 PINHOLE 4 3 5 6 2 1"), "images.txt:2:1: camera 7 is not in cameras.txt; add its line"),
         (camera("7 PINHOLE 4 3 5 6 2 1\n7 PINHOLE 4 3 5 6 2 1"), "cameras.txt:2:1: a second camera 7"),
-        (camera("7 PINHOLE 8 6 5 6 2 1"), "images/b.png: is 4 x 3 pixels, but its camera in cameras.txt 8 x 6; use the images"),
+        (
+            camera("7 PINHOLE 8 6 5 6 2 1"),
+            "images/b.png: is 4 x 3 pixels, but its camera in cameras.txt 8 x 6; use the images",
+        ),
         (image("2 0.5 0.5 -0.5 0.5", "2 0.5 0.5 -0.5 0.6"), "images.txt:2:3: the quaternion has length 1.053565"),
-        (image("2 3 -1 7 b.png", "2 3 1e9 7 b.png"), "images.txt:2:27: `1e9` is beyond 1e8 m"),
-        (image("2 3 -1 7 b.png", "2 x -1 7 b.png"), "images.txt:2:25: `x` is not a number; write IMAGE_ID QW QX"),
+        (image("2 3 -1 7 b.png", "2 3 1e9 7 b.png"), "images.txt:2:24: `1e9` is beyond 1e8 m"),
+        (image("2 3 -1 7 b.png", "2 x -1 7 b.png"), "images.txt:2:22: `x` is not a number; write IMAGE_ID QW QX"),
         (image("7 b.png", "7 b c.png"), "images.txt:2:1: has 11 fields, expected 10; names of images have no blanks"),
         (image("7 b.png", "b.png"), "images.txt:2:1: has 9 fields, expected 10"),
-        (image("7 b.png", "7 ../b.png"), "images.txt:2:30: `../b.png` is not the path of an image within images/"),
-        (image("7 b.png", "-7 b.png"), "images.txt:2:30: `-7` is not a whole number"),
-        (image("1.5 2.5 -1 0.5 0.5 9\n\n", ""), "images.txt:3:1: expected the 2D points of `b.png`, three numbers each"),
+        (image("7 b.png", "7 ../b.png"), "images.txt:2:29: `../b.png` is not the path of an image within images/"),
+        (image("7 b.png", "-7 b.png"), "images.txt:2:27: `-7` is not a whole number"),
+        (
+            image("1.5 2.5 -1 0.5 0.5 9\n\n", ""),
+            "images.txt:3:1: expected the 2D points of `b.png`, three numbers each",
+        ),
         (image("part/a.jpg", "b.png"), "images.txt:5:1: image `b.png` is also in line 2; remove one of the two"),
-        (image("part/a.jpg", "c.png"), "cannot read images/c.png: no such file; add the image, or remove its two lines"),
+        (
+            image("part/a.jpg", "c.png"),
+            "cannot read images/c.png: no such file; add the image, or remove its two lines",
+        ),
         (with("sparse/0/images.txt", "# nothing\n\n"), "images.txt: has no image; write IMAGE_ID"),
-        (with("sparse/0/points3D.txt", "1 2 3"), "points3D.txt:1:6: the row ends after 3 of the 4 columns that `z` needs"),
+        (
+            with("sparse/0/points3D.txt", "1 2 3"),
+            "points3D.txt:1:6: the row ends after 3 of the 4 columns that `z` needs",
+        ),
         (with("images/b.png", "GIF89a"), "images/b.png: is not a PNG or JPEG image; convert it"),
         (with("images/b.png", "\u{ff}\u{d8}\u{ff}"), "images/b.png: is not a PNG or JPEG image"),
     ];
