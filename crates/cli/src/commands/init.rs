@@ -19,10 +19,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Reads spectra, received powers or channels in the layouts of docs/data.md, with index files and a
-point cloud if present. The pipeline runs as written; comments explain the settings. Without index
-files, it uses a split that holds out cells of space, so that no test transmitter is close to a
-training transmitter. Existing files are never overwritten.
+Reads spectra, received powers, channels or camera images in the layouts of docs/data.md, with index
+files and a point cloud if present. The pipeline runs as written; comments explain the settings.
+Without index files, it uses a split that holds out cells of space, so that no test transmitter is
+close to a training transmitter. Existing files are never overwritten.
 
 EXAMPLES
   pwrfgs init data/s23
