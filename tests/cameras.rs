@@ -150,7 +150,7 @@ fn projector_and_data_without_matching_camera_are_refused() {
     let path = folder.path().join("model");
     for camera in [None, Some(Camera { focal: [0.0; 2], ..CAMERA })] {
         let mut model = truth();
-        model.stages.setup.plane.camera = camera;
+        (model.stages.setup.plane.camera, model.stages.setup.moves) = (camera, camera.is_some());
         file::write(&path, &model).unwrap();
         let message = file::read(&path).unwrap_err();
         assert!(
