@@ -10,7 +10,7 @@ mod scene;
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{
-    DeformationInputs, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Sampling, Task, rng,
+    DeformationInputs, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Task, rng,
 };
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::{Ensemble, Model, Stages};

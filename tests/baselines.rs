@@ -1,7 +1,7 @@
 //! The baselines on the measured spectra come out as they did elsewhere (numpy and scikit-image, same rule).
 
 use pwrfgs_core::testing::shared;
-use pwrfgs_core::{Baseline, DataSource, Dataset, Evaluation, Image, ImagePlane, Metric, Sampling, Split, Values, rng};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Evaluation, Image, ImagePlane, Metric, Split, Values, rng};
 use pwrfgs_data::{MeanSpectrum, NearestNeighbours, Nerf2Spectrum, Official};
 use pwrfgs_metrics::{RateRatio, Ssim};
 use std::path::Path;

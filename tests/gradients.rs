@@ -7,7 +7,7 @@ use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     Cache, ColumnSpec, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, MeasurementSetup,
-    Receiver, Sampling, Task, rng, sigmoid,
+    Receiver, Task, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;

@@ -4,7 +4,7 @@ use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     Conditions, GaussianCloud, ImagePlane, Link, MeasurementSetup, MethodVjp, ObservationRequest, Origin, Parameters,
-    PixelSubset, Receiver, Sampling, Task, rng,
+    PixelSubset, Receiver, Task, rng,
 };
 use pwrfgs::prelude::*;
 use std::path::Path;

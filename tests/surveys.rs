@@ -5,7 +5,7 @@ use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     ColumnSpec, Conditions, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters,
-    PassStatistics, PixelSubset, Receiver, Sampling, Statistic, Task, rng,
+    PassStatistics, PixelSubset, Receiver, Statistic, Task, rng,
 };
 use pwrfgs::methods::{Gates, Readout, Splatting};
 use pwrfgs::model::Stages;

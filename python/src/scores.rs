@@ -7,7 +7,7 @@ use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
     Baseline, Elevation, Evaluation, FittingSet, Image, ImagePlane, Metric, ModelFacts, Origin, Plugin, Pose, Query,
-    Real, Receiver, Sampling, Scene, Task, Values, rows_of,
+    Real, Receiver, Scene, Task, Values, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};

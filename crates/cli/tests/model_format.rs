@@ -6,8 +6,8 @@ use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Ensemble, Model, Stages, file};
 use pwrfgs_core::{
-    GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling,
-    Task, Vec3, rng,
+    GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Task, Vec3,
+    rng,
 };
 use std::path::Path;
 use std::process::Command;

@@ -66,7 +66,7 @@ pub struct Colmap {
     #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
     /// Position of the fixed transmitter, metres, world frame, for `inspect` and figures. Predictions do not depend on it.
-    /// Without it: the mean position of the camera.
+    /// Without it: the mean position of the camera, rounded to 1 mm.
     pub transmitter: Option<[f64; 3]>,
 }
 
@@ -107,8 +107,8 @@ impl DataSource for Colmap {
             ));
         }
         let samples: Vec<Sample> = (1..).zip(&views).map(|(id, view)| Sample::new(id, view.pose.position)).collect();
-        let mean = |k: usize| views.iter().map(|view| view.pose.position[k] / views.len() as f64).sum();
-        let position = self.transmitter.unwrap_or_else(|| [mean(0), mean(1), mean(2)]);
+        let mean = |k: usize| views.iter().map(|view| view.pose.position[k]).sum::<f64>() / views.len() as f64;
+        let position = self.transmitter.unwrap_or_else(|| [0, 1, 2].map(|k| (mean(k) * 1e3).round() / 1e3 + 0.0));
         let transmitter = Receiver::new("transmitter", Pose { position, ..views[0].pose });
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
@@ -250,11 +250,8 @@ fn read_view(path: &Path, line: usize, content: &str) -> Result<View> {
         let what = "10; names of images have no blanks";
         return Err(Error::at(path, line, 1, format!("has {} fields, expected {what}; {IMAGE_LINE}", fields.len())));
     };
-    let turn = [x, y, z, w].map(|field| coordinate(path, line, *field, IMAGE_LINE));
-    let [x, y, z, qw] = turn;
-    let camera_from_world = [x?, y?, z?, qw?];
-    let [x, y, z, qw] = camera_from_world;
-    let turned = Pose { position: [0.0; 3], orientation: [-x, -y, -z, qw] };
+    let [qx, qy, qz, qw] = [x, y, z, w].map(|field| coordinate(path, line, *field, IMAGE_LINE));
+    let turned = Pose { position: [0.0; 3], orientation: [-qx?, -qy?, -qz?, qw?] }; // world from camera
     if let Some((_, what)) = turned.fault() {
         return Err(Error::at(path, line, w.column, what));
     }

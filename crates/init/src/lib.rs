@@ -42,7 +42,7 @@ impl Initializer for NoGaussians {
 
 #[cfg(test)]
 mod tests {
-    use pwrfgs_core::{AngleAxis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Sampling, Scene};
+    use pwrfgs_core::{AngleAxis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Scene};
 
     /// Scene with the measured receiver and three points.
     pub(crate) fn scene() -> Scene {

@@ -91,7 +91,6 @@ fn copy_row(to: &mut [Real], from: &[Real], columns: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::Sampling;
 
     /// Uses neither rayon nor vectors, because Miri runs this test.
     #[test]

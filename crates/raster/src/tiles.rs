@@ -275,7 +275,6 @@ pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Ra
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use pwrfgs_core::Sampling;
 
     /// Creates one splat with standard deviations `sigmas` along axes rotated by `angle`.
     fn one(mean: [f64; 2], sigmas: [f64; 2], angle: f64, opacity: f64) -> Splats {

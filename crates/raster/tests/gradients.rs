@@ -2,7 +2,7 @@
 
 use crate::common::{POSE, primitives, signals};
 use pwrfgs_core::testing::check_vjp;
-use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Sampling, Splats, Vec3};
+use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Splats, Vec3};
 use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Pinhole, Support, WrfgsCompat, project, project_vjp, sees};
 
 const N: usize = 12;

@@ -146,7 +146,7 @@ fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{AngleAxis, Sampling};
+    use pwrfgs_core::AngleAxis;
 
     #[test]
     fn solid_angles_sum_to_full_sphere() {

@@ -4,8 +4,8 @@ use super::*;
 use crate::tensors::Tensors;
 use crate::{Ensemble, HeldOutScores, IntervalCalibration, Model, Stages, file};
 use pwrfgs_core::{
-    Dataset, Error, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Sampling,
-    Spectra, kriging::CorrelationKind, rng,
+    Dataset, Error, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Spectra,
+    kriging::CorrelationKind, rng,
 };
 use pwrfgs_methods as _;
 use std::sync::atomic::AtomicBool;

@@ -296,7 +296,6 @@ pub(crate) fn draw_elevation(canvas: &mut Canvas, plane: &ImagePlane, [left, top
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::Sampling;
 
     #[test]
     fn sky_plot_wraps_at_azimuth_zero() {
