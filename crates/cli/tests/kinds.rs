@@ -65,7 +65,10 @@ const COMMANDS: [(&str, &[(&str, &str)]); 15] = [
     ("run KIND.ron --out run/KIND", &[]),
     ("check run/KIND", &[]),
     ("evaluate run/KIND/model.safetensors --out scored/KIND", &[]),
-    ("predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND", &[NO_POSITION]),
+    (
+        "predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND",
+        &[NO_POSITION, ("images", "no column `qx`")],
+    ),
     (
         "predict run/KIND/model.safetensors --tx 1.5,1,1.2 --stacked --out stacked/KIND",
         &[NO_POSITION, ("powers", "remove --stacked")],

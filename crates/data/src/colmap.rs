@@ -240,7 +240,7 @@ fn read_images(path: &Path) -> Result<Vec<View>> {
     }
 }
 
-/// First line of an image. COLMAP has x_camera = R·x_world + t, so that the camera is at -Rᵀ·t.
+/// Reads the first line of an image. The camera frame of COLMAP is v = R·x + t, so that the camera is at -Rᵀ·t.
 fn read_view(path: &Path, line: usize, content: &str) -> Result<View> {
     let fields = split_blanks(content);
     let [_, w, x, y, z, t @ .., camera, name] = &fields[..] else {
