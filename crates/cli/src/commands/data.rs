@@ -53,7 +53,6 @@ struct PublicData {
 
 const NERF2: &str = "https://connectpolyu-my.sharepoint.com/:f:/g/personal/20032132r_connect_polyu_hk/EuAACSdRP4VGgw_9n2IqL84BkY_tWD5TeE9kDT0lvjw6jw?e=ygYEvX";
 const NERF2_LICENCE: &str = "MIT, data included (https://github.com/XPengZhao/NeRF2); cite Zhao et al., MobiCom 2023";
-const UNREADABLE: &str = "none: pwrfgs does not read this layout";
 
 const PUBLIC: [PublicData; 5] = [
     PublicData {

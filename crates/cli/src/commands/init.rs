@@ -165,7 +165,7 @@ fn of_camera(data: &Dataset) -> Vec<String> {
     let Dataset { width, height, .. } = *data;
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
     let strides = || (1..=16).filter(divides);
-    let stride = strides().find(|stride| width * height <= PIXELS * stride * stride).or_else(|| strides().last());
+    let stride = strides().find(|stride| width * height <= PIXELS * stride * stride).or_else(|| strides().next_back());
     let extent = extent(data).max(0.01);
     let start = if data.scene.points.is_empty() {
         format!("Random(count: 2000, std: {:.3})", extent / 4.0)
