@@ -71,8 +71,8 @@ fn no_gaussians() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        AngleAxis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver,
-        Sampling, Scene, StageTimes, Task, Values,
+        AngleAxis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver, Scene,
+        StageTimes, Task, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
