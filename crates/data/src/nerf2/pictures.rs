@@ -2,8 +2,8 @@
 
 use crate::text::{read_bytes, unreadable};
 use image::{
-    ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageReader, ImageResult, Limits,
-    codecs::png::PngDecoder,
+    ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult,
+    Limits, codecs::png::PngDecoder,
 };
 use pwrfgs_core::{Error, Number, Progress, Result, Spectra};
 use rayon::prelude::*;
@@ -148,7 +148,7 @@ pub(crate) fn luminance(path: &Path) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, "add the image, or remove its two lines from images.txt")?;
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
     let mut reader = guessed.map_err(|e| Error::read(path, e))?;
-    if reader.format().is_none() {
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
         return Err(Error::input(path, "is not a PNG or JPEG image; convert it"));
     }
     reader.limits(limits());
