@@ -10,7 +10,7 @@ mod scene;
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{
-    DeformationInputs, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Sampling, Task, rng,
+    DeformationInputs, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Task, rng,
 };
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::{Ensemble, Model, Stages};
@@ -60,7 +60,7 @@ fn links(criterion: &mut Criterion) {
             origin: Origin::ZERO,
             receivers: (0..21).map(receiver).collect(),
             task: Task::Power,
-            plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
+            plane: ImagePlane::plain(1, 1),
             frequencies_hz: Vec::new(),
             moves: false,
         };

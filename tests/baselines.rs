@@ -1,14 +1,13 @@
 //! The baselines on the measured spectra come out as they did elsewhere (numpy and scikit-image, same rule).
 
 use pwrfgs_core::testing::shared;
-use pwrfgs_core::{Baseline, DataSource, Dataset, Evaluation, Image, ImagePlane, Metric, Sampling, Split, Values, rng};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Evaluation, Image, ImagePlane, Metric, Split, Values, rng};
 use pwrfgs_data::{MeanSpectrum, NearestNeighbours, Nerf2Spectrum, Official};
 use pwrfgs_metrics::{RateRatio, Ssim};
 use std::path::Path;
 
 fn scores(metric: &dyn Metric, predictions: &[Image], truths: &[Image], data: &Dataset) -> Vec<f64> {
-    let plane =
-        ImagePlane { width: data.width, height: data.height, wraps: true, angles: None, sampling: Sampling::WHOLE };
+    let plane = ImagePlane { wraps: true, ..ImagePlane::plain(data.width, data.height) };
     let evaluation = Evaluation { predictions, truths, ..Evaluation::of(data, &plane) };
     match metric.evaluate(&evaluation).expect("pictures of one size").remove(0).values {
         Values::PerSample(values) => values,

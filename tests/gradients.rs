@@ -7,7 +7,7 @@ use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link,
-    MeasurementSetup, MethodVjp, ObservationRequest, Parameters, PixelSubset, Receiver, Sampling, Task, rng, sigmoid,
+    MeasurementSetup, MethodVjp, ObservationRequest, Parameters, PixelSubset, Receiver, Task, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -227,11 +227,7 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let method: Plugin<dyn Method> = plugin(method);
     let kind = method.traits().task.unwrap();
     let base = Stages { method, setup: step.stages.setup.clone() };
-    let plane = if kind == Task::Spectrum {
-        base.setup.plane.clone()
-    } else {
-        ImagePlane { width: size.0, height: size.1, wraps: false, angles: None, sampling: Sampling::WHOLE }
-    };
+    let plane = if kind == Task::Spectrum { base.setup.plane.clone() } else { ImagePlane::plain(size.0, size.1) };
     let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
     let setup = MeasurementSetup { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.setup.clone() };
     let stages = Stages { setup, ..base };

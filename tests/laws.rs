@@ -132,7 +132,7 @@ fn projectors_and_rasterizers_return_one_row_per_gaussian() {
         assert!(!raised, "{name}: what is too faint to pass the network stays too faint");
         for (kind, rasterizer) in all::<dyn Rasterizer>() {
             if rasterizer.check_plane(&plane).is_err() {
-                assert_eq!((kind, name), ("ArrayResponse", "WrfgsCompat"), "it must know what a pixel means");
+                assert!(kind == "ArrayResponse" && name != "Mercator", "{kind} on {name} must know what a pixel means");
                 continue;
             }
             let render = rasterizer.forward(&splats, &[0.5; 14], 2, &plane);

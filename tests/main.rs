@@ -4,6 +4,7 @@
 
 mod array;
 mod baselines;
+mod cameras;
 mod changes;
 mod common;
 mod derivatives;

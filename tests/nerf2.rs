@@ -4,7 +4,7 @@ use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     Conditions, GaussianCloud, ImagePlane, Link, MeasurementSetup, MethodVjp, ObservationRequest, Origin, Parameters,
-    PixelSubset, Receiver, Sampling, Task, rng,
+    PixelSubset, Receiver, Task, rng,
 };
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -37,7 +37,7 @@ impl Room {
         let receivers = vec![at("left", [-1.0, 0.3, -2.0]), at("right", [2.0, -1.5, -1.0])];
         let projector: Plugin<dyn pwrfgs::core::Projector> = plugin("Mercator()");
         let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
-        let plain = |width, height| ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
+        let plain = |width, height| ImagePlane::plain(width, height);
         let plane = match kind {
             Task::Spectrum => projector.plane(8, 3),
             Task::Power => plain(1, 1),

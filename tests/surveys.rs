@@ -5,7 +5,7 @@ use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     ColumnSpec, Conditions, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters,
-    PassStatistics, PixelSubset, Receiver, Sampling, Statistic, Task, rng,
+    PassStatistics, PixelSubset, Receiver, Statistic, Task, rng,
 };
 use pwrfgs::methods::{Gates, Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -188,7 +188,7 @@ fn sensitivity_and_fisher_agree_with_central_differences() {
         if is_power {
             let mut stages = sight.stages.with(|splatting: &mut Splatting| splatting.readout = readout);
             let receivers = vec![Receiver::new("a", stages.setup.receivers[0].pose)];
-            let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
+            let plane = ImagePlane::plain(1, 1);
             stages.setup = MeasurementSetup { task: Task::Power, plane, receivers, ..stages.setup.clone() };
             sight.weights = stages.layout().init(&mut rng::stream(4, "network", 0));
             sight.stages = Arc::new(stages);

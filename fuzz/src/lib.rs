@@ -58,12 +58,17 @@ impl Bench {
         for name in ["pipelines", "experiments", "scenes"] {
             copy(&root.join("..").join(name), &folder.join(name))?;
         }
-        fs::create_dir_all(folder.join("data/spectrum")).map_err(|e| Error::write(folder, e))?;
-        for id in 1..=5 {
-            let path = folder.join(format!("data/spectrum/{id:05}.png"));
-            let picture = image::GrayImage::from_fn(12, 6, |x, y| image::Luma([(7 * x + 11 * y * id) as u8]));
-            picture.save(&path).map_err(|e| Error::input(&path, e))?;
+        for name in ["data/spectrum", "colmap/images"] {
+            fs::create_dir_all(folder.join(name)).map_err(|e| Error::write(folder, e))?;
         }
+        for id in 1..=5 {
+            let picture = image::GrayImage::from_fn(12, 6, |x, y| image::Luma([(7 * x + 11 * y * id) as u8]));
+            for path in ["data/spectrum", "colmap/images"].map(|at| folder.join(format!("{at}/{id:05}.png"))) {
+                picture.save(&path).map_err(|e| Error::input(&path, e))?;
+            }
+        }
+        let path = folder.join("colmap/images/00003.jpg");
+        image::GrayImage::new(12, 6).save(&path).map_err(|e| Error::input(&path, e))?;
         runs(folder)?;
         models(folder)?;
         let seeds = TARGETS.iter().map(|target| seeds(folder, target)).collect::<Result<_>>()?;

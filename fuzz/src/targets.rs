@@ -81,6 +81,11 @@ pub const TARGETS: &[Target] = &[
         links(&bench.join("links.csv"), "links", false).and_then(|(data, _)| check(&data))
     }),
     of(8, "poses.csv", &[], Plain, |bench| pwrfgs::data::read_poses(&bench.join("poses.csv")).map(drop)),
+    of(8, "colmap/sparse/0/cameras.txt", &[], Plain, cameras),
+    of(16, "colmap/sparse/0/images.txt", &[], Plain, cameras),
+    of(8, "colmap/images/00002.png", &[], Png, cameras),
+    of(8, "colmap/images/00003.jpg", &[], Plain, cameras),
+    of(8, "colmap/sparse/0/points3D.txt", &[], Plain, cameras),
     of(8, "predicted/00004.npy", &[], Plain, |bench| predicted(bench, "measured.ron")),
     of(8, "predicted/predictions.csv", &[], Plain, |bench| predicted(bench, "powers.ron")),
     of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, |bench| step(bench, "powers.ron")),
@@ -173,6 +178,10 @@ fn channels(bench: &Path) -> Result<()> {
 fn csi(bench: &Path) -> Result<()> {
     load(bench, "Nerf2Csi(root: \"csi\")")?;
     load(bench, "Nerf2Csi(root: \"csi\", together: true)")
+}
+
+fn cameras(bench: &Path) -> Result<()> {
+    load(bench, "Colmap(root: \"colmap\")")
 }
 
 /// Checks predictions for the test set of a pipeline on the bench.

@@ -7,7 +7,7 @@ use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
     Baseline, Elevation, Evaluation, FittingSet, Image, ImagePlane, Metric, ModelFacts, Origin, Plugin, Pose, Query,
-    Real, Receiver, Sampling, Scene, Task, Values, rows_of,
+    Real, Receiver, Scene, Task, Values, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -123,7 +123,7 @@ pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'
     }
     let metric = plugin::<dyn Metric>(py, "Chamfer()")?;
     let scene = empty_scene(points);
-    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
+    let plane = ImagePlane::plain(1, 1);
     let found = free(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, file_bytes: 0 });
         metric.evaluate(&Evaluation { model, ..evaluation((&[], &[]), &plane, &scene) })

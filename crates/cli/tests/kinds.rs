@@ -2,7 +2,7 @@
 
 #![cfg(all(feature = "report", feature = "viewer"))]
 
-use crate::common::{refuse, stderr, stdout, succeed, write};
+use crate::common::{picture, refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::{base_station_yaml, npy_header_as, save};
 use pwrfgs_core::{Channels, Dataset, Image, Observations, Pose, Real, Receiver, Sample, Spectra, gains_of, recognise};
 use std::fmt::Write as _;
@@ -19,7 +19,7 @@ fn value(k: usize, i: usize) -> f64 {
     0.5 + 0.5 * (place(k)[0] * (1.0 + i as f64 * 0.1) + place(k)[1]).sin()
 }
 
-/// A folder of each kind: spectra, powers, channels, and uplinks without positions.
+/// A folder of each kind: spectra, powers, channels, uplinks without positions, and images of a camera.
 fn folders(here: &Path) {
     let samples = |receivers: usize| -> Vec<Sample> {
         let pairs = (0..COUNT).flat_map(|k| (0..receivers).map(move |receiver| (k, receiver)));
@@ -45,6 +45,14 @@ fn folders(here: &Path) {
     let array: Vec<u8> = npy_header_as("<c8", &[COUNT, 2, 8]).into_iter().chain(bytes).collect();
     write(&here.join("uplinks/csidata.npy"), array);
     write(&here.join("uplinks/base-station.yml"), base_station_yaml(&[[0.0; 3], [0.06, 0.0, 0.0]]));
+    let mut images = String::new();
+    for k in 0..COUNT {
+        let [x, y, z] = place(k).map(|v| -v);
+        writeln!(images, "{k} 1 0 0 0 {x} {y} {z} 1 {k}.png\n").unwrap();
+        picture(&here.join(format!("images/images/{k}.png")), 24, 18);
+    }
+    write(&here.join("images/sparse/0/cameras.txt"), "1 SIMPLE_PINHOLE 24 18 20 12 9\n");
+    write(&here.join("images/sparse/0/images.txt"), images);
 }
 
 const NO_POSITION: (&str, &str) = ("uplinks", "instead of a transmitter");
@@ -57,7 +65,10 @@ const COMMANDS: [(&str, &[(&str, &str)]); 15] = [
     ("run KIND.ron --out run/KIND", &[]),
     ("check run/KIND", &[]),
     ("evaluate run/KIND/model.safetensors --out scored/KIND", &[]),
-    ("predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND", &[NO_POSITION]),
+    (
+        "predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND",
+        &[NO_POSITION, ("images", "no column `qx`")],
+    ),
     (
         "predict run/KIND/model.safetensors --tx 1.5,1,1.2 --stacked --out stacked/KIND",
         &[NO_POSITION, ("powers", "remove --stacked")],
@@ -70,7 +81,12 @@ const COMMANDS: [(&str, &[(&str, &str)]); 15] = [
     ("report run/KIND --out report/KIND", &[]),
     (
         "import --spectra KIND/KIND.npy --tx KIND/tx.npy --receiver 0,0,1 --orientation 0,0,0,1 --out new/KIND",
-        &[("powers", "cannot read"), ("channels", "a spectrum is real"), ("uplinks", "cannot read")],
+        &[
+            ("powers", "cannot read"),
+            ("channels", "a spectrum is real"),
+            ("uplinks", "cannot read"),
+            ("images", "cannot read"),
+        ],
     ),
 ];
 
@@ -90,7 +106,7 @@ fn every_command_accepts_or_rejects_every_data_kind() {
     let here = folder.path();
     folders(here);
     write(&here.join("walk.csv"), "x,y,z\n1.5,1,1.2\n1.6,1,1.2\n");
-    for kind in ["spectra", "powers", "channels", "uplinks"] {
+    for kind in ["spectra", "powers", "channels", "uplinks", "images"] {
         for (command, refusals) in COMMANDS {
             let line = command.replace("KIND/KIND.npy", "KIND/FILE.npy").replace("KIND", kind);
             let line = line.replace("FILE", if kind == "channels" { "channel" } else { kind });

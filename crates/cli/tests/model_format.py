@@ -249,6 +249,16 @@ def mercator(settings, v, width, height, elevation):
     return pixels, np.stack([around * per_column, up * per_row], axis=1), visible
 
 
+def pinhole(settings, v, width, height, camera):
+    """The same for `Pinhole`."""
+    z, focal, centre = v[:, 2:], np.array(camera["focal"]), np.array(camera["centre"])
+    slopes, size, margin = v[:, :2] / z, np.array([width, height]), settings["margin"]
+    s, t = np.clip(slopes, (-margin * size - centre) / focal, ((1 + margin) * size - centre) / focal).T
+    one, none = np.ones_like(s), np.zeros_like(s)
+    rows = np.stack([np.stack([one, none, -s], axis=1), np.stack([none, one, -t], axis=1)], axis=1)
+    return focal * slopes + centre - 0.5, rows * (focal / z)[:, :, None], z[:, 0] >= settings["near_m"]
+
+
 def released(v, width, height):
     """The same for `WrfgsCompat`."""
     x, y, z = v.T
@@ -278,6 +288,10 @@ def project(projector, pose, plane, means, scales, quats):
         v = (means - pose["position"]) @ to_receiver.T
         pixels, jacobians, visible = mercator(projector, v, width, height, plane["angles"][1])
         blur = plane.get("filter", projector["blur"])
+    elif projector[""] == "Pinhole":
+        v = (means - pose["position"]) @ to_receiver.T
+        pixels, jacobians, visible = pinhole(projector, v, width, height, plane["camera"])
+        blur = projector["blur"]
     else:
         assert projector[""] == "WrfgsCompat"
         v = means @ to_receiver.T + pose["position"]
@@ -288,9 +302,10 @@ def project(projector, pose, plane, means, scales, quats):
     a, c, det = cov[:, 0, 0], cov[:, 1, 1], np.linalg.det(cov)
     middle = (a + c) / 2
     radii = np.ceil(3 * np.sqrt(middle + np.sqrt(np.maximum(middle**2 - det, 0.1))))
-    if projector[""] == "Mercator":
-        half = np.sqrt(2 * np.log(255) * c)
-        reaches = (pixels[:, 1] + half >= 0) & (pixels[:, 1] - half <= height - 1)
+    if projector[""] != "WrfgsCompat":
+        half = np.sqrt(2 * np.log(255) * np.stack([a, c], axis=1))
+        inside = (pixels + half >= 0) & (pixels - half <= [width - 1, height - 1])
+        reaches = (inside[:, 0] | plane["wraps"]) & inside[:, 1]
     else:
         spans = [square(pixels[:, k], radii, n) for k, n in ((0, width), (1, height))]
         reaches = (spans[0][0] < spans[0][1]) & (spans[1][0] < spans[1][1])

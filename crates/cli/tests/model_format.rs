@@ -6,8 +6,8 @@ use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Ensemble, Model, Stages, file};
 use pwrfgs_core::{
-    GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling,
-    Task, Vec3, rng,
+    GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Task, Vec3,
+    rng,
 };
 use std::path::Path;
 use std::process::Command;
@@ -16,7 +16,7 @@ use std::process::Command;
 pub(crate) const NO_PYTHON: &str = "docs/model-format.md was not followed in Python";
 
 /// Deformation, projector, rasterizer, calibration and readout: each of them somewhere.
-const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
+const CASES: [(&str, &str, &str, Calibration, Readout); 11] = [
     ("Mlp(depth: 4, width: 24, skip: Some(1))", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
     (
         "Mlp(depth: 2, width: 16, skip: None, tx_frequencies: 3, outputs: Signals)",
@@ -55,6 +55,7 @@ const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
     ),
     ("Wrfgs(depth: 2, width: 12, skip: None, gain: 30)", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
     ("Fixed()", "Mercator()", "ArrayResponse(widened: false)", Physical, Readout::Power),
+    ("Fixed()", "Pinhole(near_m: 0.5, margin: 0.05)", "AlphaBlending()", Physical, Readout::Magnitude),
     ("Mlp(depth: 2, width: 16, skip: None)", "WrfgsCompat()", "AlphaBlending()", AsReleased, Readout::Magnitude),
     (
         "Factored(width: 12, tx_encoding: Wavelengths(count: 3, longest_m: 40, shortest_m: 2), \
@@ -138,7 +139,7 @@ pub(crate) fn models() -> impl Iterator<Item = Model> {
 fn virtual_transmitters(order: usize) -> Model {
     let antennas = vec![[0.0; 3], [0.1, 0.0, 0.02], [0.0, -0.1, 0.0]];
     let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
-    let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None, sampling: Sampling::WHOLE };
+    let plane = ImagePlane::plain(2, 6);
     let frequencies_hz = vec![0.9e9, 0.95e9];
     let setup = MeasurementSetup {
         origin: Origin([10.0, 0.0, -3.0]),

@@ -2,8 +2,8 @@
 
 use crate::messages::strip_control;
 use crate::{
-    Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver, Result,
-    Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
+    Camera, Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver,
+    Result, Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
 };
 
 /// All data of a source, in columns: transmitters, receivers, links between them, and the observation of each link.
@@ -31,6 +31,8 @@ pub struct Dataset {
     /// "transmitter", and the one receiver of the scene is the fixed transmitter (channels are reciprocal). `None` for fixed
     /// receivers.
     pub orientations: Option<Vec<[f64; 4]>>,
+    /// Camera of the images, in the frame of the receiver; the elevations then do not apply. `None` for spectra over angles.
+    pub camera: Option<Camera>,
     /// Whether the data contain transmitter positions. If not, positions are zero and must not be used.
     pub placed: bool,
     /// Official split of the data, if any: links for (training, test).
@@ -141,6 +143,7 @@ impl Dataset {
             observations,
             features: None,
             orientations: None,
+            camera: None,
             placed: true,
             official: None,
             simulation: None,
@@ -194,6 +197,7 @@ impl Dataset {
             elevation: self.elevation,
             features,
             orientations: self.orientations.as_ref().map(turned),
+            camera: self.camera,
             placed: self.placed,
             official: official.filter(|(train, test)| !train.is_empty() && !test.is_empty()),
             simulation: self.simulation.clone(),
@@ -253,9 +257,12 @@ impl Dataset {
         self.simulation.is_some()
     }
 
-    /// Returns the image plane of the spectra: columns cover the full circle, rows are [`Self::elevation`]. The values
-    /// of a power or channel have no direction.
+    /// Returns the image plane of the spectra: that of the camera, or columns cover the full circle and rows are
+    /// [`Self::elevation`]. The values of a power or channel have no direction.
     pub fn plane(&self) -> ImagePlane {
+        if self.camera.is_some() {
+            return ImagePlane { camera: self.camera, ..ImagePlane::plain(self.width, self.height) };
+        }
         self.task().plane((self.width, self.height), self.elevation)
     }
 

@@ -117,6 +117,26 @@ impl Elevation {
     }
 }
 
+/// Pinhole camera of an image. A point (x, y, z) in the receiver frame, in which x points right, y down and z forward, has
+/// the image coordinates `focal` · (x, y)/z + `centre`. The upper left pixel covers (0, 0) to (1, 1), as in COLMAP.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    /// Focal lengths along columns and rows, px.
+    pub focal: [f64; 2],
+    /// Principal point from the left and upper edge, px.
+    pub centre: [f64; 2],
+}
+
+impl Camera {
+    /// Returns the error in an invalid camera.
+    pub fn fault(&self) -> Option<String> {
+        let Self { focal, centre } = self;
+        let fits = focal.iter().all(|f| (1e-3..=1e8).contains(f)) && centre.iter().all(|c| c.abs() <= 1e8);
+        let what = "give focal lengths above 0 and a principal point, in pixels";
+        (!fits).then(|| format!("a camera with focal lengths {focal:?} and principal point {centre:?}; {what}"))
+    }
+}
+
 /// Pixel grid of a projector, with the directions of its pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImagePlane {
@@ -126,9 +146,12 @@ pub struct ImagePlane {
     pub height: usize,
     /// Whether the last column is adjacent to the first (azimuth wraps around).
     pub wraps: bool,
-    /// Azimuth of a column and elevation of a row in the receiver frame, degrees; `None` if pixels have no angles (the
-    /// released projection).
+    /// Azimuth of a column and elevation of a row in the receiver frame, degrees; `None` if pixels have no angles (a
+    /// camera, the released projection).
     pub angles: Option<(AngleAxis, AngleAxis)>,
+    /// Camera of images without angles, in the frame of the receiver; `None` for other planes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<Camera>,
     /// Sampled pixels of a larger image. Not stored: a model draws whole images.
     #[serde(skip)]
     pub sampling: Sampling,
@@ -163,6 +186,18 @@ impl Sampling {
 }
 
 impl ImagePlane {
+    /// Creates a plane whose pixels have no angles.
+    pub const fn plain(width: usize, height: usize) -> Self {
+        Self { width, height, wraps: false, angles: None, camera: None, sampling: Sampling::WHOLE }
+    }
+
+    /// Creates a plane whose columns cover the full circle of azimuths, and whose rows these elevations.
+    pub fn around(width: usize, height: usize, elevation: Elevation) -> Self {
+        let azimuth = AngleAxis { first: 0.0, step: 360.0 / width as f64 };
+        let angles = Some((azimuth, elevation.axis(height)));
+        Self { wraps: true, angles, ..Self::plain(width, height) }
+    }
+
     /// Returns every `stride`-th column and row of this whole image, from `offset` (column, row). `stride` must divide
     /// both sides.
     #[must_use]
@@ -180,6 +215,7 @@ impl ImagePlane {
             height: self.height / stride,
             wraps: self.wraps,
             angles: self.angles.map(|(az, el)| (axis(az, offset[0]), axis(el, offset[1]))),
+            camera: self.camera,
             sampling: Sampling { stride, offset, ..self.sampling },
         }
     }
@@ -199,6 +235,7 @@ impl ImagePlane {
             height: self.height * stride,
             wraps: self.wraps,
             angles: self.angles.map(|(az, el)| (axis(az, offset[0]), axis(el, offset[1]))),
+            camera: self.camera,
             sampling: Sampling { filter, ..Sampling::WHOLE },
         })
     }

@@ -48,7 +48,7 @@ pub use dataset::{Dataset, Simulation, Unmatched};
 pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, did_you_mean};
-pub use image::{AngleAxis, Elevation, Image, ImagePlane, Sampling, stretch};
+pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightSpec};
 pub use method::{

@@ -1,7 +1,7 @@
 //! `Projector` and `Rasterizer`: from Gaussians in space to splats on the image plane, and from splats to an image of
 //! signals.
 
-use crate::{Cache, Elevation, ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
+use crate::{Cache, Camera, Elevation, ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
 
 /// Projects Gaussians onto the image plane of a receiver.
 ///
@@ -25,6 +25,15 @@ pub trait Projector:
         Err(format!(
             "does not support the elevations of these spectra, {first} to {last} degrees; use projector: Mercator()"
         ))
+    }
+
+    /// Returns the image plane for the images of a camera.
+    ///
+    /// # Errors
+    /// The projector does not draw them; the message names one that does.
+    fn plane_of_camera(&self, width: usize, height: usize, camera: Camera) -> Result<ImagePlane, String> {
+        let _ = (width, height, camera);
+        Err("draws angles, but the data are images of a camera; use projector: Pinhole()".into())
     }
 
     /// Returns splats `[N]`, row for row; a Gaussian out of view has radius 0. Opacities may be decreased but not

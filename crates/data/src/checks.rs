@@ -93,6 +93,9 @@ pub fn shape_fault(elevation: Elevation, stated: bool, (width, height): (usize, 
 }
 
 fn elevation_fault(data: &Dataset) -> Option<String> {
+    if data.camera.is_some() {
+        return None;
+    }
     let size = (data.width, data.height);
     let misfit = || shape_fault(data.elevation, true, size, "").map(|what| format!("a spectrum {what}"));
     data.elevation.fault().or_else(misfit)

@@ -33,6 +33,7 @@ fn how_to_get(plugin: &str) -> &'static str {
         "Nerf2Spectrum" | "Nerf2Rssi" => {
             "download the measured data: https://github.com/XPengZhao/NeRF2, see docs/data.md#get-measured-data"
         }
+        "Colmap" => "run COLMAP on your images, see docs/data.md#camera-images",
         "Channels" => {
             "get the channels of NeWRF: https://github.com/LuHaofan/NeWRF, see docs/data.md#get-measured-data"
         }

@@ -2,6 +2,7 @@
 //!
 //! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] NumPy arrays; [`Teacher`] simulates
 //!   spectra of known Gaussians.
+//! * [`Colmap`] reads images of a walked camera with their poses, in the text format of COLMAP.
 //! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplink and downlink channels of a base station,
 //!   both in the NeRF2 layout; [`Channels`] reads channels from a NumPy array.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
@@ -16,6 +17,7 @@ mod arrays;
 mod baselines;
 mod channels;
 mod checks;
+mod colmap;
 mod folder;
 mod geometry;
 pub mod import;
@@ -32,6 +34,7 @@ pub use arrays::{Arrays, POSES};
 pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Predictions, Ridge, Zero};
 pub use channels::{Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
+pub use colmap::Colmap;
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use geometry::{read_mesh, read_points};
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_poses, read_transmitters};

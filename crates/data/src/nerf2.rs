@@ -103,7 +103,7 @@ impl DataSource for Nerf2Spectrum {
         }
         let points = points_of(base, self.points.as_deref())?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
-        let spectra = pictures::load(&paths, progress)?;
+        let spectra = pictures::load(&paths, |path| pictures::decode(path, pictures::Depth::Eight), progress)?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;

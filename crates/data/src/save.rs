@@ -27,6 +27,9 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     if data.features.is_some() || !data.placed {
         return refuse("no layout holds transmitters without positions; keep the original files");
     }
+    if data.camera.is_some() {
+        return refuse("no layout holds images of a camera; keep the original files");
+    }
     check(data)?;
     let folder = NewFolder::begin(out)?;
     let to = Folder { path: folder.path(), data };

@@ -166,6 +166,9 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
         let what = format!("the model predicts {} of {}, but the data have {}", task.plural, size(drawn), size(have));
         return refuse(what);
     }
+    if plane.camera != data.camera {
+        return refuse("the cameras of the model and of the data differ".into());
+    }
     let (known, listening) = (model.receivers().len(), data.scene.receivers.len());
     if known != listening {
         return refuse(format!("the model has {known} receivers, but the data have {listening}"));

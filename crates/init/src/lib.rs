@@ -42,7 +42,7 @@ impl Initializer for NoGaussians {
 
 #[cfg(test)]
 mod tests {
-    use pwrfgs_core::{AngleAxis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Sampling, Scene};
+    use pwrfgs_core::{AngleAxis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Scene};
 
     /// Scene with the measured receiver and three points.
     pub(crate) fn scene() -> Scene {
@@ -58,13 +58,7 @@ mod tests {
     /// Creates an image plane with angles (true pose) or without (released projection).
     pub(crate) fn plane(angles: bool) -> ImagePlane {
         let axis = AngleAxis { first: 0.0, step: 1.0 };
-        ImagePlane {
-            width: 360,
-            height: 90,
-            wraps: angles,
-            angles: angles.then_some((axis, axis)),
-            sampling: Sampling::WHOLE,
-        }
+        ImagePlane { wraps: angles, angles: angles.then_some((axis, axis)), ..ImagePlane::plain(360, 90) }
     }
 
     #[test]

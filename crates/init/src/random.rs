@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// If pixels are angles of the true pose (`Mercator`), centres are normal about the receiver. Centres behind it are
 /// mirrored to its front (local z > 0), so that none is out of view, unless the spectrum includes directions behind it.
+/// With images of a camera (`Pinhole`), centres are normal about the middle of the bounding box of camera positions and points.
 /// With the released projection (`WrfgsCompat`), centres are normal about the origin of the world, as released: count
 /// 20,000 and 10 m for WRF-GS, 200,000 and 20 m for WRF-GS+. The scale is the root mean squared distance to the three
 /// nearest neighbours, as released. Use it without a point cloud; the paper finds it slightly inferior to
@@ -50,8 +51,14 @@ impl Initializer for Random {
         let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
         let ahead = |z: Real| if plane.looks_behind() { z } else { z.abs() };
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
-        let means: Vec<[Real; 3]> =
-            (0..self.count).map(|_| draw(rng)).map(|p| if plane.angles.is_some() { in_front(p) } else { p }).collect();
+        let (low, high) = scene.bounds;
+        let amid = |p: [Real; 3]| [0, 1, 2].map(|k| p[k] + 0.5 * (low[k] + high[k]));
+        let placed = |p: [Real; 3]| match (plane.angles, plane.camera) {
+            (Some(_), _) => in_front(p),
+            (None, Some(_)) => amid(p),
+            (None, None) => p,
+        };
+        let means: Vec<[Real; 3]> = (0..self.count).map(|_| placed(draw(rng))).collect();
         let scales = start::scales_from_neighbours(&means, self.nearest);
         Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
     }

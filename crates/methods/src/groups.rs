@@ -231,7 +231,7 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
 
 /// Rejects several receivers if the network reads the receiver position.
 pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
-    if setup.moves && setup.plane.angles.is_none() {
+    if setup.moves && setup.plane.angles.is_none() && setup.plane.camera.is_none() {
         return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
     }
     if setup.moves && deformation.traits().reads_receiver {

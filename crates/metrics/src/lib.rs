@@ -71,8 +71,8 @@ fn no_gaussians() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        AngleAxis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver,
-        Sampling, Scene, StageTimes, Task, Values,
+        AngleAxis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver, Scene,
+        StageTimes, Task, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
@@ -87,7 +87,7 @@ mod fixture {
     /// Creates a plane of one degree per pixel, as measured.
     pub(crate) fn plane(width: usize, height: usize) -> ImagePlane {
         let axis = AngleAxis { first: 0.0, step: 1.0 };
-        ImagePlane { width, height, wraps: true, angles: Some((axis, axis)), sampling: Sampling::WHOLE }
+        ImagePlane { wraps: true, angles: Some((axis, axis)), ..ImagePlane::plain(width, height) }
     }
 
     /// Creates an image of zeros except the listed pixels.

@@ -92,7 +92,10 @@ impl Stages {
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
         let mut plane = data.plane();
         if let (true, Some(projector)) = (data.task().has_pixels, method.traits().projector) {
-            let drawn = projector.plane_of(data.width, data.height, data.elevation);
+            let drawn = match data.camera {
+                Some(camera) => projector.plane_of_camera(data.width, data.height, camera),
+                None => projector.plane_of(data.width, data.height, data.elevation),
+            };
             plane = drawn.map_err(|why| Error::Config(format!("the projector {why}")))?;
         }
         Ok(Self { setup: MeasurementSetup::of(data, plane), method })
@@ -181,8 +184,13 @@ fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), Stri
             (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
             (a, b) => a == b,
         };
-        alike && plane.wraps == drawn.wraps
+        alike && plane.wraps == drawn.wraps && plane.camera == drawn.camera
     };
+    if let Some(camera) = plane.camera {
+        let drawn =
+            projector.plane_of_camera(width, height, camera).map_err(|why| format!("plane: the projector {why}"))?;
+        return if *plane == drawn { Ok(()) } else { Err("plane: has a camera and angles".into()) };
+    }
     let elevation = plane.elevation().filter(|elevation| elevation.fault().is_none());
     let stated = elevation.and_then(|elevation| projector.plane_of(width, height, elevation).ok());
     if is_own(&projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {

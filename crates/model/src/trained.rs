@@ -53,6 +53,7 @@ impl Initializer for Trained {
         if text(own) != text(expected)
             || model.stages.setup.receivers != input.data.scene.receivers
             || model.stages.setup.moves != input.data.orientations.is_some()
+            || model.stages.setup.plane.camera != input.data.camera
         {
             let what = "its method or its receivers are others than those of the pipeline; copy projector, rasterizer, \
                         deformation, calibration and readout from the run that made it";

@@ -91,13 +91,12 @@ fn copy_row(to: &mut [Real], from: &[Real], columns: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::Sampling;
 
     /// Uses neither rayon nor vectors, because Miri runs this test.
     #[test]
     fn threads_write_only_their_own_tiles() {
         for (width, height, channels) in [(37, 21, 2), (16, 16, 1), (5, 40, 3), (32, 1, 1), (0, 7, 0)] {
-            let plane = ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
+            let plane = ImagePlane::plain(width, height);
             let mut pictures = vec![-1.0; channels * width * height];
             let patches = patches(&mut pictures, &plane);
             let across = width.div_ceil(TILE);

@@ -72,6 +72,12 @@ pub trait CameraModel: Sync {
     }
 }
 
+/// Rejects a low-pass filter that is not positive.
+pub(crate) fn check_blur(blur: Real) -> Result<(), String> {
+    let fits = blur > 0.0 && blur.is_finite();
+    if fits { Ok(()) } else { Err("`blur` must be above 0 px²; give 0.3, for example".into()) }
+}
+
 /// Returns the distance of a mean from a position, in double precision, rounded once.
 pub(crate) fn distance(mean: [Real; 3], from: [f64; 3]) -> Real {
     let square = |k: usize| (mean[k] as f64 - from[k]).powi(2);
@@ -221,4 +227,34 @@ fn rotation_vjp([w, x, y, z]: [Real; 4], d: Mat3) -> [Real; 4] {
         2.0 * (x * (c1.x + c0.y) + z * (c2.y + c1.z) + w * (c2.x - c0.z) - 2.0 * y * (c0.x + c2.z)),
         2.0 * (x * (c2.x + c0.z) + y * (c2.y + c1.z) + w * (c0.y - c1.x) - 2.0 * z * (c0.x + c1.y)),
     ]
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::{CameraModel, Real, Vec3};
+    use pwrfgs_core::testing::check_vjp;
+
+    /// Compares the derivatives of the pixel and of the Jacobian at `v` with central differences.
+    pub(crate) fn check_derivatives(model: &impl CameraModel, v: Vec3) {
+        let flat = |j: [Vec3; 2]| [j[0].to_array(), j[1].to_array()].concat();
+        check_vjp(
+            "pixel",
+            &v.to_array(),
+            |x| model.pixel(Vec3::from_slice(x)).to_vec(),
+            |x, d| model.pixel_vjp(Vec3::from_slice(x), [d[0], d[1]]).to_array().to_vec(),
+            1e-7,
+            1e-5,
+        );
+        check_vjp(
+            "jacobian",
+            &v.to_array(),
+            |x| flat(model.jacobian(Vec3::from_slice(x))),
+            |x: &[Real], d| {
+                let d = [Vec3::from_slice(&d[..3]), Vec3::from_slice(&d[3..])];
+                model.jacobian_vjp(Vec3::from_slice(x), d).to_array().to_vec()
+            },
+            1e-7,
+            1e-5,
+        );
+    }
 }

@@ -1,6 +1,6 @@
 //! Projectors and the differentiable rasterizers.
 //!
-//! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
+//! [`Mercator`], [`Pinhole`] and [`WrfgsCompat`] are [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
 //! their splats tile by tile (`tiles.rs`, `blend.rs`, `canvas.rs`). [`ArrayResponse`] treats the same splats as waves
 //! and adds them up on an antenna array.
 
@@ -12,6 +12,7 @@ mod blend;
 mod canvas;
 mod ewa;
 mod mercator;
+mod pinhole;
 mod survey;
 mod tiles;
 mod wrfgs_compat;
@@ -20,5 +21,6 @@ pub use alpha_blending::AlphaBlending;
 pub use array_response::{ArrayResponse, Wavefront};
 pub use ewa::{CameraModel, ViewTransform, project, project_vjp, sees};
 pub use mercator::Mercator;
+pub use pinhole::Pinhole;
 pub use tiles::Support;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};

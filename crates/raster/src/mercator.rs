@@ -1,10 +1,7 @@
 //! `Mercator`: the projector of the paper; azimuth and elevation are linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
-use pwrfgs_core::{
-    AngleAxis, Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3,
-    consts::DEG,
-};
+use pwrfgs_core::{Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
 use serde::{Deserialize, Serialize};
 
 /// Lower limit of cos(elevation) in the Jacobian: cos 89.5°.
@@ -63,11 +60,11 @@ impl Default for Mercator {
 #[typetag::serde]
 impl Projector for Mercator {
     fn plane(&self, width: usize, height: usize) -> ImagePlane {
-        plane(width, height, Elevation::UPPER)
+        ImagePlane::around(width, height, Elevation::UPPER)
     }
 
     fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, String> {
-        Ok(plane(width, height, elevation))
+        Ok(ImagePlane::around(width, height, elevation))
     }
 
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
@@ -84,24 +81,11 @@ impl Projector for Mercator {
 
     fn check(&self) -> Result<(), String> {
         let length = |x: Real| x.is_finite() && x >= 0.0;
-        if !(self.blur > 0.0 && self.blur.is_finite()) {
-            return Err("`blur` must be above 0 px²; give 0.3, for example".into());
-        }
+        ewa::check_blur(self.blur)?;
         if !length(self.near_m) || !(0.0..=90.0).contains(&self.margin_deg) {
             return Err("`near_m` must not be negative and `margin_deg` must lie between 0 and 90".into());
         }
         Ok(())
-    }
-}
-
-fn plane(width: usize, height: usize, elevation: Elevation) -> ImagePlane {
-    let azimuth = AngleAxis { first: 0.0, step: 360.0 / width as f64 };
-    ImagePlane {
-        width,
-        height,
-        wraps: true,
-        angles: Some((azimuth, elevation.axis(height))),
-        sampling: Sampling::WHOLE,
     }
 }
 
@@ -211,7 +195,7 @@ impl CameraModel for Hemisphere {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::testing::check_vjp;
+    use crate::ewa::tests::check_derivatives;
 
     fn model() -> Hemisphere {
         of((0.0, 90.0)).1
@@ -263,27 +247,7 @@ mod tests {
         for (el, elevation) in [up(10.0), up(45.0), up(88.0), up(89.7), (-45.0, (-90.0, 90.0)), (-88.0, (90.0, -90.0))]
         {
             let v = Vec3::from_array(Mercator::default().plane(360, 90).direction(37.0, el).unwrap()) * 4.0;
-            let flat = |j: [Vec3; 2]| [j[0].to_array(), j[1].to_array()].concat();
-            let m = of(elevation).1;
-            check_vjp(
-                "pixel",
-                &v.to_array(),
-                |x| m.pixel(Vec3::from_slice(x)).to_vec(),
-                |x, d| m.pixel_vjp(Vec3::from_slice(x), [d[0], d[1]]).to_array().to_vec(),
-                1e-7,
-                1e-5,
-            );
-            check_vjp(
-                "jacobian",
-                &v.to_array(),
-                |x| flat(m.jacobian(Vec3::from_slice(x))),
-                |x, d| {
-                    let d = [Vec3::from_slice(&d[..3]), Vec3::from_slice(&d[3..])];
-                    m.jacobian_vjp(Vec3::from_slice(x), d).to_array().to_vec()
-                },
-                1e-7,
-                1e-5,
-            );
+            check_derivatives(&of(elevation).1, v);
         }
     }
 

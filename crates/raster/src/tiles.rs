@@ -275,7 +275,6 @@ pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Ra
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use pwrfgs_core::Sampling;
 
     /// Creates one splat with standard deviations `sigmas` along axes rotated by `angle`.
     fn one(mean: [f64; 2], sigmas: [f64; 2], angle: f64, opacity: f64) -> Splats {
@@ -332,7 +331,7 @@ mod tests {
                 }
                 None => (mean, opacity),
             };
-            let plane = ImagePlane { width, height, wraps, angles: None, sampling: Sampling::WHOLE };
+            let plane = ImagePlane { wraps, ..ImagePlane::plain(width, height) };
             let splats = one(mean, sigmas.into(), angle, opacity);
             let offered = offered(&splats, &plane);
             for p in 0..width * height {
@@ -344,7 +343,7 @@ mod tests {
 
     #[test]
     fn thin_slanted_splat_skips_tiles_of_bounding_box() {
-        let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: None, sampling: Sampling::WHOLE };
+        let plane = ImagePlane { wraps: true, ..ImagePlane::plain(360, 90) };
         let splats = one([100.0, 45.0], [30.0, 1.0], 0.6, 0.9);
         let count = |list: &[bool]| list.iter().filter(|&&p| p).count();
         let needed = (0..360 * 90).filter(|p| counts(&splats, &plane, (p % 360, p / 360))).count();

@@ -2,7 +2,7 @@
 
 use crate::ewa::{self, CameraModel, ViewTransform};
 use crate::tiles::square;
-use pwrfgs_core::{ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::PI};
+use pwrfgs_core::{ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3, consts::PI};
 use serde::{Deserialize, Serialize};
 
 /// The released WRF-GS projection, for comparison with published code only.
@@ -30,7 +30,7 @@ pub struct WrfgsCompat {}
 #[typetag::serde]
 impl Projector for WrfgsCompat {
     fn plane(&self, width: usize, height: usize) -> ImagePlane {
-        ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE }
+        ImagePlane::plain(width, height)
     }
 
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {

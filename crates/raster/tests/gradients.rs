@@ -2,8 +2,8 @@
 
 use crate::common::{POSE, primitives, signals};
 use pwrfgs_core::testing::check_vjp;
-use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Sampling, Splats, Vec3};
-use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Support, WrfgsCompat, project, project_vjp, sees};
+use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Splats, Vec3};
+use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Pinhole, Support, WrfgsCompat, project, project_vjp, sees};
 
 const N: usize = 12;
 const CHANNELS: usize = 2;
@@ -67,6 +67,12 @@ fn mercator_and_blending_differentiate() {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn pinhole_and_blending_differentiate() {
+    check_plugin(&Pinhole::default(), &AlphaBlending::default());
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn compat_projection_and_blending_differentiate() {
     check_plugin(&WrfgsCompat::default(), &AlphaBlending { support: Support::TileSquares });
 }
@@ -77,7 +83,7 @@ struct Disc {
 }
 
 const DISC: Disc = Disc { half: [30.0, 20.0] };
-const PLANE: ImagePlane = ImagePlane { width: 60, height: 40, wraps: false, angles: None, sampling: Sampling::WHOLE };
+const PLANE: ImagePlane = ImagePlane::plain(60, 40);
 
 impl CameraModel for Disc {
     fn pixel(&self, v: Vec3) -> [Real; 2] {

@@ -85,7 +85,8 @@ pub fn room(
         "unit": setup.task.level_name[1],
         "score": { "name": setup.task.headline.name, "higher": setup.task.headline.higher },
         "origin": origin.0,
-        "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles },
+        "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles,
+                   "camera": plane.camera },
         "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
         "frequencies_hz": setup.frequencies_hz,
     });

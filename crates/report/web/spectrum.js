@@ -34,7 +34,7 @@ export class SpectrumView {
 
   drawMap(marks, ink) {
     const { width, height } = this.plane;
-    const upwards = !this.plane.angles || this.plane.angles[1].step > 0;
+    const upwards = this.plane.angles ? this.plane.angles[1].step > 0 : !this.plane.camera;
     for (let y = 0; y < height; y++) {
       const row = (upwards ? height - 1 - y : y) * width;
       for (let x = 0; x < width; x++) this.pixels[y * width + x] = this.palette[this.index[row + x]];

@@ -169,5 +169,6 @@ fn of_data(data: &Dataset) -> String {
     let links = digest(format!("{:?}", data.links).as_bytes());
     let size = (data.width, data.height, data.elevation);
     let setup = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.receivers, scene.origin);
-    [setup, digest(&points), parts.join(" ")].join(" ")
+    let camera = data.camera.map_or_else(String::new, |camera| format!(" {camera:?}"));
+    [setup, digest(&points), parts.join(" ")].join(" ") + &camera
 }

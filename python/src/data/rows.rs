@@ -3,7 +3,9 @@
 use super::{Dataset, inputs};
 use crate::arrays::{array, numbers, observations, places};
 use crate::border::{free, raised, wrong};
-use pwrfgs_core::{Dataset as Data, Elevation, Features, Number, Observations, Real, Sample, Simulation, Spectra};
+use pwrfgs_core::{
+    Camera, Dataset as Data, Elevation, Features, Number, Observations, Real, Sample, Simulation, Spectra,
+};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -82,6 +84,7 @@ impl Dataset {
         state.set_item("simulation", data.simulation.as_ref().map(|own| (own.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
         state.set_item("orientations", self.orientations(py)?)?;
+        state.set_item("camera", data.camera.map(|camera| (camera.focal, camera.centre)))?;
         let number = data.observations.number();
         match &data.observations {
             Observations::Pictures(spectra) => {
@@ -135,8 +138,10 @@ impl Dataset {
             free(py, || inputs::turned(Data::of_links(title, receivers, points, &samples, observations)?, turns))?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
+        let camera: Option<([f64; 2], [f64; 2])> = get("camera")?.extract()?;
         let data = Data {
             scene,
+            camera: camera.map(|(focal, centre)| Camera { focal, centre }),
             elevation: Elevation { first, last },
             features,
             placed: get("placed")?.extract()?,

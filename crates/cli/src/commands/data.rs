@@ -53,7 +53,6 @@ struct PublicData {
 
 const NERF2: &str = "https://connectpolyu-my.sharepoint.com/:f:/g/personal/20032132r_connect_polyu_hk/EuAACSdRP4VGgw_9n2IqL84BkY_tWD5TeE9kDT0lvjw6jw?e=ygYEvX";
 const NERF2_LICENCE: &str = "MIT, data included (https://github.com/XPengZhao/NeRF2); cite Zhao et al., MobiCom 2023";
-const UNREADABLE: &str = "none: pwrfgs does not read this layout";
 
 const PUBLIC: [PublicData; 5] = [
     PublicData {
@@ -108,7 +107,7 @@ const PUBLIC: [PublicData; 5] = [
         source: "https://github.com/SunLab-UGA/RF-3DGS",
         download: "follow the link to its data in the README (no direct link for curl)",
         folder: "any",
-        pipelines: UNREADABLE,
+        pipelines: "write one with `pwrfgs init`",
         digests: &[],
     },
     PublicData {

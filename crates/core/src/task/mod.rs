@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{AngleAxis, Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
+use crate::{Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
 pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -137,9 +137,7 @@ impl Description {
     /// Returns the grid of an observation of `size` (columns, rows): columns of pixels cover the full circle, rows are
     /// `elevation`.
     pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
-        let azimuth = AngleAxis { first: 0.0, step: 360.0 / width as f64 };
-        let angles = self.has_pixels.then(|| (azimuth, elevation.axis(height)));
-        ImagePlane { width, height, wraps: self.has_pixels, angles, sampling: Sampling::WHOLE }
+        if self.has_pixels { ImagePlane::around(width, height, elevation) } else { ImagePlane::plain(width, height) }
     }
 }
 

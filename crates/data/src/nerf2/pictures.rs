@@ -1,7 +1,10 @@
-//! `spectrum/NNNNN.png`: 8-bit grey images of one size, decoded in parallel.
+//! `spectrum/NNNNN.png` and other images: all of one size, decoded in parallel.
 
 use crate::text::{read_bytes, unreadable};
-use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, ImageResult, Limits, codecs::png::PngDecoder};
+use image::{
+    ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult,
+    Limits, codecs::png::PngDecoder,
+};
 use pwrfgs_core::{Error, Number, Progress, Result, Spectra};
 use rayon::prelude::*;
 use std::{
@@ -50,10 +53,15 @@ fn id_of(path: &Path, extension: &str) -> Option<u32> {
     (is_one && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
 }
 
-/// Decodes all images; the first sets the size. Errors are about the first bad file in the given order.
-pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
+/// Decodes all images with `decode`, 8 bits each; the first sets the size. Errors are about the first bad file in the given
+/// order.
+pub(crate) fn load(
+    files: &[&Path],
+    decode: impl Fn(&Path) -> Result<Picture> + Sync,
+    progress: Progress<'_>,
+) -> Result<Spectra> {
     let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
-    let Picture { width, height, bytes, .. } = decode(first, Depth::Eight)?;
+    let Picture { width, height, bytes, .. } = decode(first)?;
     let name = first.file_name().unwrap_or_default().to_string_lossy();
     let mut all = Vec::new();
     let total = bytes.len().saturating_mul(files.len());
@@ -65,7 +73,7 @@ pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
     all.resize(total, 0);
     let done = AtomicUsize::new(1);
     let decode_like_first = |(out, path): (&mut [u8], &&Path)| {
-        let picture = decode(path, Depth::Eight)?;
+        let picture = decode(path)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, files.len());
         picture.is_like(path, (width, height), &name)?;
         out.copy_from_slice(&picture.bytes);
@@ -114,13 +122,7 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG image; save the spectrum as 8-bit grey PNG"));
     }
-    let damaged = |e: ImageError| {
-        let words = e.to_string();
-        Error::input(
-            path,
-            format!("is cut short or damaged ({}); copy it again", words.lines().next().unwrap_or_default()),
-        )
-    };
+    let damaged = |e| damaged(path, &e);
     let decoder = decoder(file).map_err(damaged)?;
     let number = match (decoder.original_color_type(), decoder.color_type()) {
         (ExtendedColorType::L8, ColorType::L8) => Number::U8,
@@ -131,12 +133,7 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
             return Err(Error::input(path, what));
         }
     };
-    let (width, height) = decoder.dimensions();
-    if u64::from(width) * u64::from(height) > MAX_PIXELS {
-        let what = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");
-        return Err(Error::input(path, what));
-    }
-    let (width, height) = (width as usize, height as usize);
+    let (width, height) = size(path, &decoder)?;
     let mut bytes = vec![0; width * height * number.bytes()];
     decoder.read_image(&mut bytes).map_err(damaged)?;
     if number == Number::U16 {
@@ -146,11 +143,46 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     Ok(Picture { width, height, number, bytes })
 }
 
+/// Decodes an image of a camera, PNG or JPEG. Colours become luminance, 16 bits become 8, and transparency is ignored.
+pub(crate) fn luminance(path: &Path) -> Result<Picture> {
+    let file = read_bytes(path, MAX_BYTES, "add the image, or remove its two lines from images.txt")?;
+    let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
+    let mut reader = guessed.map_err(|e| Error::read(path, e))?;
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
+        return Err(Error::input(path, "is not a PNG or JPEG image; convert it"));
+    }
+    reader.limits(limits());
+    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
+    let (width, height) = size(path, &decoder)?;
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
+    Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
+}
+
+/// Returns the size of an image that is not too large.
+fn size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
+    let (width, height) = decoder.dimensions();
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        let what = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");
+        return Err(Error::input(path, what));
+    }
+    Ok((width as usize, height as usize))
+}
+
+fn damaged(path: &Path, e: &ImageError) -> Error {
+    let words = e.to_string();
+    let first = words.lines().next().unwrap_or_default();
+    Error::input(path, format!("is cut short or damaged ({first}); copy it again"))
+}
+
 /// Creates a decoder that skips metadata and limits memory to [`MAX_BESIDE`].
 pub(super) fn decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
+    PngDecoder::with_limits(Cursor::new(file), limits())
+}
+
+fn limits() -> Limits {
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(MAX_BESIDE);
-    PngDecoder::with_limits(Cursor::new(file), limits)
+    limits
 }
 
 /// Colour type in words.

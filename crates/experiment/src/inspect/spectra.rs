@@ -1,7 +1,7 @@
 //! Single pass over the spectra: range, normalisation, strongest direction, constant and equal spectra.
 
 use glam::DVec3;
-use pwrfgs_core::{Dataset, Image, ImagePlane, Progress, Real, Result, evenly};
+use pwrfgs_core::{Camera, Dataset, Image, ImagePlane, Progress, Real, Result, evenly};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hasher as _};
@@ -76,8 +76,14 @@ pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static st
     all.iter().filter(|s| s.strongest.is_some()).for_each(|s| groups.entry(s.hash).or_default().push(id(s)));
     let mut equal: Vec<u32> = groups.into_values().filter(|ids| ids.len() > 1).flatten().collect();
     equal.sort_unstable();
+    let pixels = match data.camera {
+        Some(Camera { focal: [fx, fy], centre: [cx, cy] }) => {
+            ("camera", format!("focal lengths {fx:.1} and {fy:.1} px, principal point ({cx:.1}, {cy:.1}) px"))
+        }
+        None => ("elevations", format!("{}° to {}°, top row to bottom", data.elevation.first, data.elevation.last)),
+    };
     vec![
-        ("elevations", format!("{}° to {}°, top row to bottom", data.elevation.first, data.elevation.last)),
+        pixels,
         ("grey values", format!("{low:.3} to {high:.3}, stored as {:?}", data.observations.number())),
         ("normalisation", normalization(all, constant.len()).into()),
         ("unusual", [listed("constant", &constant), listed("equal to another", &equal)].join(", ")),

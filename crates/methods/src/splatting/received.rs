@@ -151,7 +151,7 @@ fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{AngleAxis, Sampling};
+    use pwrfgs_core::AngleAxis;
 
     #[test]
     fn solid_angles_sum_to_full_sphere() {
@@ -159,7 +159,7 @@ mod tests {
             let axis = |first| AngleAxis { first, step: f64::from(side) };
             let (width, height) = (360 / side as usize, 180 / side as usize + 1);
             let angles = Some((axis(0.0), axis(-90.0)));
-            let plane = ImagePlane { width, height, wraps: true, angles, sampling: Sampling::WHOLE };
+            let plane = ImagePlane { wraps: true, angles, ..ImagePlane::plain(width, height) };
             let sum: f64 = solid_angles(&plane).iter().map(|ring| width as f64 * f64::from(*ring as f32)).sum();
             assert!((sum / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-6, "{side} degrees: {sum}");
         }

@@ -4,8 +4,8 @@ use super::*;
 use crate::tensors::Tensors;
 use crate::{Ensemble, HeldOutScores, IntervalCalibration, Model, Stages, file};
 use pwrfgs_core::{
-    Dataset, Error, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Sampling,
-    Spectra, kriging::CorrelationKind, rng,
+    Dataset, Error, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Spectra,
+    kriging::CorrelationKind, rng,
 };
 use pwrfgs_methods as _;
 use std::sync::atomic::AtomicBool;
@@ -97,7 +97,7 @@ fn power_far_from_known_links_is_the_trend() {
     let left = measured - trend.at(predicted, known);
     let fit = ProcessFit { trend, variance: 1.0, correlation };
     let process = ResidualProcess::new(fit, vec![known], ResidualValues::Exact(vec![left]));
-    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
+    let plane = ImagePlane::plain(1, 1);
     let residuals = Residuals { grid: CoarseGrid::new(&plane, 1), neighbours: 4, processes: vec![Some(process)] };
     let power = |x: f64| {
         let mut image = Image { width: 1, height: 1, pixels: vec![predicted] };

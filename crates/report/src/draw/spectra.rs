@@ -101,10 +101,10 @@ impl Mark {
     }
 }
 
-/// Spectrum as an image, elevation upwards.
+/// Spectrum as an image, elevation upwards; the first row of an image of a camera is at the top.
 pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> RasterImage {
     let (width, height) = (image.width, image.height);
-    let upwards = plane.angles.is_none_or(|(_, elevation)| elevation.step > 0.0);
+    let upwards = plane.angles.map_or(plane.camera.is_none(), |(_, elevation)| elevation.step > 0.0);
     let row = |row: usize| if upwards { height - 1 - row } else { row };
     let values = (0..height).flat_map(|k| &image.pixels[row(k) * width..][..width]);
     let rgba = values.map(|value| scale.colour(*value as f64)).flat_map(|[r, g, b]| [r, g, b, 255]).collect();
@@ -213,8 +213,9 @@ pub(super) struct Ruler {
 
 /// Axes of a spectrum, azimuth first.
 pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
-    let pixel = AngleAxis { first: 0.0, step: 1.0 };
-    let (azimuth, elevation) = plane.angles.unwrap_or((pixel, pixel));
+    let pixel = |step| AngleAxis { first: 0.0, step };
+    let down = if plane.camera.is_some() { -1.0 } else { 1.0 };
+    let (azimuth, elevation) = plane.angles.unwrap_or((pixel(1.0), pixel(down)));
     let unit = if plane.angles.is_some() { "°" } else { "" };
     [Ruler::new(azimuth, plane.width, unit), Ruler::new(elevation, plane.height, unit)]
 }
@@ -261,7 +262,8 @@ impl Ruler {
         let all = self.multiples(step);
         let whole = all.len().saturating_sub(1).max(1);
         let stride = (1..=whole).find(|s| whole.is_multiple_of(*s) && (whole / s) as f64 <= intervals).unwrap_or(whole);
-        let tick = |v: f64| (format!("{v}{}", self.unit).replace('-', "−"), self.part(v).clamp(0.0, 1.0));
+        let number = |v: f64| if self.unit.is_empty() { v.abs() } else { v };
+        let tick = |v: f64| (format!("{}{}", number(v), self.unit).replace('-', "−"), self.part(v).clamp(0.0, 1.0));
         all.into_iter().step_by(stride).map(tick).collect()
     }
 }
@@ -294,7 +296,6 @@ pub(crate) fn draw_elevation(canvas: &mut Canvas, plane: &ImagePlane, [left, top
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::Sampling;
 
     #[test]
     fn sky_plot_wraps_at_azimuth_zero() {
@@ -305,7 +306,7 @@ mod tests {
 
     #[test]
     fn plane_without_angles_has_no_sky_plot() {
-        let plane = ImagePlane { width: 4, height: 2, wraps: false, angles: None, sampling: Sampling::WHOLE };
+        let plane = ImagePlane::plain(4, 2);
         let image = Image::zeros(4, 2);
         assert!(sky(&image, &plane, ColourScale::Power, &[]).is_none());
         let map = map(&image, &plane, ColourScale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);
@@ -323,13 +324,7 @@ mod tests {
 
     #[test]
     fn ticks_keep_the_ends() {
-        let plane = ImagePlane {
-            width: 360,
-            height: 90,
-            wraps: true,
-            angles: Some((DEGREE, DEGREE)),
-            sampling: Sampling::WHOLE,
-        };
+        let plane = ImagePlane { wraps: true, angles: Some((DEGREE, DEGREE)), ..ImagePlane::plain(360, 90) };
         let [azimuth, _] = rulers(&plane);
         let labels = |n| azimuth.ticks(90.0, n).into_iter().map(|t| t.0).collect::<Vec<_>>();
         assert_eq!(labels(4.0), ["0°", "90°", "180°", "270°", "360°"]);

@@ -76,7 +76,9 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let ([only], None) = (run.model.members(), run.model.residuals()) else { return None };
     let name = name_of(only.stages.deformation()?);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
-    let drawn = only.stages.setup.receivers.len() == 1 && !only.stages.setup.moves && run.data.task().has_pixels;
+    let setup = &only.stages.setup;
+    let is_fixed = setup.receivers.len() == 1 && !setup.moves && setup.plane.camera.is_none();
+    let drawn = is_fixed && run.data.task().has_pixels;
     if !(known && drawn) {
         return None;
     }

@@ -1,0 +1,155 @@
+//! `DataSurvey`: content of a data folder, and a split without leakage.
+
+use pwrfgs::data::read_points;
+use pwrfgs::experiment::inspect::test_distance;
+use pwrfgs::experiment::{Observer, data_warnings, observed, staged};
+use pwrfgs_core::plugin::name_of as plugin_name;
+use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, Split, recognise, rng};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Candidate cell edges of a split that holds out space, metres; the first with enough cells is used.
+const EDGES: [f64; 9] = [2.0, 1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01];
+/// Minimum number of cells for such a split.
+const CELLS: usize = 50;
+/// Distance of test to training transmitters below which the file has a note, metres.
+const NEAR: f64 = 0.05;
+
+const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_info.yml, or spectra.npy (spectra); gateway_rssi.csv \
+                       and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
+                       base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
+
+/// Error for a folder without data of a known layout.
+pub(crate) fn unknown_folder(folder: &Path) -> Error {
+    let what = match folder.metadata() {
+        Ok(entry) if entry.is_dir() => UNKNOWN,
+        Ok(_) => "is a file; give a folder in a layout of docs/data.md",
+        Err(_) => "no such folder",
+    };
+    Error::input(folder, what)
+}
+
+/// Content of a data folder, with a suitable split.
+pub(crate) struct DataSurvey {
+    /// Plugin that reads the folder.
+    pub(super) source: Plugin<dyn DataSource>,
+    pub(crate) data: Dataset,
+    /// Suggested split, as RON.
+    pub(super) split: String,
+    partition: Partition,
+    /// Median distance of test transmitters to the nearest training transmitter, metres.
+    pub(super) nearest: f64,
+    /// Point cloud files, with numbers of points.
+    pub(super) clouds: Vec<(PathBuf, usize)>,
+}
+
+impl DataSurvey {
+    /// Loads the data in `folder` and suggests a split.
+    pub(crate) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
+        let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
+        let (split, partition) = suggested(&data)?;
+        data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
+        let nearest = test_distance(&data, &partition);
+        Ok(Self { source, data, split, partition, nearest, clouds: clouds(folder) })
+    }
+
+    /// Stride of training pixels: spectra of a small array are smooth.
+    pub(super) fn stride(&self) -> usize {
+        let Dataset { width, height, .. } = self.data;
+        if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
+    }
+
+    /// Batch size: the number of training transmitters, at most `most`.
+    pub(crate) fn batch(&self, most: usize) -> usize {
+        let train = self.partition.train.iter().map(|&i| self.data.links[i].transmitter);
+        train.collect::<BTreeSet<_>>().len().clamp(1, most)
+    }
+
+    /// Describes the data in one line.
+    pub(super) fn sentence(&self) -> String {
+        let [train, validation, test] = self.partition.sizes();
+        let observations = observed(&self.data);
+        format!("{observations}: {train} training, {validation} validation, {test} test")
+    }
+
+    /// Notes for the head of the pipeline file.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.sentence())];
+        let near = format!("the median distance from test to training transmitters is {:.3} m", self.nearest);
+        notes.push(match (self.data.official.is_some(), self.nearest < NEAR) {
+            (true, true) => format!(
+                "The split is from the index files of the data, and {near}: copying the nearest training sample scores \
+                 high. `split: Voxel()` holds out cells of space and `split: TimeBlock()` a block of time."
+            ),
+            (true, false) => format!("The split is from the index files of the data; {near}."),
+            (false, _) => format!(
+                "The data have no index files. The split holds out whole regions, so that test transmitters are not next to \
+                 training transmitters; {near}."
+            ),
+        });
+        if plugin_name(&self.source) == "Nerf2Csi" {
+            notes.push(
+                "The files do not contain the frequencies: correct `carrier_hz` and `spacing_hz` of the data.".into(),
+            );
+        }
+        notes.extend(self.data.task().has_pixels.then(|| match &self.clouds[..] {
+            _ if self.data.camera.is_some() => match self.data.scene.points.len() {
+                0 => "The model has no points: Gaussians start at random amid the camera positions.".into(),
+                points => format!("Gaussians start on the points of the model ({points})."),
+            },
+            [] => "The folder has no point cloud of the room: Gaussians start on a grid of directions.".into(),
+            [(name, points), others @ ..] => {
+                let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();
+                let more = if others.is_empty() {
+                    String::new()
+                } else {
+                    format!(" Other point clouds: {}.", others.join(", "))
+                };
+                format!("Gaussians start on {} ({points} points).{more}", name.display())
+            }
+        }));
+        notes
+    }
+}
+
+/// Split without leakage, as RON and applied: index files of the data, else cells of space, else a block of time.
+fn suggested(data: &Dataset) -> Result<(String, Partition)> {
+    let try_out = |text: &str| -> Result<Partition> {
+        let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;
+        split.split(data, &mut rng::stream(0, "split", 0))
+    };
+    if data.official.is_some() {
+        return Ok(("Official()".into(), try_out("Official()")?));
+    }
+    let cells = |edge: f64| {
+        let cell = |tx: [f64; 3]| tx.map(|v| (v / edge).floor() as i64);
+        data.samples().map(|s| cell(s.tx)).collect::<BTreeSet<_>>().len()
+    };
+    let edge = EDGES.into_iter().find(|&edge| cells(edge) >= CELLS).map(|edge| format!("Voxel(size_m: {edge})"));
+    let choices = edge.into_iter().chain(["TimeBlock()".into(), "Random()".into()]);
+    let fits = |partition: &Partition| !partition.train.is_empty() && !partition.test.is_empty();
+    for choice in choices {
+        if let Some(partition) = try_out(&choice).ok().filter(fits) {
+            return Ok((choice, partition));
+        }
+    }
+    Ok(("Random()".into(), try_out("Random()")?))
+}
+
+/// Readable point clouds in the folder, by name.
+fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
+    let is_cloud = |path: &PathBuf| {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+        let points = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));
+        path.is_file() && (extension == "ply" || extension == "xyz" || (extension == "csv" && points))
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut paths: Vec<PathBuf> = entries.filter(is_cloud).collect();
+    paths.sort();
+    let read = |path: PathBuf| {
+        let points = read_points(&path).ok()?.len();
+        Some((PathBuf::from(path.file_name()?), points))
+    };
+    paths.into_iter().filter_map(read).collect()
+}

@@ -1,0 +1,310 @@
+//! `Colmap`: images of a moving camera with their poses, in the text format of COLMAP.
+
+#[cfg(test)]
+mod tests;
+
+use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::nerf2::{index, pictures};
+use crate::text::{TextField, XyzColumns, coordinate, lines, number, place, read_text, split_blanks};
+use pwrfgs_core::files::MAX_TEXT;
+use pwrfgs_core::messages::quoted;
+use pwrfgs_core::{
+    Camera, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Task, place_fault,
+};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Component, Path, PathBuf};
+
+const LAYOUT: &str = "a COLMAP folder holds sparse/0/cameras.txt, sparse/0/images.txt and images/";
+/// Folders of the model; the second is that of `colmap image_undistorter`.
+const MODELS: [&str; 2] = ["sparse/0", "sparse"];
+/// Camera models with their numbers of focal lengths and of distortion parameters.
+const CAMERAS: [(&str, usize, usize); 5] =
+    [("SIMPLE_PINHOLE", 1, 0), ("PINHOLE", 2, 0), ("SIMPLE_RADIAL", 1, 1), ("RADIAL", 1, 2), ("OPENCV", 2, 4)];
+const TO_TEXT: &str = "colmap model_converter --output_type TXT";
+const UNDISTORT: &str = "run `colmap image_undistorter`, and read its output folder";
+const ONE_CAMERA: &str =
+    "give all images one camera: run COLMAP with --ImageReader.single_camera 1, or keep the images of one";
+const CAMERA_LINE: &str = "write CAMERA_ID MODEL WIDTH HEIGHT and the parameters of the model";
+const IMAGE_LINE: &str =
+    "write IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and then the line of its 2D points, which may be empty";
+const POINT_LINE: &str = "write POINT3D_ID X Y Z R G B ERROR, and then the track";
+
+/// Images of a moving camera, with poses in the text format of COLMAP, as RF-3DGS uses it. The transmitter is fixed.
+///
+/// ```text
+/// root/sparse/0/cameras.txt     one pinhole camera: SIMPLE_PINHOLE or PINHOLE; or sparse/cameras.txt
+/// root/sparse/0/images.txt      pose of each image: quaternion and translation from the world to the camera
+/// root/sparse/0/points3D.txt    optional point cloud for the initialiser PointCloud
+/// root/images/NAME              grey or colour, 8 or 16 bits, PNG or JPEG; all of one size
+/// root/train_index.txt          image names, with or without extension, one per line; the files train_index.txt
+/// root/test_index.txt           and test_index.txt must both exist or both be absent
+/// ```
+///
+/// Pixel values are luminance, 0 to 1, stored with 8 bits. Colours become luminance, and transparency is ignored. Samples are
+/// in the order of the image names; ids count from 1. Train with `projector: Pinhole()`.
+///
+/// The reconstruction of COLMAP has no unit. The numbers count as metres, so scale the model if settings in metres, such as
+/// `near_m`, do not fit. Models with lens distortion are rejected if a distortion parameter is not zero: run
+/// `colmap image_undistorter`. Binary models are rejected: run `colmap model_converter --output_type TXT`.
+///
+/// ```
+/// # use pwrfgs_core::{DataSource, Plugin};
+/// # use pwrfgs_data as _;
+/// let data = Plugin::<dyn DataSource>::parse(r#"Colmap(root: "data/lobby", transmitter: (0.0, 2.0, 1.5))"#);
+/// assert!(data.is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Colmap {
+    /// Data folder, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
+    pub root: PathBuf,
+    /// Folder of the images, relative to `root`.
+    pub images: PathBuf,
+    /// Point cloud (PLY, XYZ or CSV, metres, world frame) instead of `points3D.txt`, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
+    pub points: Option<PathBuf>,
+    /// Position of the fixed transmitter, metres, world frame, for `inspect` and figures. Predictions do not depend on it.
+    /// Without it: the mean position of the camera, rounded to 1 mm.
+    pub transmitter: Option<[f64; 3]>,
+}
+
+impl Default for Colmap {
+    fn default() -> Self {
+        Self { root: "data/lobby".into(), images: "images".into(), points: None, transmitter: None }
+    }
+}
+
+#[typetag::serde]
+impl DataSource for Colmap {
+    fn task(&self) -> Option<Task> {
+        Some(Task::Spectrum)
+    }
+
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
+        let root = open_root(base, &self.root, "Colmap", LAYOUT)?;
+        let model = model_folder(&root)?;
+        let cameras = read_cameras(&model.join("cameras.txt"))?;
+        let list = model.join("images.txt");
+        let views = read_images(&list)?;
+        let shared = shared_camera(&list, &views, &model.join("cameras.txt"), &cameras)?;
+        let official = index::read(&root, &|word| find(&views, word))?;
+        let points = match &self.points {
+            Some(points) => points_of(base, Some(points))?,
+            None => read_points3d(&model.join("points3D.txt"))?,
+        };
+        let paths: Vec<PathBuf> = views.iter().map(|view| root.join(&self.images).join(&view.name)).collect();
+        let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
+        let spectra = pictures::load(&paths, pictures::luminance, progress)?;
+        let size = (spectra.width(), spectra.height());
+        if size != shared.size {
+            let ((w, h), (width, height)) = (size, shared.size);
+            let what = format!("is {w} x {h} pixels, but its camera in cameras.txt {width} x {height}");
+            return Err(Error::input(
+                paths[0],
+                format!("{what}; use the images that COLMAP read, or correct cameras.txt"),
+            ));
+        }
+        let samples: Vec<Sample> = (1..).zip(&views).map(|(id, view)| Sample::new(id, view.pose.position)).collect();
+        let mean = |k: usize| views.iter().map(|view| view.pose.position[k]).sum::<f64>() / views.len() as f64;
+        let position = self.transmitter.unwrap_or_else(|| [0, 1, 2].map(|k| (mean(k) * 1e3).round() / 1e3 + 0.0));
+        let transmitter = Receiver::new("transmitter", Pose { position, ..views[0].pose });
+        let name = folder_name(&root);
+        let simulation = simulation(&root, &name);
+        let title = title(&name, simulation.as_ref(), "COLMAP");
+        let data = Dataset::of_links(title, vec![transmitter], points, &samples, spectra.into())?;
+        Dataset { camera: Some(shared.camera), official, simulation, ..data }
+            .with_moving_receiver(views.iter().map(|view| view.pose.orientation).collect())
+    }
+
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        let files = MODELS.map(|model| ["txt", "bin"].map(|kind| format!("{model}/images.{kind}")));
+        let files = files.as_flattened().iter().map(String::as_str).collect::<Vec<_>>();
+        source_in(folder, &files, |root, points| Self { root, points, ..self.clone() })
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_root(&self.root)?;
+        let fault = self.transmitter.and_then(place_fault);
+        fault.map_or(Ok(()), |fault| Err(format!("`transmitter` {fault}")))
+    }
+}
+
+/// Folder of the text files of the model.
+fn model_folder(root: &Path) -> Result<PathBuf> {
+    let folder = |file: &str| MODELS.map(|model| root.join(model)).into_iter().find(|model| model.join(file).exists());
+    match (folder("images.txt"), folder("images.bin")) {
+        (Some(model), _) => Ok(model),
+        (None, Some(binary)) => {
+            let at = binary.display();
+            let what = format!("is a binary model; run `{TO_TEXT} --input_path {at} --output_path {at}`");
+            Err(Error::input(&binary.join("images.bin"), what))
+        }
+        (None, None) => Err(Error::input(root, format!("no sparse/0/images.txt; {LAYOUT}"))),
+    }
+}
+
+/// Camera of `cameras.txt`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SizedCamera {
+    size: (usize, usize),
+    camera: Camera,
+}
+
+/// Image of `images.txt`.
+struct View {
+    line: usize,
+    name: String,
+    camera: u32,
+    pose: Pose,
+}
+
+/// Whether a line has data.
+fn is_data(line: &str) -> bool {
+    !line.trim().is_empty() && !line.trim_start().starts_with('#')
+}
+
+/// Parses a whole number, such as an id.
+fn whole(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<u32> {
+    let fault =
+        || Error::at(path, line, field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
+    field.text.parse().ok().ok_or_else(fault)
+}
+
+/// Cameras by id.
+fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
+    let text = read_text(path, MAX_TEXT, LAYOUT)?;
+    let mut cameras = BTreeMap::new();
+    for (line, content) in lines(&text).filter(|(_, content)| is_data(content)) {
+        let fields = split_blanks(content);
+        let fault = |column, what: String| Err(Error::at(path, line, column, what));
+        let [id, model, width, height, parameters @ ..] = &fields[..] else {
+            return fault(1, format!("has {} fields; {CAMERA_LINE}", fields.len()));
+        };
+        let Some((_, focal, distortion)) = CAMERAS.into_iter().find(|(name, ..)| *name == model.text) else {
+            return fault(model.column, format!("camera model {} is no pinhole; {UNDISTORT}", quoted(model.text)));
+        };
+        let needed = focal + 2 + distortion;
+        if parameters.len() != needed {
+            let what = format!("{} has {} parameters, expected {needed}", model.text, parameters.len());
+            return fault(model.column, format!("{what}; {CAMERA_LINE}"));
+        }
+        let values =
+            parameters.iter().map(|field| number(path, line, *field, CAMERA_LINE)).collect::<Result<Vec<_>>>()?;
+        if let Some(k) = (focal + 2..needed).find(|k| values[*k] != 0.0) {
+            return fault(parameters[k].column, format!("the lens distortion is not zero; {UNDISTORT}"));
+        }
+        let size = [width, height].map(|field| whole(path, line, *field, CAMERA_LINE));
+        let [width, height] = size.map(|side| side.map(|side| side as usize));
+        let camera = Camera { focal: [values[0], values[focal - 1]], centre: [values[focal], values[focal + 1]] };
+        if let Some(what) = camera.fault() {
+            return fault(parameters[0].column, what);
+        }
+        let id = whole(path, line, *id, CAMERA_LINE)?;
+        if cameras.insert(id, SizedCamera { size: (width?, height?), camera }).is_some() {
+            return fault(1, format!("a second camera {id}; remove one of the two"));
+        }
+    }
+    Ok(cameras)
+}
+
+/// Images by name.
+fn read_images(path: &Path) -> Result<Vec<View>> {
+    let text = read_text(path, MAX_TEXT, LAYOUT)?;
+    let mut views = Vec::new();
+    let mut rows = (1..).zip(text.lines());
+    while let Some((line, content)) = rows.next() {
+        if !is_data(content) {
+            continue;
+        }
+        let view = read_view(path, line, content)?;
+        if let Some((line, points)) = rows.next()
+            && !points.split_whitespace().count().is_multiple_of(3)
+        {
+            let what = format!("expected the 2D points of {}, three numbers each", quoted(&view.name));
+            return Err(Error::at(path, line, 1, format!("{what}; {IMAGE_LINE}")));
+        }
+        views.push(view);
+    }
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    if views.is_empty() {
+        return Err(Error::input(path, format!("has no image; {IMAGE_LINE}")));
+    }
+    match views.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        Some([first, second]) => {
+            let what = format!("image {} is also in line {}; remove one of the two", quoted(&first.name), first.line);
+            Err(Error::at(path, second.line, 1, what))
+        }
+        _ => Ok(views),
+    }
+}
+
+/// Reads the first line of an image. The camera frame of COLMAP is v = R·x + t, so that the camera is at -Rᵀ·t.
+fn read_view(path: &Path, line: usize, content: &str) -> Result<View> {
+    let fields = split_blanks(content);
+    let [_, w, x, y, z, t @ .., camera, name] = &fields[..] else {
+        return Err(Error::at(path, line, 1, format!("has {} fields, expected 10; {IMAGE_LINE}", fields.len())));
+    };
+    let &[tx, ty, tz] = t else {
+        let what = "10; names of images have no blanks";
+        return Err(Error::at(path, line, 1, format!("has {} fields, expected {what}; {IMAGE_LINE}", fields.len())));
+    };
+    let [qx, qy, qz, qw] = [x, y, z, w].map(|field| coordinate(path, line, *field, IMAGE_LINE));
+    let turned = Pose { position: [0.0; 3], orientation: [-qx?, -qy?, -qz?, qw?] }; // world from camera
+    if let Some((_, what)) = turned.fault() {
+        return Err(Error::at(path, line, w.column, what));
+    }
+    let position = turned.turned(place(path, line, [tx, ty, tz], IMAGE_LINE)?.map(|t| -t));
+    if !Path::new(name.text).components().all(|part| matches!(part, Component::Normal(_))) {
+        let what = format!("{} is not the path of an image within images/; correct the name", quoted(name.text));
+        return Err(Error::at(path, line, name.column, what));
+    }
+    let camera = whole(path, line, *camera, IMAGE_LINE)?;
+    Ok(View { line, name: name.text.into(), camera, pose: Pose { position, ..turned } })
+}
+
+/// The camera of all images.
+fn shared_camera(
+    list: &Path,
+    views: &[View],
+    path: &Path,
+    cameras: &BTreeMap<u32, SizedCamera>,
+) -> Result<SizedCamera> {
+    let mut used: BTreeMap<u32, usize> = BTreeMap::new();
+    views.iter().for_each(|view| _ = used.entry(view.camera).or_insert(view.line));
+    let mut shared: Option<(u32, SizedCamera)> = None;
+    for (id, line) in used {
+        let Some(camera) = cameras.get(&id) else {
+            let what = format!("camera {id} is not in cameras.txt; add its line, or correct CAMERA_ID");
+            return Err(Error::at(list, line, 1, what));
+        };
+        match shared {
+            Some((first, other)) if other != *camera => {
+                return Err(Error::input(path, format!("cameras {first} and {id} differ; {ONE_CAMERA}")));
+            }
+            Some(_) => {}
+            None => shared = Some((id, *camera)),
+        }
+    }
+    Ok(shared.expect("there is an image").1)
+}
+
+/// Position of a word of an index file in the images: the name, with or without extension.
+fn find(views: &[View], word: &str) -> Result<(u32, usize), String> {
+    let same = |view: &View| view.name == word || Path::new(&view.name).with_extension("") == Path::new(word);
+    let fault =
+        || format!("{} is no image of images.txt; write names such as {}", quoted(word), quoted(&views[0].name));
+    let k = views.iter().position(same).ok_or_else(fault)?;
+    Ok((k as u32 + 1, k))
+}
+
+/// Point cloud of the reconstruction; empty without the file.
+fn read_points3d(path: &Path) -> Result<Vec<[f64; 3]>> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = read_text(path, MAX_TEXT, LAYOUT)?;
+    let rows = lines(&text).filter(|(_, content)| is_data(content));
+    rows.map(|(line, content)| XyzColumns([1, 2, 3]).read(path, line, &split_blanks(content), POINT_LINE)).collect()
+}
