@@ -35,3 +35,6 @@ fn median(values: &mut [f64]) -> f64 {
     let n = values.len();
     if n == 0 { f64::NAN } else { f64::midpoint(values[(n - 1) / 2], values[n / 2]) }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,114 @@
+//! A hall with four receivers, whose powers follow a law of distance with noise.
+
+use crate::{Features, Locator, NearestFingerprints, mean_and_median};
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::{Channels, Spectra, rng};
+use pwrfgs_core::{Dataset, Elevation, FittingSet, Image, Observations, Pose, Predict, Query, Real, Receiver, Sample};
+
+const RECEIVERS: [[f64; 3]; 4] = [[0.0, 0.0, 3.0], [10.0, 0.0, 3.0], [0.0, 6.0, 3.0], [10.0, 6.0, 3.0]];
+
+fn dbm(tx: [f64; 3], receiver: usize) -> f64 {
+    -40.0 - 30.0 * distance(tx, RECEIVERS[receiver]).log10()
+}
+
+/// The law itself, with its derivative.
+struct Law;
+
+impl Predict for Law {
+    fn predict(&self, query: Query<'_>) -> Image {
+        Image { width: 1, height: 1, pixels: vec![dbm(query.tx, query.receiver) as Real] }
+    }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        let image = self.predict(query);
+        let (d, at) = (f64::from(cotangent(&image)[0] as f32), RECEIVERS[query.receiver]);
+        let square = distance(query.tx, at).powi(2);
+        let slope = -30.0 / std::f64::consts::LN_10 / square;
+        Some((image, [0, 1, 2].map(|k| d * slope * (query.tx[k] - at[k]))))
+    }
+}
+
+/// 300 training positions 0.4 to 0.5 m apart, then 120 validation and 120 test positions at random.
+fn hall() -> (Dataset, [Vec<usize>; 3]) {
+    let random = &mut rng::stream(0, "hall", 0);
+    let grid = (0..300).map(|k| [0.25 + 0.5 * f64::from(k % 20), 0.2 + 0.4 * f64::from(k / 20), 1.0]);
+    let mut places: Vec<[f64; 3]> = grid.collect();
+    let mut uniform = |size: f64| size * f64::from(rng::uniform(random) as f32);
+    places.extend((0..240).map(|_| [uniform(10.0), uniform(6.0), 1.0]));
+    let samples = places
+        .iter()
+        .enumerate()
+        .flat_map(|(k, tx)| (0..4).map(move |receiver| Sample { id: k as u32, tx: *tx, receiver }));
+    let samples: Vec<Sample> = samples.collect();
+    let noise = &mut rng::stream(1, "noise", 0);
+    let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, s.receiver) as Real + 0.5 * rng::normal(noise)).collect();
+    let receivers = RECEIVERS.iter().enumerate();
+    let receivers = receivers.map(|(k, at)| Receiver::new(format!("r{k}"), Pose { position: *at, ..Pose::IDENTITY }));
+    let data = Dataset::of_links("hall", receivers.collect(), vec![], &samples, Observations::from(powers)).unwrap();
+    (data, [(0..1200).collect(), (1200..1680).collect(), (1680..2160).collect()])
+}
+
+#[test]
+fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten() {
+    let (data, [train, validation, test]) = hall();
+    let known = FittingSet { train: &train, validation: &validation };
+    let locator = Locator::fit(&data, known, &Law, &[0.0, 0.5, 1.0]).unwrap();
+    assert!(locator.choice.share > 0.0, "the exact law is better than noisy measurements: {:?}", locator.choice);
+    let transmitters = crate::transmitters(&data, &test);
+    let observations = locator.observations(&data, &transmitters);
+    let truth = |k: usize| data.transmitters[transmitters[k]].position;
+    let located: Vec<_> = observations.iter().map(|own| locator.locate(own)).collect();
+    let errors = located.iter().enumerate().map(|(k, own)| distance(own.position, truth(k))).collect();
+    let nearest = NearestFingerprints::fit(&data, known, locator.features(), locator.floor());
+    let baseline = observations.iter().enumerate().map(|(k, own)| distance(nearest.locate(own), truth(k))).collect();
+    let ([mean, median], [worse, _]) = (mean_and_median(errors), mean_and_median(baseline));
+    assert!(mean < worse && median < 0.5, "{mean} m and {median} m, nearest fingerprints {worse} m");
+    let held = located.iter().enumerate().filter(|(k, own)| own.holds(truth(*k)) == Some(true)).count();
+    assert!((96..=118).contains(&held), "{held} of 120 regions hold the true position");
+    let outline = located[0].region().unwrap().outlines();
+    assert!(!outline.is_empty());
+}
+
+#[test]
+fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
+    let (data, [train, validation, _]) = hall();
+    let known = FittingSet { train: &train, validation: &validation };
+    let locator = Locator::fit(&data, known, &Law, &[1.0]).unwrap();
+    let whole = locator.observations(&data, &[305]).remove(0);
+    let some = [whole[0], f32::NAN, whole[2], whole[3]];
+    let apart = distance(locator.locate(&whole).position, locator.locate(&some).position);
+    assert!(apart < 1.5, "three receivers are enough: {apart} m apart");
+    let nothing = locator.locate(&[f32::NAN; 4]);
+    assert!(nothing.position.iter().all(|v| v.is_finite()) && nothing.misfit.is_infinite());
+    assert!(locator.within(|_| false).is_err());
+}
+
+#[test]
+fn derivative_of_features_agrees_with_central_differences() {
+    let mut random = rng::stream(0, "features", 0);
+    let mut values = |count: usize| (0..count).map(|_| 0.2 + rng::uniform(&mut random)).collect::<Vec<Real>>();
+    let samples = |count: u32| (1..=count).map(|id| Sample::new(id, [f64::from(id), 0.0, 1.5])).collect::<Vec<_>>();
+    let spectra = Spectra::grey((140, 60), vec![90; 2 * 140 * 60]).unwrap();
+    let spectra = Dataset::new("sky", Pose::IDENTITY, vec![], samples(2), spectra).unwrap();
+    let gains = values(2 * 2 * 3 * 2).as_chunks::<2>().0.to_vec();
+    let channels = Channels { antennas: 2, frequencies_hz: vec![1e9, 2e9, 3e9], gains };
+    let receivers = vec![Receiver { antennas: vec![[0.0; 3], [0.1, 0.0, 0.0]], ..Receiver::new("r", Pose::IDENTITY) }];
+    let channels = Dataset::of_links("waves", receivers, vec![], &samples(2), channels.into()).unwrap();
+    assert_eq!(spectra.elevation, Elevation::UPPER);
+    for data in [&spectra, &channels] {
+        let features = Features::new(data, &[0, 1]);
+        let numbers = data.width * data.height;
+        let image = |pixels: Vec<Real>| Image { width: data.width, height: data.height, pixels };
+        let (pixels, d) = (values(numbers), values(features.count()));
+        let d: Vec<f32> = d.iter().map(|d| *d as f32).collect();
+        let found = features.vjp(&image(pixels.clone()), &d);
+        let along = values(numbers);
+        let sum = |h: Real| {
+            let moved = pixels.iter().zip(&along).map(|(p, a)| p + h * a).collect();
+            features.of(&image(moved)).iter().zip(&d).map(|(f, d)| f64::from(f * d)).sum::<f64>()
+        };
+        let difference = (sum(0.02) - sum(-0.02)) / 0.04;
+        let expected: f64 = found.iter().zip(&along).map(|(f, a)| (f * a) as f64).sum();
+        assert!((difference - expected).abs() < 2e-2 * expected.abs(), "{difference} and {expected}");
+    }
+}
