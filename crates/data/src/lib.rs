@@ -14,6 +14,7 @@
 
 mod arrays;
 mod baselines;
+mod carriers;
 mod channels;
 mod checks;
 mod folder;
@@ -30,6 +31,7 @@ mod text;
 
 pub use arrays::{Arrays, POSES};
 pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Predictions, Ridge, Zero};
+pub use carriers::CARRIERS;
 pub use channels::{Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};

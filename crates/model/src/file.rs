@@ -67,6 +67,9 @@ struct ReceiverNote {
     pose: Pose,
     /// Antenna positions in the receiver frame, metres.
     antennas: Vec<[f64; 3]>,
+    /// Carrier, Hz.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    carrier_hz: Option<f64>,
 }
 
 const FORMAT: &str = "pwrfgs-model";
@@ -80,6 +83,8 @@ const LONGEST_NAME: usize = 255;
 const VERSION: u32 = 5;
 /// Version of a model whose receiver moves: programs that ignore its pose must not predict from it.
 const MOVING_VERSION: u32 = 6;
+/// Version of a model of several carriers: programs that ignore them must not predict from it.
+const CARRIERS_VERSION: u32 = 7;
 /// Prefix of the names of network tensors.
 pub(crate) const NETWORK: &str = "network.";
 /// Prefix of the names of constants that the network derives from a seed.
@@ -171,12 +176,16 @@ fn json(note: &impl Serialize) -> String {
 fn note(model: &Model) -> Note {
     let s = &model.stages;
     let receiver = |r: &Receiver| {
-        let Receiver { name, pose, antennas } = r.clone();
-        ReceiverNote { name, pose: s.origin.world_pose(pose), antennas }
+        let Receiver { name, pose, antennas, carrier_hz } = r.clone();
+        ReceiverNote { name, pose: s.origin.world_pose(pose), antennas, carrier_hz }
     };
     Note {
         format: FORMAT.into(),
-        version: if s.moves { MOVING_VERSION } else { VERSION },
+        version: match (s.moves, s.carriers().is_empty()) {
+            (true, _) => MOVING_VERSION,
+            (false, true) => VERSION,
+            (false, false) => CARRIERS_VERSION,
+        },
         gaussians: model.cloud.len(),
         method: plugin_text(&s.method),
         links: LinksNote {
@@ -274,10 +283,10 @@ fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
 }
 
 fn check_version(format: &str, version: u32) -> Result<(), String> {
-    if format == FORMAT && [VERSION, MOVING_VERSION].contains(&version) {
+    if format == FORMAT && (VERSION..=CARRIERS_VERSION).contains(&version) {
         return Ok(());
     }
-    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION} or {MOVING_VERSION}"))
+    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION} to {CARRIERS_VERSION}"))
 }
 
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
@@ -310,6 +319,7 @@ fn setup(note: &Note) -> MeasurementSetup {
         name: r.name.clone(),
         pose: origin.local_pose(r.pose),
         antennas: r.antennas.clone(),
+        carrier_hz: r.carrier_hz,
     };
     let receivers = receivers.iter().map(receiver).collect();
     let moves = note.version == MOVING_VERSION;

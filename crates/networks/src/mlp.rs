@@ -9,7 +9,10 @@ use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{self, check_frequencies, encode};
 use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real};
+use crate::{check_carrier, is_zero};
+use pwrfgs_core::{
+    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +58,10 @@ pub struct Mlp {
     /// Factor on the initial weights and biases of the heads. 1 is the PyTorch initialisation; with small values,
     /// training starts near the undeformed Gaussians.
     pub head_init: f64,
+    /// Factor on the carrier, an input for data with several carriers: the logarithm of its frequency, from -1 to 1. Higher
+    /// factors let signals vary faster from one carrier to the next. 0, the default, ignores the carrier.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub carrier: f64,
 }
 
 impl Default for Mlp {
@@ -69,6 +76,7 @@ impl Default for Mlp {
             skip: Some(4),
             outputs: Outputs::All,
             head_init: 1.0,
+            carrier: 0.0,
         }
     }
 }
@@ -76,7 +84,8 @@ impl Default for Mlp {
 impl Mlp {
     /// Plans the layers in the order of the weight vector.
     fn network(&self, plan: &mut LayoutBuilder) -> MlpLayers {
-        let tx_inputs = encoding::width(self.tx_frequencies);
+        let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
+        let tx_inputs = encoding::width(self.tx_frequencies) + usize::from(carrier.is_some());
         let tx =
             [plan.linear("tx.0", tx_inputs, self.tx_hidden), plan.linear("tx.1", self.tx_hidden, self.tx_features)];
         let gamma = encoding::width(self.position_frequencies);
@@ -87,14 +96,18 @@ impl Mlp {
             Outputs::Signals => &[("signal", 2)],
         };
         let heads = plan.heads(heads, width, self.head_init);
-        MlpLayers { position_frequencies, tx_frequencies, outputs, tx, trunk, heads }
+        MlpLayers { position_frequencies, tx_frequencies, carrier, outputs, tx, trunk, heads }
     }
 }
 
 #[typetag::serde]
 impl Deformation for Mlp {
     fn traits(&self) -> DeformationTraits {
-        DeformationTraits { varies_geometry: self.outputs == Outputs::All, ..DeformationTraits::default() }
+        DeformationTraits {
+            varies_geometry: self.outputs == Outputs::All,
+            reads_carrier: self.carrier != 0.0,
+            ..DeformationTraits::default()
+        }
     }
 
     fn layout(&self) -> Layout {
@@ -103,7 +116,7 @@ impl Deformation for Mlp {
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         let network = laid_out(inputs.weights, |plan| self.network(plan));
-        network.forward(inputs.weights, inputs.means, inputs.txs.positions())
+        network.forward(inputs.weights, inputs.means, inputs.txs)
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {
@@ -113,6 +126,7 @@ impl Deformation for Mlp {
 
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
+        check_carrier(self.carrier)?;
         for (name, value) in [("tx_hidden", self.tx_hidden), ("tx_features", self.tx_features)] {
             if !(1..=WIDEST).contains(&value) {
                 return Err(format!("{name} is {value}; give a number from 1 to {WIDEST}"));
@@ -142,6 +156,8 @@ pub enum Outputs {
 pub(super) struct MlpLayers {
     pub(super) position_frequencies: usize,
     pub(super) tx_frequencies: usize,
+    /// Factor on the carrier, which then is the last input of the transmitter branch.
+    pub(super) carrier: Option<Real>,
     pub(super) outputs: Outputs,
     pub(super) tx: [Linear; 2],
     pub(super) trunk: Trunk,
@@ -150,7 +166,7 @@ pub(super) struct MlpLayers {
 
 /// Activations that depend on the transmitter only.
 struct TxSide {
-    /// Encoding γ of the transmitter position.
+    /// Encoding γ of the transmitter position, and the carrier.
     gamma: Vec<Real>,
     /// Activations after `tx.0`.
     hidden: Vec<Real>,
@@ -180,9 +196,10 @@ struct GradientSum {
 
 impl MlpLayers {
     /// Runs the transmitter branch for one transmitter, so that batches are bit-identical to single calls.
-    fn tx_side(&self, weights: &[Real], tx: [Real; 3]) -> TxSide {
-        let mut gamma = vec![0.0; self.tx[0].inputs];
+    fn tx_side(&self, weights: &[Real], tx: [Real; 3], carrier: Real) -> TxSide {
+        let mut gamma = vec![0.0; encoding::width(self.tx_frequencies)];
         encode([tx].into_iter(), self.tx_frequencies, &mut gamma);
+        gamma.extend(self.carrier.map(|factor| factor * carrier));
         let apply = |layer: &Linear, x: &[Real]| {
             let mut y = vec![0.0; layer.outputs];
             layer.whole().apply(weights, x, &mut y, StoreMode::Set);
@@ -196,8 +213,8 @@ impl MlpLayers {
         TxSide { gamma, hidden, features, folded }
     }
 
-    fn tx_sides(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<TxSide> {
-        txs.par_iter().map(|&tx| self.tx_side(weights, tx)).collect()
+    fn tx_sides(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<TxSide> {
+        txs.positions().par_iter().enumerate().map(|(b, &tx)| self.tx_side(weights, tx, txs.carrier(b))).collect()
     }
 
     /// Computes γ and W·γ of the centres of a chunk.
@@ -207,7 +224,7 @@ impl MlpLayers {
         self.trunk.share(weights, &scratch.gamma, &mut scratch.shared);
     }
 
-    pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]]) -> Deltas {
+    pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Deltas {
         let sides = self.tx_sides(weights, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let pieces: Vec<Vec<Deltas>> = items
@@ -253,8 +270,7 @@ impl MlpLayers {
     }
 
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real]) {
-        let DeformationInputs { weights, means, .. } = *inputs;
-        let txs = inputs.txs.positions();
+        let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.tx_sides(weights, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let sums: Vec<GradientSum> = items
