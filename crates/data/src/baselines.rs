@@ -6,6 +6,7 @@ mod kriging;
 #[cfg(test)]
 mod link_tests;
 mod log_distance;
+mod nearest_carrier;
 mod neighbours;
 mod predictions;
 mod ridge;
@@ -14,6 +15,7 @@ mod tests;
 
 pub use kriging::Kriging;
 pub use log_distance::LogDistance;
+pub use nearest_carrier::NearestCarrier;
 pub use neighbours::{NearestNeighbours, Neighbours};
 pub use predictions::Predictions;
 pub use ridge::Ridge;
