@@ -4,8 +4,8 @@ use super::{QueryParams, RequestError};
 use crate::side::{LoadedData, Predictor, ServerState, ViewPane};
 use hyper::StatusCode;
 use pwrfgs_core::{
-    Appearance, Conditions, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters,
-    PixelSubset, Query, Real, Statistic, neighbours,
+    Appearance, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters, PixelSubset,
+    Query, Real, Statistic, neighbours,
 };
 use pwrfgs_experiment::folder::{CURVE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
