@@ -12,31 +12,39 @@ const LEAST_HZ: f64 = 1e6;
 /// Reads `freq.txt` in the folder `root`: the carrier of row k of `table` in line k, Hz. `None` without the file.
 ///
 /// # Errors
-/// A line without one valid carrier, or another number of lines than `rows`.
+/// Those of [`read_carriers`], or another number of lines than `rows`.
 pub(crate) fn read(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
     let path = root.join(CARRIERS);
     if !path.exists() {
         return Ok(None);
     }
-    let advice = "write the carrier of one sample per line, in GHz, such as 2.4";
-    let text = read_text(&path, MAX_TEXT, advice)?;
-    let carrier = |(i, content): (usize, &str)| {
-        let fields = split_blanks(content);
-        let [field] = fields[..] else {
-            let what = format!("{} numbers, expected 1; {advice}", fields.len());
-            return Err(Error::at(&path, i + 1, 1, what));
-        };
-        let column = field.column;
-        let value = number(&path, i + 1, field, advice)?;
-        let hz = if value < LEAST_HZ { (value * 1e9).round() } else { value };
-        carrier_fault(hz).map_or(Ok(hz), |fault| Err(Error::at(&path, i + 1, column, format!("{fault}, or in GHz"))))
-    };
-    let all = text.trim_end().lines().enumerate().map(carrier).collect::<Result<Vec<f64>>>()?;
+    let all = read_carriers(&path)?;
     if all.len() != rows {
         let what = format!("has {} lines, but {table} has {rows} rows; write one line per row", all.len());
         return Err(Error::input(&path, what));
     }
     Ok(Some(all))
+}
+
+/// Reads one carrier per line, Hz: numbers are in GHz, and from 1e6 in Hz.
+///
+/// # Errors
+/// A line without one valid carrier, with line and column.
+pub fn read_carriers(path: &Path) -> Result<Vec<f64>> {
+    let advice = "write the carrier of one sample per line, in GHz, such as 2.4";
+    let text = read_text(path, MAX_TEXT, advice)?;
+    let carrier = |(i, content): (usize, &str)| {
+        let fields = split_blanks(content);
+        let [field] = fields[..] else {
+            let what = format!("{} numbers, expected 1; {advice}", fields.len());
+            return Err(Error::at(path, i + 1, 1, what));
+        };
+        let column = field.column;
+        let value = number(path, i + 1, field, advice)?;
+        let hz = if value < LEAST_HZ { (value * 1e9).round() } else { value };
+        carrier_fault(hz).map_or(Ok(hz), |fault| Err(Error::at(path, i + 1, column, format!("{fault}, or in GHz"))))
+    };
+    text.trim_end().lines().enumerate().map(carrier).collect()
 }
 
 #[cfg(test)]

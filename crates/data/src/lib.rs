@@ -33,8 +33,8 @@ pub use arrays::{Arrays, POSES};
 pub use baselines::{
     Kriging, LogDistance, MeanSpectrum, NearestCarrier, NearestNeighbours, Neighbours, Predictions, Ridge, Zero,
 };
-pub use carriers::CARRIERS;
-pub use channels::{Channels, ReceiverPlace};
+pub use carriers::{CARRIERS, read_carriers};
+pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use geometry::{read_mesh, read_points};
