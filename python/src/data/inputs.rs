@@ -35,6 +35,7 @@ pub(super) fn receivers_of(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> 
         };
         Ok(Receiver {
             antennas: item.getattr("antennas")?.extract()?,
+            carrier_hz: item.getattr("carrier_hz")?.extract()?,
             ..Receiver::new(item.getattr("name")?.extract::<String>()?, pose)
         })
     };
