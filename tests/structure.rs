@@ -28,10 +28,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// Code lines of a file, of a crate, and of all Rust files. A change that needs more states the new total and the reason in its
 /// commit. 50,000 were planned for all features, so further features need deletions.
 const OF_FILE: usize = 300;
-const OF_CRATE: usize = 5_365;
+const OF_CRATE: usize = 5_421;
 const IN_TOTAL: usize = 50_600;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 383;
+const FILES: usize = 386;
 const SMALL: usize = 36;
 /// A Rust file that is no test.
 pub(crate) struct Source {

@@ -8,8 +8,8 @@ use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Spectra, Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Real, Receiver, Sample, Simulation,
+    Spectra, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -165,11 +165,7 @@ impl Dataset {
         let simulation = simulated.then(Simulation::default);
         let data = free(py, || {
             let made = Data::of_links(title, receivers, points, &samples, observations)?;
-            let data = inputs::turned(Data { elevation, simulation, ..made }, turns)?;
-            let data = match carriers {
-                Some(all) => data.with_carriers(&all)?,
-                None => data,
-            };
+            let data = inputs::turned(Data { elevation, simulation, ..made }, turns, carriers)?;
             check(&data).map(|()| data)
         })?;
         inputs::warn(py, &data)?;
@@ -293,11 +289,7 @@ impl Dataset {
     fn receivers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
         let origin = self.data.scene.origin;
-        let one = |receiver: &Receiver| {
-            let Pose { position, orientation } = origin.world_pose(receiver.pose);
-            let (antennas, carrier_hz) = (receiver.antennas.clone(), receiver.carrier_hz);
-            class.call1((&receiver.name, tuple(py, &position)?, tuple(py, &orientation)?, antennas, carrier_hz))
-        };
+        let one = |receiver: &Receiver| inputs::receiver_object(&class, origin, receiver);
         PyList::new(py, self.data.scene.receivers.iter().map(one).collect::<PyResult<Vec<_>>>()?)
     }
 
@@ -396,8 +388,4 @@ pub(crate) fn angles<'py>(py: Python<'py>, plane: &pwrfgs_core::ImagePlane) -> P
     let rows = array::<f64>(py, degrees(elevation, plane.height), &[plane.height])?;
     let columns = array::<f64>(py, degrees(azimuth, plane.width), &[plane.width])?;
     PyTuple::new(py, [rows, columns]).map(Some)
-}
-
-fn tuple<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyTuple>> {
-    PyTuple::new(py, numbers)
 }

@@ -29,7 +29,7 @@ impl Scene {
 }
 
 /// Receiver of a scene.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Receiver {
     /// Name in the data, unique among the receivers of a scene.
     pub name: String,
@@ -39,6 +39,7 @@ pub struct Receiver {
     pub antennas: Vec<[f64; 3]>,
     /// Carrier of its links, Hz; `None` if the data do not state it. An array that observes several carriers is one
     /// receiver per carrier, at the same position.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub carrier_hz: Option<f64>,
 }
 

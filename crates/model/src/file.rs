@@ -6,8 +6,8 @@ use crate::{Ensemble, IntervalCalibration, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
-    Receiver, Result, Task,
+    COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Real, Receiver,
+    Result, Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -54,22 +54,11 @@ struct Note {
 #[derive(Serialize, Deserialize)]
 struct LinksNote {
     kind: Task,
-    receivers: Vec<ReceiverNote>,
+    /// Receivers with poses in the user's frame.
+    receivers: Vec<Receiver>,
     /// Subcarrier frequencies, Hz.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     frequencies_hz: Vec<f64>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct ReceiverNote {
-    name: String,
-    /// Pose in the user's frame.
-    pose: Pose,
-    /// Antenna positions in the receiver frame, metres.
-    antennas: Vec<[f64; 3]>,
-    /// Carrier, Hz.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    carrier_hz: Option<f64>,
 }
 
 const FORMAT: &str = "pwrfgs-model";
@@ -175,10 +164,7 @@ fn json(note: &impl Serialize) -> String {
 
 fn note(model: &Model) -> Note {
     let s = &model.stages;
-    let receiver = |r: &Receiver| {
-        let Receiver { name, pose, antennas, carrier_hz } = r.clone();
-        ReceiverNote { name, pose: s.origin.world_pose(pose), antennas, carrier_hz }
-    };
+    let receiver = |r: &Receiver| Receiver { pose: s.origin.world_pose(r.pose), ..r.clone() };
     Note {
         format: FORMAT.into(),
         version: match (s.moves, s.carriers().is_empty()) {
@@ -315,12 +301,7 @@ fn take_training(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositi
 fn setup(note: &Note) -> MeasurementSetup {
     let (origin, plane) = (note.origin, note.plane.clone());
     let LinksNote { kind, receivers, frequencies_hz } = &note.links;
-    let receiver = |r: &ReceiverNote| Receiver {
-        name: r.name.clone(),
-        pose: origin.local_pose(r.pose),
-        antennas: r.antennas.clone(),
-        carrier_hz: r.carrier_hz,
-    };
+    let receiver = |r: &Receiver| Receiver { pose: origin.local_pose(r.pose), ..r.clone() };
     let receivers = receivers.iter().map(receiver).collect();
     let moves = note.version == MOVING_VERSION;
     MeasurementSetup { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone(), moves }

@@ -16,6 +16,7 @@ use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
 use crate::transmitters::Transmitters;
 use glam::{DQuat, DVec3};
+use propagation::check_carriers;
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Pose, Receiver, Result, ShippedFile, did_you_mean, files, rng};
 use serde::{Deserialize, Serialize};
@@ -275,19 +276,8 @@ impl SceneFile {
             let what = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
             return Err(SceneFault::of(what, "carrier_hz"));
         }
-        if let Some(hz) = self.carriers_hz.iter().find(|hz| !(1e6..=1e12).contains(*hz)) {
-            let what = format!("`carriers_hz` has {hz}; give frequencies in Hz between 1e6 and 1e12");
-            return Err(SceneFault::of(what, "carriers_hz"));
-        }
-        if !self.carriers_hz.is_sorted_by(|a, b| a < b) || self.carriers_hz.len() > MOST_RECEIVERS {
-            let what =
-                format!("`carriers_hz` must ascend; give at most {MOST_RECEIVERS} different frequencies in order");
-            return Err(SceneFault::of(what, "carriers_hz"));
-        }
-        if !self.carriers_hz.is_empty() && !(self.more_receivers.is_empty() && self.moving_receiver.is_none()) {
-            let what = "`carriers_hz` needs one fixed receiver; remove `more_receivers` and `moving_receiver`";
-            return Err(SceneFault::of(what, "carriers_hz"));
-        }
+        let is_fixed = self.more_receivers.is_empty() && self.moving_receiver.is_none();
+        check_carriers(&self.carriers_hz, is_fixed).map_err(|what| SceneFault::of(what, "carriers_hz"))?;
         for (name, material) in &self.materials {
             material
                 .check()
