@@ -47,7 +47,7 @@ pub struct Factored {
     /// training positions are dense. `None` for none.
     pub near: Option<Near>,
     /// Factor on the carrier, an input for data with several carriers: the logarithm of its frequency, from -1 to 1. Higher
-    /// factors let signals vary faster from one carrier to the next. 0, the default, ignores the carrier.
+    /// factors let signals vary faster from one carrier to the next. 0 ignores the carrier.
     #[serde(skip_serializing_if = "is_zero")]
     pub carrier: f64,
 }
