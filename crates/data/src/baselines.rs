@@ -6,7 +6,6 @@ mod kriging;
 #[cfg(test)]
 mod link_tests;
 mod log_distance;
-mod nearest_carrier;
 mod neighbours;
 mod predictions;
 mod ridge;
@@ -15,8 +14,7 @@ mod tests;
 
 pub use kriging::Kriging;
 pub use log_distance::LogDistance;
-pub use nearest_carrier::NearestCarrier;
-pub use neighbours::{NearestNeighbours, Neighbours};
+pub use neighbours::{NearestCarrier, NearestNeighbours, Neighbours};
 pub use predictions::Predictions;
 pub use ridge::Ridge;
 
