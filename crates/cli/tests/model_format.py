@@ -183,7 +183,7 @@ def wrfgs(tensors, settings, means, tx, position):
 def deform(tensors, note, told):
     """What is added to rotations, scales and signals, each absent where the transmitter leaves it alone."""
     settings, means = note["deformation"], tensors["gaussians.means"]
-    carrier = [settings["carrier"] * note["carrier"]] if "carrier" in settings else []
+    carrier = [settings["carrier"] * note["carrier"]] if settings.get("carrier") else []
     if settings[""] == "Mlp":
         return mlp(tensors, settings, means, told, carrier)
     if settings[""] == "Factored":

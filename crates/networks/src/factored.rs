@@ -1,12 +1,12 @@
 //! `Factored`: signals as products of transmitter features and Gaussian factors.
 
+use crate::check_carrier;
 use crate::encoding::{Encoder, Encoding, Pseudo};
 use crate::factored_network::{FactoredLayers, WAVE_MEAN};
 use crate::linear::{LayoutBuilder, laid_out, planned};
 use crate::near::Near;
 use crate::trunk::check_stack;
 use crate::wave_mixture::Basis;
-use crate::{check_carrier, is_zero};
 use pwrfgs_core::{
     Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout,
     LinearPart, Pose, Real, cached,
@@ -48,7 +48,6 @@ pub struct Factored {
     pub near: Option<Near>,
     /// Factor on the carrier, an input for data with several carriers: the logarithm of its frequency, from -1 to 1. Higher
     /// factors let signals vary faster from one carrier to the next. 0 ignores the carrier.
-    #[serde(skip_serializing_if = "is_zero")]
     pub carrier: f64,
 }
 

@@ -32,11 +32,6 @@ pub use wrfgs::Wrfgs;
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Real};
 use serde::{Deserialize, Serialize};
 
-/// Whether a factor on the carrier is 0, the default, which is not written: models of one carrier keep their bytes.
-fn is_zero(carrier: &f64) -> bool {
-    *carrier == 0.0
-}
-
 /// Rejects invalid factors on the carrier.
 fn check_carrier(carrier: f64) -> Result<(), String> {
     if (0.0..=100.0).contains(&carrier) {

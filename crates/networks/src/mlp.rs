@@ -5,11 +5,11 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
+use crate::check_carrier;
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{self, check_frequencies, encode};
 use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
-use crate::{check_carrier, is_zero};
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real,
 };
@@ -60,7 +60,6 @@ pub struct Mlp {
     pub head_init: f64,
     /// Factor on the carrier, an input for data with several carriers: the logarithm of its frequency, from -1 to 1. Higher
     /// factors let signals vary faster from one carrier to the next. 0 ignores the carrier.
-    #[serde(skip_serializing_if = "is_zero")]
     pub carrier: f64,
 }
 
