@@ -149,7 +149,7 @@ fn carriers_of_a_scene_are_rows_of_one_folder() {
     run(&["run", "carriers.ron", "-q"]);
     run(&["inspect", "images"]);
     run(&["init", "images"]);
-    run(&["run", "images.ron", "--set", "training.steps=2", "--set", "initializer.max_points=20", "-q"]);
+    run(&["check", "images.ron"]);
     let predict = ["predict", "runs/carriers/model.safetensors", "--tx", "1,1,1"];
     run(&[&predict[..], &["--receiver", "2400MHz", "--out", "one"]].concat());
     refuse(&[&predict[..], &["--receiver", "2500MHz", "--out", "two"]].concat(), "2500MHz");
