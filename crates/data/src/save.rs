@@ -136,7 +136,7 @@ impl Folder<'_> {
 
     fn spectra(&self, spectra: &Spectra) -> Result<()> {
         match self.carriers() {
-            Some(all) => self.put(CARRIERS, all.iter().map(|hz| format!("{hz:?}\n")).collect::<String>())?,
+            Some(all) => self.put(CARRIERS, all.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?,
             None => self.alone()?,
         }
         let scene = &self.data.scene;

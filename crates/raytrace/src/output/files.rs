@@ -232,7 +232,7 @@ impl Files {
         }
         let rows = self.carriers_hz.len().max(1);
         if !self.carriers_hz.is_empty() {
-            let text: String = self.carriers_hz.iter().map(|hz| format!("{hz:?}\n")).collect();
+            let text = self.carriers_hz.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat();
             put(&self.folder.join(CARRIERS), text.repeat(samples))?;
         }
         for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
