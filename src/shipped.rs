@@ -19,10 +19,10 @@ macro_rules! ship {
 ship! {
     "pipelines":
         "ablation-wrfgs", "ablation", "ble", "dense", "nerf2-ble", "nerf2-csi", "nerf2-laptop", "nerf2",
-        "newrf", "office-channel", "office-init", "office-links", "office-moving", "paper", "pwrfgs", "quickstart",
+        "newrf", "office-carriers", "office-channel", "office-init", "office-links", "office-moving", "paper", "pwrfgs", "quickstart",
         "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs-laptop", "wrfgs";
     "experiments":
         "methods-channels", "methods-powers", "methods-uplink", "methods";
     "scenes":
-        "lab-s23", "office-channel", "office-csi", "office-links", "office-moving", "office";
+        "lab-s23", "office-carriers", "office-channel", "office-csi", "office-links", "office-moving", "office";
 }

@@ -309,6 +309,24 @@ fn channels_of_features_differentiate() {
 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn waves_of_two_carriers_differentiate() {
+    for method in [splatted_channel(NETWORK), "VirtualTransmitters(order: 0)".into()] {
+        let mut step = links(&splatted_channel(NETWORK), (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
+        let mut stages = Stages::clone(&step.stages);
+        stages.method = plugin(&method);
+        let receivers = &mut stages.setup.receivers;
+        receivers[1] = Receiver { name: "right".into(), ..receivers[0].clone() };
+        receivers.iter_mut().zip([1e8, 1.7e8]).for_each(|(receiver, hz)| receiver.carrier_hz = Some(hz));
+        if method.starts_with("Virtual") {
+            step.weights = Vec::new();
+        }
+        step.stages = Arc::new(stages);
+        step.check(&format!("two carriers, {method}"), None);
+    }
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn virtual_transmitters_differentiate() {
     for order in [0, 2] {
         let mut step = links(&splatted_channel(NETWORK), (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));

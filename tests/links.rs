@@ -72,6 +72,32 @@ fn moving() -> Dataset {
     Dataset::new("moving", transmitter, vec![], samples, spectra).unwrap().with_moving_receiver(turns).unwrap()
 }
 
+/// Spectra at three carriers: a spot towards the transmitter, and one opposite that fades in with the frequency.
+fn carriers() -> Dataset {
+    let random = &mut rng::stream(2, "carriers", 0);
+    let (width, height) = (36, 9);
+    let (mut samples, mut hz, mut pixels) = (Vec::new(), Vec::new(), Vec::new());
+    for id in 1..=40 {
+        let tx = [(); 3].map(|()| 2.0 * f64::from(rng::uniform(random) as f32) + 1.0);
+        let norm = tx.iter().map(|v| v * v).sum::<f64>().sqrt();
+        for carrier in 0..3 {
+            for pixel in 0..width * height {
+                let [azimuth, elevation] = [pixel % width, pixel / width].map(|k| (10.0 * k as f64).to_radians());
+                let direction = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
+                let spot = |sign: f64| {
+                    let level = direction.iter().zip([sign * tx[0], sign * tx[1], tx[2]]).map(|(a, b)| a * b / norm);
+                    (8.0 * (level.sum::<f64>() - 1.0)).exp()
+                };
+                pixels.push((127.0 * (spot(1.0) + 0.5 * f64::from(carrier) * spot(-1.0))) as u8);
+            }
+            samples.push(Sample::new(3 * id + carrier, tx));
+            hz.push(2e9 * 1.1_f64.powi(carrier as i32).min(1.21));
+        }
+    }
+    let spectra = Spectra::grey((width, height), pixels).unwrap();
+    Dataset::new("carriers", Pose::IDENTITY, vec![], samples, spectra).unwrap().with_carriers(&hz).unwrap()
+}
+
 fn pipeline(fields: &str) -> Pipeline {
     let text = format!("Pipeline(name: \"links\", {fields})");
     Pipeline::parse(&text, Path::new("links.ron")).unwrap()
@@ -93,6 +119,12 @@ const MOVING: &str = "data: Arrays(root: \"none\"), initializer: Random(count: 6
     training: (steps: 150, batch: 8, densify_until: 5, prune_until: 20, prune_every: 5, densify: (every: 0), optimizer: \
     (means: Constant(0.02), log_scales: Constant(0.02), opacity_logits: Constant(0.05), signals: Constant(0.05)))";
 
+const CARRIERS: &str = "data: Arrays(root: \"none\"), initializer: Random(count: 60, std: 3.0), projector: Mercator(), \
+    deformation: Factored(depth: 2, width: 24, tx_encoding: Octaves(0), carrier: 1.0), readout: Magnitude, \
+    training: (steps: 300, batch: 4, densify_until: 0, prune_until: 0, densify: (every: 0), optimizer: \
+    (means: Constant(0.02), log_scales: Constant(0.02), opacity_logits: Constant(0.05), signals: Constant(0.05), \
+    network: Constant(0.01)))";
+
 /// All that are trained here, each with its data and how they are divided: every fifth transmitter is tested.
 fn cases() -> Vec<(&'static str, Pipeline, Dataset, Partition)> {
     let mut uplink = channels();
@@ -107,6 +139,7 @@ fn cases() -> Vec<(&'static str, Pipeline, Dataset, Partition)> {
         case("waves", WAVES, channels()),
         case("uplink", UPLINK, uplink),
         case("moving", MOVING, moving()),
+        case("carriers", CARRIERS, carriers()),
     ]
 }
 
@@ -206,6 +239,49 @@ fn moving_receiver_predicts_as_fixed_receiver_at_its_pose() {
     // A part keeps the poses of its links.
     let part = data.subset(&[3, 8]).unwrap();
     assert_eq!(part.query(1).orientation, data.query(8).orientation);
+}
+
+#[test]
+fn left_out_carrier_is_predicted() {
+    let data = carriers();
+    assert_eq!((data.transmitters.len(), data.len()), (40, 120));
+    let (test, train) = (0..data.len()).partition(|&i| data.links[i].receiver == 1);
+    let partition = Partition { train, test, ..Partition::default() };
+    let model = trained(&mut pipeline(CARRIERS).trainer(&data, &partition).unwrap());
+    let fit = |text: &str| Plugin::<dyn Baseline>::parse(text).unwrap().fit(&data, FittingSet::train(&partition.train));
+    let error = |predict: &dyn Fn(usize) -> Image| -> f64 {
+        let square = |i: &usize| {
+            let pairs = predict(*i).pixels.into_iter().zip(data.image(*i).pixels);
+            pairs.map(|(a, b)| f64::from((a - b) as f32).powi(2)).sum::<f64>()
+        };
+        partition.test.iter().map(square).sum()
+    };
+    let [mean, nearest] = ["MeanSpectrum()", "NearestCarrier()"].map(|text| {
+        let fitted = fit(text).unwrap();
+        error(&|i| fitted.predict(data.query(i)))
+    });
+    let own = error(&|i| model.predict(data.query(i)));
+    assert!(own < 0.5 * mean && own < nearest, "squared error {own}, mean {mean}, nearest carrier {nearest}");
+    let query = data.query(1);
+    assert_ne!(model.predict(query), model.predict(Query { receiver: 2, ..query }), "the carrier has an effect");
+}
+
+#[test]
+fn network_without_carrier_is_reported() {
+    let (_, _, data, partition) = cases().remove(4);
+    let told = |fields: &str| pipeline(fields).trainer(&data, &partition).unwrap_err().to_string();
+    let deaf = told(&CARRIERS.replace(", carrier: 1.0", ""));
+    assert!(
+        deaf.contains("the data have 3 carriers, but the deformation ignores them; use Factored(carrier: 2)"),
+        "{deaf}"
+    );
+    let ray = told(
+        "data: Arrays(root: \"none\"), method: Nerf2(), training: (steps: 1, rays: Each(8), loss: (ssim_weight: 0.0))",
+    );
+    assert!(ray.contains("Nerf2 has one carrier, but these data have several"), "{ray}");
+    let array = "rasterizer: ArrayResponse(wavefront: Spherical(wavelength_m: 0.1)), readout: MinMax";
+    let sphere = told(&CARRIERS.replace("readout: Magnitude", array));
+    assert!(sphere.contains("Spherical has one wavelength"), "{sphere}");
 }
 
 #[test]

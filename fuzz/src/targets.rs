@@ -86,6 +86,7 @@ pub const TARGETS: &[Target] = &[
     of(8, "colmap/images/00002.png", &[], Png, cameras),
     of(8, "colmap/images/00003.jpg", &[], Plain, cameras),
     of(8, "colmap/sparse/0/points3D.txt", &[], Plain, cameras),
+    of(8, "freq.txt", &[], Plain, |bench| pwrfgs::data::read_carriers(&bench.join("freq.txt")).map(drop)),
     of(8, "predicted/00004.npy", &[], Plain, |bench| predicted(bench, "measured.ron")),
     of(8, "predicted/predictions.csv", &[], Plain, |bench| predicted(bench, "powers.ron")),
     of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, |bench| step(bench, "powers.ron")),

@@ -59,6 +59,7 @@ class Dataset:
         *,
         receivers: Optional[Union[Receiver, Iterable[Union[Receiver, ArrayLike]]]] = None,
         orientations: Optional[ArrayLike] = None,
+        carriers_hz: Optional[ArrayLike] = None,
         frequencies_hz: Optional[ArrayLike] = None,
         points: Optional[ArrayLike] = None,
         elevation_deg: Optional[Sequence[float]] = None,

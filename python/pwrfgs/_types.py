@@ -55,12 +55,14 @@ class Receiver:
     position : metres, world frame
     orientation : unit quaternion x, y, z, w from receiver axes to world axes; boresight is z
     antennas : antenna positions [A, 3], metres, receiver frame; default: one at the origin
+    carrier_hz : carrier of its links, Hz; None if it is not stated
     """
 
     name: str = "receiver"
     position: Tuple[float, float, float] = (0.0, 0.0, 0.0)
     orientation: Tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     antennas: List[Tuple[float, float, float]] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
+    carrier_hz: Optional[float] = None
 
     def __post_init__(self) -> None:
         self.antennas = [tuple(map(float, place)) for place in self.antennas]  # type: ignore[misc]

@@ -8,8 +8,8 @@ use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Spectra, Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Real, Receiver, Sample, Simulation,
+    Spectra, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -102,11 +102,12 @@ impl Dataset {
     /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R,
     /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. `orientations` [M, 4]
     /// (quaternions x, y, z, w) are those of a moving receiver of spectra: `tx` are then its positions, and the receiver
-    /// is the fixed transmitter. `points` [P, 3] are
+    /// is the fixed transmitter. `carriers_hz` [M] are the carriers of spectra or channels at one receiver: each carrier then
+    /// is a receiver, with a name such as `2400MHz`. `points` [P, 3] are
     /// surface points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower
     /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured.
     #[staticmethod]
-    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, orientations=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
+    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, orientations=None, carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
@@ -116,6 +117,7 @@ impl Dataset {
         csi: Option<&Bound<'_, PyAny>>,
         receivers: Option<&Bound<'_, PyAny>>,
         orientations: Option<&Bound<'_, PyAny>>,
+        carriers_hz: Option<&Bound<'_, PyAny>>,
         frequencies_hz: Option<&Bound<'_, PyAny>>,
         points: Option<&Bound<'_, PyAny>>,
         elevation_deg: Option<[f64; 2]>,
@@ -159,10 +161,11 @@ impl Dataset {
             }
         }
         let turns = orientations.map(|all| numbers::<f64>("orientations", all, &[None, Some(4)])).transpose()?;
+        let carriers = carriers_hz.map(|all| numbers::<f64>("carriers_hz", all, &[None])).transpose()?;
         let simulation = simulated.then(Simulation::default);
         let data = free(py, || {
             let made = Data::of_links(title, receivers, points, &samples, observations)?;
-            let data = inputs::turned(Data { elevation, simulation, ..made }, turns)?;
+            let data = inputs::turned(Data { elevation, simulation, ..made }, turns, carriers)?;
             check(&data).map(|()| data)
         })?;
         inputs::warn(py, &data)?;
@@ -286,10 +289,7 @@ impl Dataset {
     fn receivers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
         let origin = self.data.scene.origin;
-        let one = |receiver: &Receiver| {
-            let Pose { position, orientation } = origin.world_pose(receiver.pose);
-            class.call1((&receiver.name, tuple(py, &position)?, tuple(py, &orientation)?, receiver.antennas.clone()))
-        };
+        let one = |receiver: &Receiver| inputs::receiver_object(&class, origin, receiver);
         PyList::new(py, self.data.scene.receivers.iter().map(one).collect::<PyResult<Vec<_>>>()?)
     }
 
@@ -388,8 +388,4 @@ pub(crate) fn angles<'py>(py: Python<'py>, plane: &pwrfgs_core::ImagePlane) -> P
     let rows = array::<f64>(py, degrees(elevation, plane.height), &[plane.height])?;
     let columns = array::<f64>(py, degrees(azimuth, plane.width), &[plane.width])?;
     PyTuple::new(py, [rows, columns]).map(Some)
-}
-
-fn tuple<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyTuple>> {
-    PyTuple::new(py, numbers)
 }

@@ -29,6 +29,13 @@ def moving():
 
 
 @pytest.fixture(scope="module")
+def carriers():
+    values = np.random.default_rng(5).random((12, 9, 36)).astype(np.float32)
+    tx = np.tile(TX[:6], (2, 1))
+    return pwrfgs.Dataset.from_arrays(tx, values, carriers_hz=np.repeat([2.4e9, 2.5e9], 6))
+
+
+@pytest.fixture(scope="module")
 def powers():
     rssi = -40 - 10 * np.random.default_rng(2).random((12, 2))
     rssi[3, 1] = np.nan
@@ -51,7 +58,7 @@ def same(one, other):
     assert all(np.array_equal(a, b) for a, b in zip(one.split("random", test=0.3), other.split("random", test=0.3)))
 
 
-@pytest.mark.parametrize("kind", ["spectra", "moving", "powers", "channels"])
+@pytest.mark.parametrize("kind", ["spectra", "moving", "carriers", "powers", "channels"])
 def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
     data = request.getfixturevalue(kind)
     everything = data.observations(np.arange(len(data)))
@@ -67,6 +74,17 @@ def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
     same(data[np.arange(len(data)) % 2 == 0], data[::2])
     same(pickle.loads(pickle.dumps(data)), data)
     same(pickle.loads(pickle.dumps(part)), part)
+
+
+def test_carriers_are_receivers(carriers, tmp_path):
+    assert [receiver.name for receiver in carriers.receivers] == ["2400MHz", "2500MHz"]
+    assert [receiver.carrier_hz for receiver in carriers.receivers] == [2.4e9, 2.5e9]
+    assert np.array_equal(carriers.receiver, np.tile([0, 1], 6))
+    carriers.save(tmp_path / "carriers")
+    again = pwrfgs.Dataset.load(tmp_path / "carriers")
+    assert again.receivers == carriers.receivers and np.array_equal(again.spectra, carriers.spectra)
+    with pytest.raises(pwrfgs.InputError, match="3 carriers for 12 links; give as many of each"):
+        pwrfgs.Dataset.from_arrays(TX, carriers.spectra, carriers_hz=[1e9] * 3)
 
 
 def test_a_model_of_a_moving_receiver_predicts_at_poses(moving, pipeline, tmp_path):

@@ -130,8 +130,8 @@ def trunk(tensors, settings, inputs):
     return h
 
 
-def mlp(tensors, settings, means, tx):
-    gamma = octaves(tx, int(settings["tx_frequencies"]))
+def mlp(tensors, settings, means, tx, carrier):
+    gamma = np.concatenate([octaves(tx, int(settings["tx_frequencies"])), carrier])
     e = layer(tensors, "tx.1")(relu(layer(tensors, "tx.0")(gamma)))
     position = octaves(means, int(settings["position_frequencies"]))
     h = trunk(tensors, settings, np.concatenate([position, np.tile(e, (len(means), 1))], axis=1))
@@ -139,7 +139,7 @@ def mlp(tensors, settings, means, tx):
     return {head: layer(tensors, head)(h) for head in heads}
 
 
-def factored(tensors, settings, means, told):
+def factored(tensors, settings, means, told, carrier):
     encoding, own = settings["tx_encoding"], []
     if encoding[""] == "Features":
         t = own = layer(tensors, "tx.white")(encoding["gain"] * told)
@@ -147,6 +147,7 @@ def factored(tensors, settings, means, told):
         t = octaves(2 * np.tanh(layer(tensors, "tx.pseudo")(encoding["gain"] * told)), int(encoding["octaves"]))
     else:
         t = encode(told, encoding, tensors.get("constants.tx_encoding"))
+    t = np.concatenate([t, carrier])
     for k in range(int(settings["depth"])):
         t = relu(layer(tensors, f"tx.{k}")(t))
     t = np.concatenate([t, own])
@@ -182,10 +183,11 @@ def wrfgs(tensors, settings, means, tx, position):
 def deform(tensors, note, told):
     """What is added to rotations, scales and signals, each absent where the transmitter leaves it alone."""
     settings, means = note["deformation"], tensors["gaussians.means"]
+    carrier = [settings["carrier"] * note["carrier"]] if settings.get("carrier") else []
     if settings[""] == "Mlp":
-        return mlp(tensors, settings, means, told)
+        return mlp(tensors, settings, means, told, carrier)
     if settings[""] == "Factored":
-        return factored(tensors, settings, means, told)
+        return factored(tensors, settings, means, told, carrier)
     if settings[""] == "Wrfgs":
         return wrfgs(tensors, settings, means, told, np.array(note["links"]["receivers"][0]["pose"]["position"]))
     assert settings[""] == "Fixed"
@@ -423,12 +425,26 @@ def received(tensors, note, told, receiver):
     return 10 * (np.log10(power) + offset - exponent * far)
 
 
-# Channels.
+# Carriers and channels.
+
+
+def carrier_of(note, receiver):
+    """The carrier as a network input; 0 for one carrier."""
+    hz = [own.get("carrier_hz") for own in note["links"]["receivers"]]
+    if None in hz or min(hz) == max(hz):
+        return 0
+    return 2 * np.log(hz[receiver] / min(hz)) / np.log(max(hz) / min(hz)) - 1
+
+
+def frequencies(note, receiver):
+    """Subcarriers of a receiver, Hz."""
+    f, carrier = np.array(note["links"]["frequencies_hz"]), note["links"]["receivers"][receiver].get("carrier_hz")
+    return f if carrier is None else carrier + (f - np.mean(f))
 
 
 def spherical(tensors, note, told, receiver):
     """`SplattedChannel`: [A, F]."""
-    own, f = note["links"]["receivers"][receiver], np.array(note["links"]["frequencies_hz"])
+    own, f = note["links"]["receivers"][receiver], frequencies(note, receiver)
     antennas = own["pose"]["position"] + np.array(own["antennas"]) @ to_world(own["pose"]).T
     signals = activate(tensors, note, deform(tensors, note, told))[3]
     way = np.linalg.norm(tensors["gaussians.means"][:, None] - antennas, axis=2)
@@ -451,7 +467,7 @@ def harmonics(u):
 
 def virtual_transmitters(tensors, note, p, receiver):
     """`VirtualTransmitters`: [A, F]."""
-    own, f = note["links"]["receivers"][receiver], np.array(note["links"]["frequencies_hz"])
+    own, f = note["links"]["receivers"][receiver], frequencies(note, receiver)
     antennas = np.array(own["antennas"]) @ to_world(own["pose"]).T
     v, quats = tensors["gaussians.means"], tensors["gaussians.quats"]
     turned = matrix(quats / np.linalg.norm(quats, axis=1, keepdims=True)) @ antennas.T  # [N, 3, A]
@@ -522,6 +538,7 @@ def nerf2(tensors, settings, note, told, receiver):
 
 def predict(tensors, note, tx, features, receiver):
     """A spectrum [H, W], a power in dBm, or a channel [A, F] of a transmitter at `tx` (metres), or of `features`."""
+    note["carrier"] = carrier_of(note, receiver)
     told = (np.array(tx) - note["origin"]).astype("f4").astype(float) if features is None else features
     if note["method"] == "Nerf2":
         return nerf2(tensors, note["settings"], note, told, receiver)

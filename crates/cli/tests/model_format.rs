@@ -191,6 +191,22 @@ fn numpy_predicts_from_documented_format() {
         file::write(&here.join(format!("{name}.safetensors")), &virtual_transmitters(order)).unwrap();
         pairs.extend([format!("{name}.safetensors"), name]);
     }
+    // Models of two carriers.
+    for (k, network) in ["Factored(depth: 2, width: 8, carrier: 2)", "Mlp(depth: 2, width: 8, skip: None, carrier: 2)"]
+        .iter()
+        .enumerate()
+    {
+        let mut model = model(CASES[0]);
+        let at = |hz| Receiver::of_carrier(POSE, hz);
+        model.stages.setup.receivers = vec![at(2e9), at(2.4e9), at(3e9)];
+        model.stages.method =
+            Plugin::parse(&format!("Splatting(deformation: {network}, projector: Mercator(), readout: Magnitude)"))
+                .unwrap();
+        model.weights = model.stages.layout().init(&mut rng::stream(7, "carriers", 0));
+        let name = format!("carriers-{k}");
+        file::write(&here.join(format!("{name}.safetensors")), &model).unwrap();
+        pairs.extend([format!("{name}.safetensors"), name]);
+    }
     // And one that was trained, as it is and with its network in 16 bits.
     let waves =
         "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 6, reach: 20), near: (count: 9, length_m: 0.5))";
@@ -205,7 +221,7 @@ fn numpy_predicts_from_documented_format() {
     file::write_ensemble(&here.join("both.safetensors"), &together).unwrap();
     pairs.extend(["both.safetensors", "both"].map(String::from));
     pairs.chunks_exact(2).for_each(|pair| predict(here, &pair[0], &pair[1]));
-    assert_eq!(predicted_again(python, here, &pairs), pairs.len(), "two positions a model");
+    assert_eq!(predicted_again(python, here, &pairs), pairs.len() + 8, "two positions a model, at each carrier");
 }
 
 #[test]

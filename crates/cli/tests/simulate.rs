@@ -114,6 +114,51 @@ fn model_of_moving_receiver_predicts_at_poses() {
 }
 
 #[test]
+fn carriers_of_a_scene_are_rows_of_one_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scene = SCENE.replace("receiver:", "carriers_hz: [2e9, 2.4e9, 3e9],\n    receiver:");
+    fs::write(folder.join("closet.ron"), scene).unwrap();
+    let run = |arguments: &[&str]| {
+        let made = call(folder, arguments);
+        assert!(made.status.success(), "{arguments:?}: {}", stderr(&made));
+    };
+    let refuse = |arguments: &[&str], expected: &str| {
+        let refused = call(folder, arguments);
+        assert_eq!(refused.status.code(), Some(2), "{arguments:?}");
+        assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
+    };
+    let simulate = ["simulate", "closet.ron", "--samples", "10", "--points", "50"];
+    run(&[&simulate[..], &["--out", "images"]].concat());
+    run(&[&simulate[..], &["--npy", "--no-paths", "--out", "arrays"]].concat());
+    run(&[&simulate[..], &["--carrier-hz", "2.4e9", "--out", "alone"]].concat());
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+    assert_eq!(read("images/freq.txt"), "2000000000.0\n2400000000.0\n3000000000.0\n".repeat(10));
+    assert!(folder.join("images/paths-3000MHz.csv").exists() && folder.join("images/spectrum/00030.png").exists());
+    assert_eq!(read("images/test_index.txt"), "00013\n00014\n00015\n00028\n00029\n00030\n");
+    assert_eq!(read("alone/tx_pos.csv").lines().nth(2), read("images/tx_pos.csv").lines().nth(4));
+    refuse(
+        &[&simulate[..], &["--layout", "rssi", "--out", "x"]].concat(),
+        "several carriers, which only spectra support",
+    );
+    let pipeline = r#"Pipeline(name: "carriers", data: Arrays(root: "arrays"), split: LeaveReceiverOut(receivers: ["2400MHz"]),
+        initializer: Random(count: 20, std: 2.0), deformation: Factored(depth: 1, width: 8, carrier: 2.0), pruners: [],
+        training: (steps: 4, batch: 2, densify_until: 0, prune_until: 0), baselines: [MeanSpectrum(), NearestCarrier()],
+        metrics: [Ssim()])"#;
+    fs::write(folder.join("carriers.ron"), pipeline).unwrap();
+    run(&["run", "carriers.ron", "-q"]);
+    run(&["inspect", "images"]);
+    run(&["init", "images"]);
+    run(&["check", "images.ron"]);
+    let predict = ["predict", "runs/carriers/model.safetensors", "--tx", "1,1,1"];
+    run(&[&predict[..], &["--receiver", "2400MHz", "--out", "one"]].concat());
+    refuse(&[&predict[..], &["--receiver", "2500MHz", "--out", "two"]].concat(), "2500MHz");
+    fs::write(folder.join("arrays/freq.txt"), "2.4\nx\n").unwrap();
+    refuse(&["inspect", "arrays"], "freq.txt:2:1: `x` is not a number; write the carrier of one sample per line");
+    refuse(&["simulate", "closet.ron", "--layout", "channels", "--out", "x"], "several carriers");
+}
+
+#[test]
 fn scenario_of_deepmimo_has_base_stations_and_users() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

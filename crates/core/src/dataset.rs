@@ -1,9 +1,11 @@
 //! `Dataset`: observations and their positions, in columns.
 
+mod carriers;
+
 use crate::messages::strip_control;
 use crate::{
     Camera, Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver,
-    Result, Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
+    Result, Sample, Scene, Spectra, Task, Transmitter, Vec3, carrier_fault, place_fault,
 };
 
 /// All data of a source, in columns: transmitters, receivers, links between them, and the observation of each link.
@@ -272,12 +274,12 @@ impl Dataset {
     }
 }
 
-/// Checks for at least one receiver, valid positions, unique names and antennas.
+/// Checks for at least one receiver, valid positions, unique names, antennas and carriers.
 fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     if receivers.is_empty() {
         return Err("no receiver; give at least one".into());
     }
-    for (i, Receiver { name, pose, antennas }) in receivers.iter().enumerate() {
+    for (i, Receiver { name, pose, antennas, carrier_hz }) in receivers.iter().enumerate() {
         let subject =
             if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", strip_control(name)) };
         if let Some((_, fault)) = pose.fault() {
@@ -290,6 +292,9 @@ fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
             return Err(format!(
                 "{subject} has no antenna; give its position in the receiver frame, such as [0, 0, 0]"
             ));
+        }
+        if let Some(fault) = carrier_hz.and_then(carrier_fault) {
+            return Err(format!("{subject}: {fault}"));
         }
         if receivers[..i].iter().any(|other| other.name == *name) {
             return Err(format!("two receivers have the name `{}`; give each a unique name", strip_control(name)));

@@ -71,6 +71,8 @@ pub struct DeformationTraits {
     pub varies_geometry: bool,
     /// Whether its signals replace those of the cloud (WRF-GS) instead of being added (P-WRFGS).
     pub replaces_signals: bool,
+    /// Whether its terms depend on the carrier ([`Conditions::carrier`]).
+    pub reads_carrier: bool,
     /// Whether its terms depend on the receiver position, so that it supports only one receiver.
     pub reads_receiver: bool,
     /// Whether the terms of a Gaussian depend on the centres of all (as the released gain of WRF-GS does). Closed
@@ -90,6 +92,7 @@ impl Default for DeformationTraits {
             inputs: 3,
             varies_geometry: false,
             replaces_signals: false,
+            reads_carrier: false,
             reads_receiver: false,
             couples_gaussians: false,
             kept_per_gaussian: 0,
@@ -178,25 +181,39 @@ impl Deltas {
 }
 
 /// Network input per transmitter, `[B, width]`: its position in metres from the origin, or the features that replace
-/// it. For a moving receiver: its positions, and its orientations beside them.
+/// it. For a moving receiver: its positions, and its orientations beside them. For data with several carriers: the carrier
+/// beside each row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions<'a> {
     width: usize,
     values: &'a [Real],
     orientations: &'a [[f64; 4]],
+    carriers: &'a [Real],
 }
 
 impl<'a> Conditions<'a> {
     /// Creates rows of `width` numbers; an incomplete last row is left out.
     pub fn new(width: usize, values: &'a [Real]) -> Self {
         let whole = values.len() - values.len() % width.max(1);
-        Self { width, values: &values[..whole], orientations: &[] }
+        Self { width, values: &values[..whole], orientations: &[], carriers: &[] }
     }
 
     /// Returns the positions of a moving receiver with its orientations `[B,4]`; unchanged if there are none.
     #[must_use]
     pub fn turned(self, orientations: &'a [[f64; 4]]) -> Self {
         Self { orientations, ..self }
+    }
+
+    /// Returns the inputs with the carrier of each row `[B]`, from -1 to 1 ([`MeasurementSetup::carriers`](crate::MeasurementSetup::carriers));
+    /// unchanged if there are none.
+    #[must_use]
+    pub fn at_carriers(self, carriers: &'a [Real]) -> Self {
+        Self { carriers, ..self }
+    }
+
+    /// Returns the carrier of row `b`, from -1 to 1; 0 if the data have one carrier.
+    pub fn carrier(&self, b: usize) -> Real {
+        self.carriers.get(b).copied().unwrap_or(0.0)
     }
 
     /// Returns the pose of the moving receiver in row `b`, relative to the origin; `None` for a fixed receiver.
@@ -233,8 +250,9 @@ impl<'a> Conditions<'a> {
     /// Returns a range of the transmitters.
     pub fn rows(&self, range: Range<usize>) -> Self {
         let values = &self.values[range.start * self.width..range.end * self.width];
-        let orientations = self.orientations.get(range).unwrap_or_default();
-        Self { width: self.width, values, orientations }
+        let orientations = self.orientations.get(range.clone()).unwrap_or_default();
+        let carriers = self.carriers.get(range).unwrap_or_default();
+        Self { width: self.width, values, orientations, carriers }
     }
 
     /// Returns the positions `[B,3]`; empty if the inputs are features. A deformation that requests positions by

@@ -52,8 +52,8 @@ pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stret
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightSpec};
 pub use method::{
-    Activated, Appearance, Cost, ForwardOutput, MeasurementSetup, Method, MethodTraits, MethodVjp, ObservationRequest,
-    Parameters, PixelSubset,
+    Activated, Appearance, Cost, ForwardOutput, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp,
+    ObservationRequest, Parameters, PixelSubset,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
@@ -62,8 +62,8 @@ pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, Surve
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use rng::evenly;
 pub use scene::{
-    Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, coordinate_fault,
-    place_fault,
+    Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, carrier_fault,
+    coordinate_fault, place_fault,
 };
 pub use shipped::ShippedFile;
 pub use spectra::{Number, Spectra};

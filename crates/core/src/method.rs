@@ -58,33 +58,71 @@ impl MeasurementSetup {
         self.plane.elevation().unwrap_or(Elevation::UPPER)
     }
 
-    /// Returns the conditions `[T, inputs]` of the transmitters of these links, the orientations `[T,4]` of a moving
-    /// receiver, and the links. Consecutive equal transmitters are merged.
-    pub fn conditions<'q>(
-        &self,
-        inputs: usize,
-        queries: impl Iterator<Item = Query<'q>>,
-    ) -> (Vec<Real>, Vec<[f64; 4]>, Vec<Link>) {
-        let (mut conditions, mut orientations): (Vec<Real>, Vec<[f64; 4]>) = (Vec::new(), Vec::new());
-        let mut links: Vec<Link> = Vec::with_capacity(queries.size_hint().0);
-        let mut last: Option<Query<'q>> = None;
+    /// Returns the carrier of each receiver as a network input: the logarithm of its frequency, scaled to the range -1 to
+    /// 1 over all receivers. Empty unless all receivers state a carrier and at least two differ.
+    pub fn carriers(&self) -> Vec<Real> {
+        let logs: Option<Vec<f64>> = self.receivers.iter().map(|receiver| Some(receiver.carrier_hz?.ln())).collect();
+        let logs = logs.unwrap_or_default();
+        let (low, high) = logs.iter().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
+        if low >= high {
+            return Vec::new();
+        }
+        logs.iter().map(|v| (2.0 * (v - low) / (high - low) - 1.0) as Real).collect()
+    }
+
+    /// Returns the subcarrier frequencies of a receiver, Hz: `frequencies_hz`, moved to its carrier if it has one.
+    pub fn frequencies_of(&self, receiver: usize) -> Vec<f64> {
+        let (all, carrier) = (&self.frequencies_hz, self.receivers[receiver].carrier_hz);
+        let middle = all.iter().sum::<f64>() / all.len().max(1) as f64;
+        let moved = |hz: &f64| carrier.map_or(*hz, |carrier| carrier + (hz - middle));
+        all.iter().map(moved).collect()
+    }
+
+    /// Returns the inputs of these links, of width `width`. Consecutive equal transmitters are merged.
+    pub fn inputs<'q>(&self, width: usize, queries: impl Iterator<Item = Query<'q>>) -> LinkInputs {
+        let (mut all, of_receivers) = (LinkInputs { width, ..LinkInputs::default() }, self.carriers());
+        let mut last = None;
         for query in queries {
-            let input = |query: Query<'q>| (query.tx, query.features, query.orientation);
-            if last.is_none_or(|last| input(last) != input(query)) {
+            let receiver = query.receiver.min(self.receivers.len() - 1);
+            let carrier = of_receivers.get(receiver);
+            let input = (query.tx, query.features, query.orientation, carrier);
+            if last != Some(input) {
                 if self.moves {
-                    orientations.push(query.orientation.unwrap_or(self.pose().orientation));
+                    all.orientations.push(query.orientation.unwrap_or(self.pose().orientation));
                 }
+                all.carriers.extend(carrier);
                 if query.features.is_empty() {
-                    conditions.extend(self.origin.local(query.tx));
+                    all.values.extend(self.origin.local(query.tx));
                 } else {
-                    conditions.extend_from_slice(query.features);
+                    all.values.extend_from_slice(query.features);
                 }
             }
-            let transmitter = conditions.len() / inputs.max(1) - 1;
-            links.push(Link { transmitter, receiver: query.receiver.min(self.receivers.len() - 1) });
-            last = Some(query);
+            all.links.push(Link { transmitter: all.values.len() / width.max(1) - 1, receiver });
+            last = Some(input);
         }
-        (conditions, orientations, links)
+        all
+    }
+}
+
+/// Links with the network inputs of their transmitters, from [`MeasurementSetup::inputs`].
+#[derive(Clone, Debug, Default)]
+pub struct LinkInputs {
+    /// Number of inputs per transmitter.
+    pub width: usize,
+    /// Network inputs `[T, width]`.
+    pub values: Vec<Real>,
+    /// Orientations `[T,4]` of a moving receiver; otherwise empty.
+    pub orientations: Vec<[f64; 4]>,
+    /// Carriers `[T]` ([`MeasurementSetup::carriers`]); empty for one carrier.
+    pub carriers: Vec<Real>,
+    /// Links as rows of `values` and receivers of the setup.
+    pub links: Vec<Link>,
+}
+
+impl LinkInputs {
+    /// Borrows the network inputs.
+    pub fn conditions(&self) -> Conditions<'_> {
+        Conditions::new(self.width, &self.values).turned(&self.orientations).at_carriers(&self.carriers)
     }
 }
 

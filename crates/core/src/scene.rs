@@ -29,7 +29,7 @@ impl Scene {
 }
 
 /// Receiver of a scene.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Receiver {
     /// Name in the data, unique among the receivers of a scene.
     pub name: String,
@@ -37,12 +37,21 @@ pub struct Receiver {
     pub pose: Pose,
     /// Antenna positions in the receiver frame, metres; one at zero if not specified.
     pub antennas: Vec<[f64; 3]>,
+    /// Carrier of its links, Hz; `None` if the data do not state it. An array that observes several carriers is one
+    /// receiver per carrier, at the same position.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub carrier_hz: Option<f64>,
 }
 
 impl Receiver {
     /// Creates a receiver with one antenna at its position.
     pub fn new(name: impl Into<String>, pose: Pose) -> Self {
-        Self { name: name.into(), pose, antennas: vec![[0.0; 3]] }
+        Self { name: name.into(), pose, antennas: vec![[0.0; 3]], carrier_hz: None }
+    }
+
+    /// Creates the receiver of one of several carriers, Hz, with the name of the carrier, such as `2400MHz`.
+    pub fn of_carrier(pose: Pose, carrier_hz: f64) -> Self {
+        Self { carrier_hz: Some(carrier_hz), ..Self::new(format!("{}MHz", carrier_hz / 1e6), pose) }
     }
 
     /// Returns antenna positions relative to the receiver position, along the world axes, metres.
@@ -260,6 +269,11 @@ impl Origin {
 /// [`MAX_COORDINATE_M`] in size.
 pub fn place_fault(place: [f64; 3]) -> Option<String> {
     place.into_iter().find_map(coordinate_fault)
+}
+
+/// Returns the error in a carrier frequency, Hz.
+pub fn carrier_fault(hz: f64) -> Option<String> {
+    (!(1e6..=1e12).contains(&hz)).then(|| format!("the carrier is {hz:?} Hz; give a frequency between 1e6 and 1e12 Hz"))
 }
 
 /// Returns the error in one coordinate.

@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use crate::carriers;
 use crate::checks::value_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::nerf2::{check_shape, index, read_poses, read_transmitters, receivers::Gateway};
@@ -28,6 +29,8 @@ const IN_MEMORY: u64 = 1 << 29;
 ///                          spectrum; gateway_info.yml then has the position of the fixed transmitter
 /// root/spectra.npy         [M, H, W]: a row is an elevation, a column an azimuth; uint8 (255 is 1), uint16 (65535 is 1),
 ///                          or float32 and float64 from 0 to 1
+/// root/freq.txt            optional, for several carriers: line k is the carrier of spectrum k, GHz; numbers from 1e6 are
+///                          Hz. Every carrier is a receiver with a name such as `2400MHz`
 /// root/train_index.txt     sample ids, one per line, counted from 1; the files train_index.txt and
 /// root/test_index.txt      test_index.txt must both exist or both be absent
 /// ```
@@ -102,9 +105,14 @@ impl DataSource for Arrays {
         let title = title(&name, simulation.as_ref(), "arrays");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
-        match orientations {
-            Some(orientations) => data.with_moving_receiver(orientations),
-            None => Ok(data),
+        match (orientations, carriers::read(&root, table, data.len())?) {
+            (Some(_), Some(_)) => {
+                let what = "the receiver moves, which only one carrier supports; remove this file";
+                Err(Error::input(&root.join(carriers::CARRIERS), what))
+            }
+            (Some(orientations), None) => data.with_moving_receiver(orientations),
+            (None, Some(carriers)) => data.with_carriers(&carriers),
+            (None, None) => Ok(data),
         }
     }
 

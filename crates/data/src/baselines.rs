@@ -14,7 +14,7 @@ mod tests;
 
 pub use kriging::Kriging;
 pub use log_distance::LogDistance;
-pub use neighbours::{NearestNeighbours, Neighbours};
+pub use neighbours::{NearestCarrier, NearestNeighbours, Neighbours};
 pub use predictions::Predictions;
 pub use ridge::Ridge;
 

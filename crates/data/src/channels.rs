@@ -6,11 +6,11 @@ mod tests;
 use crate::checks::name_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::nerf2::{index, read_transmitters};
-use crate::npy::read_complex;
+use crate::npy::{ComplexArray, read_complex};
 use crate::text::{at, read_yaml};
 use pwrfgs_core::{
     Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result,
-    Sample, Simulation,
+    Sample, Simulation, carrier_fault,
 };
 use serde::{Deserialize, Serialize};
 use serde_saphyr::Spanned;
@@ -62,11 +62,25 @@ pub struct Channels {
     pub carrier_hz: Option<f64>,
     /// Subcarrier spacing, Hz; not needed for a single subcarrier.
     pub spacing_hz: Option<f64>,
+    /// Arrays of further carriers, of the same shape and at the same positions. Every carrier is then a receiver with a
+    /// name such as `928MHz`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub more_carriers: Vec<CarrierFile>,
     /// Position, orientation and antennas of the receiver.
     pub receiver: Option<ReceiverPlace>,
     /// Whether the channels are simulated although no file says so. Scores of simulated data are never labelled as
     /// measured.
     pub simulated: bool,
+}
+
+/// Channels at a further carrier.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CarrierFile {
+    /// Channel array (`.npy`), relative to `root`.
+    pub file: PathBuf,
+    /// Centre frequency of its subcarriers, Hz.
+    pub carrier_hz: f64,
 }
 
 /// Position, orientation and antennas of a receiver.
@@ -104,6 +118,7 @@ impl Default for Channels {
             points: None,
             carrier_hz: None,
             spacing_hz: None,
+            more_carriers: Vec::new(),
             receiver: None,
             simulated: false,
         }
@@ -136,8 +151,16 @@ impl DataSource for Channels {
             }
             None => subcarriers(&path, message.carrier_hz, message.spacing_hz, width)?,
         };
+        let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
         let receiver = message.receiver(&path, antennas)?;
         let rows = index::read(&root, &|word| index::row(word, &table.display().to_string(), count))?;
+        let carriers = 1 + self.more_carriers.len();
+        // Arrays of further carriers follow the first, with the same positions and sets.
+        let repeated =
+            |list: Vec<usize>| (0..carriers).flat_map(|c| list.iter().map(move |row| c * count + row)).collect();
+        let rows = rows.map(|(train, test)| (repeated(train), repeated(test)));
+        let positions = positions.repeat(carriers);
+        let array = self.with_more_carriers(&root, array)?;
         let samples: Vec<Sample> = (0..).zip(positions).map(|(id, tx)| Sample::new(id, tx)).collect();
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
@@ -147,7 +170,13 @@ impl DataSource for Channels {
         let points = points_of(base, self.points.as_deref())?;
         let data = Dataset::of_links(title, vec![receiver], points, &samples, channels.into())?;
         progress(data.len(), data.len());
-        Ok(Dataset { simulation, official: rows, ..data })
+        let data = Dataset { simulation, official: rows, ..data };
+        if carriers == 1 {
+            return Ok(data);
+        }
+        let more = self.more_carriers.iter().map(|own| own.carrier_hz);
+        let hz: Vec<f64> = std::iter::once(carrier_hz).chain(more).flat_map(|hz| vec![hz; count]).collect();
+        data.with_carriers(&hz)
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
@@ -162,10 +191,33 @@ impl DataSource for Channels {
             }
         }
         check_frequencies(self.carrier_hz.unwrap_or(1.0), self.spacing_hz.unwrap_or(1.0))?;
+        if let Some(fault) = self.more_carriers.iter().find_map(|own| carrier_fault(own.carrier_hz)) {
+            return Err(format!("`more_carriers`: {fault}"));
+        }
         match self.receiver.as_ref().and_then(|receiver| receiver.pose().fault()) {
             Some((field, fault)) => Err(format!("`receiver.{field}`: {fault}")),
             None => Ok(()),
         }
+    }
+}
+
+impl Channels {
+    /// Adds the channels of the further carriers to those of the first.
+    fn with_more_carriers(&self, root: &Path, mut array: ComplexArray) -> Result<ComplexArray> {
+        for own in &self.more_carriers {
+            let path = root.join(&own.file);
+            let more = read_complex(&path, SHAPE)?;
+            if more.shape != array.shape {
+                let what = format!("has the shape {:?}, but {} has {:?}", more.shape, self.file.display(), array.shape);
+                return Err(Error::input(
+                    &path,
+                    format!("{what}; give arrays of the same positions, or remove this one"),
+                ));
+            }
+            more.check_size(&path)?;
+            array.values.extend(more.values);
+        }
+        Ok(array)
     }
 }
 

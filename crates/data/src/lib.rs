@@ -8,13 +8,14 @@
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] split transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
-//! * [`MeanSpectrum`], [`NearestNeighbours`], [`Kriging`], [`LogDistance`] and [`Zero`] are the baselines of each
+//! * [`MeanSpectrum`], [`NearestNeighbours`], [`NearestCarrier`], [`Kriging`], [`LogDistance`] and [`Zero`] are the baselines of each
 //!   table.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod arrays;
 mod baselines;
+mod carriers;
 mod channels;
 mod checks;
 mod colmap;
@@ -31,8 +32,11 @@ mod teacher;
 mod text;
 
 pub use arrays::{Arrays, POSES};
-pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Predictions, Ridge, Zero};
-pub use channels::{Channels, ReceiverPlace};
+pub use baselines::{
+    Kriging, LogDistance, MeanSpectrum, NearestCarrier, NearestNeighbours, Neighbours, Predictions, Ridge, Zero,
+};
+pub use carriers::{CARRIERS, read_carriers};
+pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
 pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};

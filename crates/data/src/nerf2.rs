@@ -11,6 +11,7 @@ mod tests;
 pub use csi::Nerf2Csi;
 pub use rssi::Nerf2Rssi;
 
+use crate::carriers;
 use crate::checks::shape_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::text::{TextField, coordinate, place, read_text, table};
@@ -30,12 +31,16 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 /// root/gateway_info.yml    gateway1: {position: [x, y, z], orientation: [x, y, z, w]}; metres, unit quaternion
 /// root/tx_pos.csv          header with x, y, z among others; row k, counted from 1, is the transmitter of id k
 /// root/spectrum/00001.png  8-bit grey, one channel, all of one size; a row is an elevation, a column an azimuth
+/// root/freq.txt            optional, for several carriers: line k is the carrier of row k, GHz; numbers from 1e6 are Hz
 /// root/train_index.txt     ids, one per line; the files train_index.txt and
 /// root/test_index.txt      test_index.txt must both exist or both be absent
 /// ```
 ///
 /// The samples are the ids that have a row and an image; index files must not contain other ids. Lines may end in LF or
 /// CRLF, and ids may be zero-padded. Images stay 8-bit in memory and set the size of the image plane.
+///
+/// With `freq.txt`, every carrier is a receiver with a name such as `2400MHz`, and samples at equal positions have one
+/// transmitter.
 ///
 /// Images cover 360 degrees of azimuth. Their rows cover elevations 0 to 90 degrees, row 0 in the plane of the array,
 /// unless `elevation` here or the key `elevation: [first, last]` of `gateway_info.yml` sets another range: a full
@@ -113,7 +118,13 @@ impl DataSource for Nerf2Spectrum {
         let simulation = simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
-        Ok(Dataset { elevation, official, simulation, unmatched, ..data })
+        let data = Dataset { elevation, official, simulation, unmatched, ..data };
+        let carriers = carriers::read(&root, "tx_pos.csv", positions.len())?;
+        let of_samples = |all: Vec<f64>| ids.iter().map(|&id| all[id as usize - 1]).collect::<Vec<f64>>();
+        match carriers {
+            Some(all) => data.with_carriers(&of_samples(all)),
+            None => Ok(data),
+        }
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

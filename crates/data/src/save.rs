@@ -4,6 +4,7 @@
 mod tests;
 
 use crate::arrays::POSES;
+use crate::carriers::CARRIERS;
 use crate::checks::{NOT_RECEIVED, check};
 use crate::folder::{POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
 use crate::npy::MAX_BYTES;
@@ -12,7 +13,7 @@ use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
-use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Result, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Link, Number, Observations, Real, Result, Spectra};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -127,19 +128,34 @@ impl Folder<'_> {
         }
     }
 
+    /// The carriers of all links, Hz, if the receivers are the carriers of one array.
+    fn carriers(&self) -> Option<Vec<f64>> {
+        let receivers = &self.data.scene.receivers;
+        let is_alone =
+            receivers.iter().all(|own| (own.pose, &own.antennas) == (receivers[0].pose, &receivers[0].antennas));
+        let of_link = |link: &Link| receivers[link.receiver].carrier_hz.filter(|_| is_alone);
+        self.data.links.iter().map(of_link).collect()
+    }
+
     fn spectra(&self, spectra: &Spectra) -> Result<()> {
-        self.alone()?;
+        match self.carriers() {
+            Some(all) => self.put(CARRIERS, all.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?,
+            None => self.alone()?,
+        }
         let scene = &self.data.scene;
         let pose = scene.origin.world_pose(scene.pose());
         let Elevation { first, last } = self.data.elevation;
         let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
-        let name = format!("receiver: {}\n", yaml(&scene.receivers[0].name));
+        let name = match &scene.receivers[..] {
+            [only] => format!("receiver: {}\n", yaml(&only.name)),
+            _ => String::new(), // the names of carriers follow from their frequencies
+        };
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
-        let positions = || self.data.transmitters.iter().map(|tx| tx.position);
+        let positions = || self.data.samples().map(|sample| sample.tx);
         if let Some(orientations) = &self.data.orientations {
             self.put(POSES, poses_csv(positions().zip(orientations.iter().copied())))?;
         } else {
-            let header = npy_header(Number::F64, &[self.data.transmitters.len(), 3]);
+            let header = npy_header(Number::F64, &[self.data.len(), 3]);
             self.put(
                 "tx.npy",
                 header.into_iter().chain(positions().flatten().flat_map(f64::to_le_bytes)).collect::<Vec<u8>>(),
@@ -199,9 +215,11 @@ impl Folder<'_> {
     /// Writes the official split of the data as index files.
     fn official(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
-        let first = usize::from(self.data.task().has_pixels);
+        let row = |link: &usize| {
+            if self.data.task().has_pixels { link + 1 } else { self.data.links[*link].transmitter }
+        };
         for (name, links) in [("train_index.txt", train), ("test_index.txt", test)] {
-            let mut rows: Vec<usize> = links.iter().map(|&link| self.data.links[link].transmitter + first).collect();
+            let mut rows: Vec<usize> = links.iter().map(row).collect();
             rows.dedup();
             let mut text = String::new();
             rows.iter().for_each(|row| writeln!(text, "{row}").expect("text grows"));

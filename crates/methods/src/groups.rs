@@ -207,13 +207,9 @@ pub(crate) fn untrained(
     part: &[usize],
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
-    let inputs = method.traits().inputs;
-    let (conditions, orientations, links) = setup.conditions(inputs, part.iter().map(|&i| data.query(i)));
-    let request = ObservationRequest {
-        conditions: Conditions::new(inputs, &conditions).turned(&orientations),
-        links: &links,
-        pixels: PixelSubset::All,
-    };
+    let inputs = setup.inputs(method.traits().inputs, part.iter().map(|&i| data.query(i)));
+    let request =
+        ObservationRequest { conditions: inputs.conditions(), links: &inputs.links, pixels: PixelSubset::All };
     method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request).numbers
 }
 
@@ -229,8 +225,14 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
     deformation.start(Conditions::from(&transmitters.into_iter().map(position).collect::<Vec<_>>()), network);
 }
 
-/// Rejects several receivers if the network reads the receiver position.
+/// Rejects several receivers if the network reads the receiver position, and several carriers if it reads none.
 pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
+    let carriers = setup.carriers().len();
+    if carriers > 0 && !deformation.traits().reads_carrier {
+        return Err(format!(
+            "the data have {carriers} carriers, but the deformation ignores them; use Factored(carrier: 2) or Mlp(carrier: 2)"
+        ));
+    }
     if setup.moves && setup.plane.angles.is_none() && setup.plane.camera.is_none() {
         return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
     }

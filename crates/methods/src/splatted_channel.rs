@@ -173,7 +173,7 @@ impl Method for SplattedChannel {
         let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
         let mut received = Vec::new();
         for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
-            let waves = Waves::new(setup, &setup.receivers[group.receiver], p.cloud, p.gate);
+            let waves = Waves::new(setup, group.receiver, p.cloud, p.gate);
             let (own, signals) = self.sum(p, &deltas, &group, (&waves, level(offsets, group.receiver)));
             group.scatter(&own, setup.numbers(), &mut numbers);
             received.push((group, waves, signals));
@@ -201,8 +201,7 @@ impl Method for SplattedChannel {
             let along: Real = waves.sum(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
             sums.weights[network.len() + group.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
-            let receiver = &setup.receivers[group.receiver];
-            Waves::vjp(setup, receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
+            Waves::vjp(setup, group.receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
             group.terms_vjp(deltas, n, &mut own, |terms, batch, own| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, own);
             });
@@ -219,7 +218,7 @@ impl Method for SplattedChannel {
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let deformation = self.deformation.prepare(parts(setup, p.weights).0, &p.cloud.means, &setup.pose());
-        let waves = setup.receivers.iter().map(|receiver| Waves::new(setup, receiver, p.cloud, p.gate)).collect();
+        let waves = (0..setup.receivers.len()).map(|receiver| Waves::new(setup, receiver, p.cloud, p.gate)).collect();
         Some(Arc::new(Ready { deformation, waves }))
     }
 

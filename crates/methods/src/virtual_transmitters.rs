@@ -18,6 +18,7 @@ pub use options::{PursuitOptions, SearchProgress};
 pub use pursuit::{pursue, snr_of};
 pub use solve::solve_gains;
 
+use crate::groups::ReceiverGroup;
 use crate::{Activation, Calibration};
 use harmonics::{HIGHEST, terms};
 use pwrfgs_core::rng::{self, Rng};
@@ -65,15 +66,25 @@ pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
     (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
 }
 
+/// Returns whether all receivers are the carriers of one array.
+fn is_one_place(receivers: &[Receiver]) -> bool {
+    let same = |own: &Receiver| own.pose == receivers[0].pose && own.antennas == receivers[0].antennas;
+    receivers.len() == 1 || receivers.iter().all(|own| own.carrier_hz.is_some() && same(own))
+}
+
 /// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
 pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
     receiver.array().iter().map(|place| place.map(|x| x as Real)).collect()
 }
 
-/// Returns the position of the moving node in each link.
-fn positions(request: &ObservationRequest<'_>) -> Vec<[Real; 3]> {
+/// Returns the links of each carrier, each with the positions of the moving node.
+fn groups(setup: &MeasurementSetup, request: &ObservationRequest<'_>) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = request.conditions.positions();
-    request.links.iter().filter_map(|link| txs.get(link.transmitter)).copied().collect()
+    let position = |i: &usize| txs.get(request.links[*i].transmitter).copied();
+    let all = ReceiverGroup::all(request.links, setup.receivers.len(), true).into_iter();
+    all.map(|group| (group.links.iter().filter_map(position).collect(), group))
+        .map(|(own, group)| (group, own))
+        .collect()
 }
 
 #[typetag::serde]
@@ -101,9 +112,14 @@ impl Method for VirtualTransmitters {
     }
 
     fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
-        let (positions, antennas) = (positions(request), array(&setup.receivers[0]));
-        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &setup.frequencies_hz };
-        let numbers = rows_of(&field(p.cloud, p.gate, &links), setup.frequencies_hz.len());
+        let antennas = array(&setup.receivers[0]);
+        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
+        for (group, positions) in groups(setup, request) {
+            let frequencies = setup.frequencies_of(group.receiver);
+            let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
+            let own = rows_of(&field(p.cloud, p.gate, &links), frequencies.len());
+            group.scatter(&own, setup.numbers(), &mut numbers);
+        }
         ForwardOutput { numbers, cache: None as Cache }
     }
 
@@ -116,22 +132,26 @@ impl Method for VirtualTransmitters {
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
-        let (positions, antennas) = (positions(request), array(&setup.receivers[0]));
-        let d = gains_of(d, setup.frequencies_hz.len());
-        // The field depends on distances and directions only: its derivative by a position is that by a common move of all
-        // Gaussians the other way, link by link.
-        let at_once = if sums.conditions.is_empty() { positions.len() } else { 1 };
-        let of_each = at_once * antennas.len() * setup.frequencies_hz.len();
-        let parts = positions.chunks(at_once.max(1)).zip(d.chunks(of_each.max(1))).zip(request.links);
-        for ((positions, d), link) in parts {
-            let links = ChannelInputs { positions, antennas: &antennas, frequencies: &setup.frequencies_hz };
-            let found = field_vjp(p.cloud, p.gate, &links, d);
-            for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
-                sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
-            }
-            sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
-            if let Some(d_position) = sums.conditions.get_mut(3 * link.transmitter..3 * link.transmitter + 3) {
-                found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
+        let antennas = array(&setup.receivers[0]);
+        for (group, positions) in groups(setup, request) {
+            let frequencies = setup.frequencies_of(group.receiver);
+            let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
+            // The field depends on distances and directions only: its derivative by a position is that by a common move
+            // of all Gaussians the other way, link by link.
+            let at_once = if sums.conditions.is_empty() { positions.len() } else { 1 };
+            let of_each = at_once * antennas.len() * frequencies.len();
+            let parts = positions.chunks(at_once.max(1)).zip(own.chunks(of_each.max(1))).zip(&group.links);
+            for ((positions, d), link) in parts {
+                let links = ChannelInputs { positions, antennas: &antennas, frequencies: &frequencies };
+                let found = field_vjp(p.cloud, p.gate, &links, d);
+                for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
+                    sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
+                }
+                sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
+                let first = 3 * request.links[*link].transmitter;
+                if let Some(d_position) = sums.conditions.get_mut(first..first + 3) {
+                    found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
+                }
             }
         }
         sums.stats.visible.iter_mut().for_each(|input| *input += 1.0);
@@ -151,7 +171,7 @@ impl Method for VirtualTransmitters {
                 setup.task.plural
             ));
         }
-        if setup.receivers.len() != 1 {
+        if !is_one_place(&setup.receivers) {
             return Err(format!(
                 "method: VirtualTransmitters supports one receiver, but the data have {}; train one model per receiver",
                 setup.receivers.len()
@@ -254,16 +274,20 @@ impl Initializer for MatchingPursuit {
             ));
         }
         let scene = &input.data.scene;
-        if scene.receivers.len() != 1 || !input.data.placed {
+        if !is_one_place(&scene.receivers) || !input.data.placed {
             return Err(Error::Config(
                 "initializer: MatchingPursuit needs one receiver and the positions of the transmitters".into(),
             ));
         }
-        let positions: Vec<[Real; 3]> =
-            input.train.iter().map(|&i| scene.origin.local(input.data.sample(i).tx)).collect();
+        // Carriers ascend; the longest wavelength has the fewest local maxima.
+        let receiver_of = |i: &usize| input.data.links[*i].receiver;
+        let lowest = input.train.iter().map(receiver_of).min().unwrap_or(0);
+        let train: Vec<usize> = input.train.iter().copied().filter(|i| receiver_of(i) == lowest).collect();
+        let positions: Vec<[Real; 3]> = train.iter().map(|&i| scene.origin.local(input.data.sample(i).tx)).collect();
         let antennas = array(&scene.receivers[0]);
-        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
-        let channel: Vec<[Real; 2]> = input.train.iter().flat_map(|&i| channels.of(i)).copied().collect();
+        let frequencies = MeasurementSetup::of(input.data, input.data.plane()).frequencies_of(lowest);
+        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
+        let channel: Vec<[Real; 2]> = train.iter().flat_map(|&i| channels.of(i)).copied().collect();
         let node = Some(scene.receivers[0].pose.position);
         let order = order_of(&input.method.traits().columns);
         let mut all = VirtualSources::new(order);

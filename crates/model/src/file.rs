@@ -6,8 +6,8 @@ use crate::{Ensemble, IntervalCalibration, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
-    Receiver, Result, Task,
+    COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Real, Receiver,
+    Result, Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -54,19 +54,11 @@ struct Note {
 #[derive(Serialize, Deserialize)]
 struct LinksNote {
     kind: Task,
-    receivers: Vec<ReceiverNote>,
+    /// Receivers with poses in the user's frame.
+    receivers: Vec<Receiver>,
     /// Subcarrier frequencies, Hz.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     frequencies_hz: Vec<f64>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct ReceiverNote {
-    name: String,
-    /// Pose in the user's frame.
-    pose: Pose,
-    /// Antenna positions in the receiver frame, metres.
-    antennas: Vec<[f64; 3]>,
 }
 
 const FORMAT: &str = "pwrfgs-model";
@@ -80,6 +72,8 @@ const LONGEST_NAME: usize = 255;
 const VERSION: u32 = 5;
 /// Version of a model whose receiver moves: programs that ignore its pose must not predict from it.
 const MOVING_VERSION: u32 = 6;
+/// Version of a model of several carriers: programs that ignore them must not predict from it.
+const CARRIERS_VERSION: u32 = 7;
 /// Prefix of the names of network tensors.
 pub(crate) const NETWORK: &str = "network.";
 /// Prefix of the names of constants that the network derives from a seed.
@@ -170,13 +164,14 @@ fn json(note: &impl Serialize) -> String {
 
 fn note(model: &Model) -> Note {
     let s = &model.stages;
-    let receiver = |r: &Receiver| {
-        let Receiver { name, pose, antennas } = r.clone();
-        ReceiverNote { name, pose: s.origin.world_pose(pose), antennas }
-    };
+    let receiver = |r: &Receiver| Receiver { pose: s.origin.world_pose(r.pose), ..r.clone() };
     Note {
         format: FORMAT.into(),
-        version: if s.moves { MOVING_VERSION } else { VERSION },
+        version: match (s.moves, s.carriers().is_empty()) {
+            (true, _) => MOVING_VERSION,
+            (false, true) => VERSION,
+            (false, false) => CARRIERS_VERSION,
+        },
         gaussians: model.cloud.len(),
         method: plugin_text(&s.method),
         links: LinksNote {
@@ -274,10 +269,10 @@ fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
 }
 
 fn check_version(format: &str, version: u32) -> Result<(), String> {
-    if format == FORMAT && [VERSION, MOVING_VERSION].contains(&version) {
+    if format == FORMAT && (VERSION..=CARRIERS_VERSION).contains(&version) {
         return Ok(());
     }
-    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION} or {MOVING_VERSION}"))
+    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION} to {CARRIERS_VERSION}"))
 }
 
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
@@ -306,11 +301,7 @@ fn take_training(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositi
 fn setup(note: &Note) -> MeasurementSetup {
     let (origin, plane) = (note.origin, note.plane.clone());
     let LinksNote { kind, receivers, frequencies_hz } = &note.links;
-    let receiver = |r: &ReceiverNote| Receiver {
-        name: r.name.clone(),
-        pose: origin.local_pose(r.pose),
-        antennas: r.antennas.clone(),
-    };
+    let receiver = |r: &Receiver| Receiver { pose: origin.local_pose(r.pose), ..r.clone() };
     let receivers = receivers.iter().map(receiver).collect();
     let moves = note.version == MOVING_VERSION;
     MeasurementSetup { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone(), moves }

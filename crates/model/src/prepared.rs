@@ -4,8 +4,8 @@ mod derivative;
 
 use crate::{Model, Residuals};
 use pwrfgs_core::{
-    Cache, Conditions, GaussianCloud, Image, ImagePlane, ObservationRequest, Parameters, PixelSubset, Predict, Query,
-    Real, Receiver, StageTimes, Task,
+    Cache, GaussianCloud, Image, ImagePlane, ObservationRequest, Parameters, PixelSubset, Predict, Query, Real,
+    Receiver, StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -263,12 +263,9 @@ impl<'a> Member<'a> {
     ) -> T {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
-        let (conditions, orientations, links) = stages.setup.conditions(inputs, queries.iter().copied());
-        let request = ObservationRequest {
-            conditions: Conditions::new(inputs, &conditions).turned(&orientations),
-            links: &links,
-            pixels: PixelSubset::All,
-        };
+        let inputs = stages.setup.inputs(inputs, queries.iter().copied());
+        let (conditions, links) = (inputs.conditions(), &inputs.links);
+        let request = ObservationRequest { conditions, links, pixels: PixelSubset::All };
         run(&Parameters { cloud: &self.cloud, gate: None, existence: None, weights }, &request)
     }
 }

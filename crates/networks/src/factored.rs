@@ -1,5 +1,6 @@
 //! `Factored`: signals as products of transmitter features and Gaussian factors.
 
+use crate::check_carrier;
 use crate::encoding::{Encoder, Encoding, Pseudo};
 use crate::factored_network::{FactoredLayers, WAVE_MEAN};
 use crate::linear::{LayoutBuilder, laid_out, planned};
@@ -45,13 +46,23 @@ pub struct Factored {
     /// Correlations with the training positions as further features, to which the factors are linear. They help if
     /// training positions are dense. `None` for none.
     pub near: Option<Near>,
+    /// Factor on the carrier, an input for data with several carriers: the logarithm of its frequency, from -1 to 1. Higher
+    /// factors let signals vary faster from one carrier to the next. 0 ignores the carrier.
+    pub carrier: f64,
 }
 
 const WAVES: Encoding = Encoding::Waves { count: 32, reach: 4.0, seed: 0 };
 
 impl Default for Factored {
     fn default() -> Self {
-        Self { depth: 4, width: 256, tx_encoding: Encoding::default(), position_encoding: WAVES, near: None }
+        Self {
+            depth: 4,
+            width: 256,
+            tx_encoding: Encoding::default(),
+            position_encoding: WAVES,
+            near: None,
+            carrier: 0.0,
+        }
     }
 }
 
@@ -61,7 +72,8 @@ impl Factored {
         let width = self.width;
         let tx_encoding = self.tx_encoding.encoder();
         let own = self.tx_encoding.width();
-        let inputs = |l| if l == 0 { own } else { width };
+        let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
+        let inputs = |l| if l == 0 { own + usize::from(carrier.is_some()) } else { width };
         let pseudo = match self.tx_encoding {
             Encoding::PseudoPosition { width, gain, octaves } => {
                 Some(Pseudo { layer: plan.linear("tx.pseudo", width, 3), gain: gain as Real, octaves })
@@ -79,7 +91,7 @@ impl Factored {
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = self.position_encoding.encoder();
         let near = self.near.as_ref().map(|near| near.layer(plan, waves));
-        FactoredLayers { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct, near }
+        FactoredLayers { tx_encoding, position_encoding, carrier, pseudo, white, stack, branch, features, direct, near }
     }
 }
 
@@ -88,6 +100,7 @@ impl Deformation for Factored {
     fn traits(&self) -> DeformationTraits {
         DeformationTraits {
             inputs: self.tx_encoding.inputs(),
+            reads_carrier: self.carrier != 0.0,
             kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // waves and their derivatives
             differentiates_inputs: true,
             ..DeformationTraits::default()
@@ -142,6 +155,12 @@ impl Deformation for Factored {
 
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, None)?;
+        check_carrier(self.carrier)?;
+        if self.carrier != 0.0
+            && matches!(self.tx_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. })
+        {
+            return Err("carrier: it needs transmitter positions, but tx_encoding reads features; remove it".into());
+        }
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
         if matches!(self.position_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {

@@ -29,6 +29,8 @@ const GROUP: usize = 32;
 pub(super) struct FactoredLayers {
     pub(super) tx_encoding: Encoder,
     pub(super) position_encoding: Encoder,
+    /// Factor on the carrier, which then is the last input of the stack.
+    pub(super) carrier: Option<Real>,
     /// Layer that maps features of the data to a pseudo-position, if requested.
     pub(super) pseudo: Option<Pseudo>,
     /// Layer that decorrelates features of the data; `None` for positions.
@@ -92,15 +94,19 @@ impl FactoredLayers {
     /// follow.
     fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
+        let encoded = layers[0].len() - if self.carrier.is_some() { txs.len() } else { 0 };
         match &self.pseudo {
             Some(pseudo) => self.tx_encoding.encode(&pseudo.positions(weights, txs), &mut layers[0]),
-            None => self.tx_encoding.encode_all(txs, &mut layers[0]),
+            None => self.tx_encoding.encode_all(txs, &mut layers[0][..encoded]),
         }
         if let Some(white) = &self.white {
             let mut x = vec![0.0; layers[0].len()];
             white.whole().apply(weights, &layers[0], &mut x, StoreMode::Set);
             dense::add_bias(&mut x, white.bias(weights));
             layers[0] = x;
+        }
+        if let Some(factor) = self.carrier {
+            (0..txs.len()).for_each(|b| layers[0][encoded + b] = factor * txs.carrier(b));
         }
         for (l, layer) in self.stack.iter().enumerate() {
             let mut h = vec![0.0; txs.len() * layer.outputs];
@@ -322,7 +328,8 @@ impl FactoredLayers {
             if l == 0 && self.direct == 0 && (self.pseudo.is_some() || d_txs.is_some()) {
                 let mut d_gamma = vec![0.0; layer.inputs * batch];
                 layer.whole().input_vjp(weights, &d_h, &mut d_gamma, StoreMode::Set);
-                let own = (layers[0].as_slice(), d_gamma.as_slice());
+                let encoded = layers[0].len() - if self.carrier.is_some() { batch } else { 0 };
+                let own = (&layers[0][..encoded], &d_gamma[..encoded]);
                 match (&self.pseudo, &mut d_txs) {
                     (Some(pseudo), d_txs) => pseudo.vjp(weights, txs, own, &mut d_weights, d_txs.as_deref_mut()),
                     (None, Some(d_txs)) => self.tx_encoding.encode_vjp(own, d_txs.as_chunks_mut().0),

@@ -32,6 +32,14 @@ pub use wrfgs::Wrfgs;
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Real};
 use serde::{Deserialize, Serialize};
 
+/// Rejects invalid factors on the carrier.
+fn check_carrier(carrier: f64) -> Result<(), String> {
+    if (0.0..=100.0).contains(&carrier) {
+        return Ok(());
+    }
+    Err(format!("carrier is {carrier}; give a factor from 0 to 100, such as 2, or 0 to ignore the carrier"))
+}
+
 /// No deformation: geometry and signals are equal for all transmitters. No weights, no settings.
 ///
 /// Use it to fit a single spectrum, for tests, and as the baseline for all networks.

@@ -5,11 +5,14 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
+use crate::check_carrier;
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::encoding::{self, check_frequencies, encode, encode_vjp};
 use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real};
+use pwrfgs_core::{
+    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +58,9 @@ pub struct Mlp {
     /// Factor on the initial weights and biases of the heads. 1 is the PyTorch initialisation; with small values,
     /// training starts near the undeformed Gaussians.
     pub head_init: f64,
+    /// Factor on the carrier, an input for data with several carriers: the logarithm of its frequency, from -1 to 1. Higher
+    /// factors let signals vary faster from one carrier to the next. 0 ignores the carrier.
+    pub carrier: f64,
 }
 
 impl Default for Mlp {
@@ -69,6 +75,7 @@ impl Default for Mlp {
             skip: Some(4),
             outputs: Outputs::All,
             head_init: 1.0,
+            carrier: 0.0,
         }
     }
 }
@@ -76,7 +83,8 @@ impl Default for Mlp {
 impl Mlp {
     /// Plans the layers in the order of the weight vector.
     fn network(&self, plan: &mut LayoutBuilder) -> MlpLayers {
-        let tx_inputs = encoding::width(self.tx_frequencies);
+        let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
+        let tx_inputs = encoding::width(self.tx_frequencies) + usize::from(carrier.is_some());
         let tx =
             [plan.linear("tx.0", tx_inputs, self.tx_hidden), plan.linear("tx.1", self.tx_hidden, self.tx_features)];
         let gamma = encoding::width(self.position_frequencies);
@@ -87,15 +95,19 @@ impl Mlp {
             Outputs::Signals => &[("signal", 2)],
         };
         let heads = plan.heads(heads, width, self.head_init);
-        MlpLayers { position_frequencies, tx_frequencies, outputs, tx, trunk, heads }
+        MlpLayers { position_frequencies, tx_frequencies, carrier, outputs, tx, trunk, heads }
     }
 }
 
 #[typetag::serde]
 impl Deformation for Mlp {
     fn traits(&self) -> DeformationTraits {
-        let varies_geometry = self.outputs == Outputs::All;
-        DeformationTraits { varies_geometry, differentiates_inputs: true, ..DeformationTraits::default() }
+        DeformationTraits {
+            varies_geometry: self.outputs == Outputs::All,
+            reads_carrier: self.carrier != 0.0,
+            differentiates_inputs: true,
+            ..DeformationTraits::default()
+        }
     }
 
     fn layout(&self) -> Layout {
@@ -104,7 +116,7 @@ impl Deformation for Mlp {
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         let network = laid_out(inputs.weights, |plan| self.network(plan));
-        network.forward(inputs.weights, inputs.means, inputs.txs.positions())
+        network.forward(inputs.weights, inputs.means, inputs.txs)
     }
 
     fn vjp(
@@ -121,6 +133,7 @@ impl Deformation for Mlp {
 
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
+        check_carrier(self.carrier)?;
         for (name, value) in [("tx_hidden", self.tx_hidden), ("tx_features", self.tx_features)] {
             if !(1..=WIDEST).contains(&value) {
                 return Err(format!("{name} is {value}; give a number from 1 to {WIDEST}"));
@@ -150,6 +163,8 @@ pub enum Outputs {
 pub(super) struct MlpLayers {
     pub(super) position_frequencies: usize,
     pub(super) tx_frequencies: usize,
+    /// Factor on the carrier, which then is the last input of the transmitter branch.
+    pub(super) carrier: Option<Real>,
     pub(super) outputs: Outputs,
     pub(super) tx: [Linear; 2],
     pub(super) trunk: Trunk,
@@ -158,7 +173,7 @@ pub(super) struct MlpLayers {
 
 /// Activations that depend on the transmitter only.
 struct TxSide {
-    /// Encoding γ of the transmitter position.
+    /// Encoding γ of the transmitter position, and the carrier.
     gamma: Vec<Real>,
     /// Activations after `tx.0`.
     hidden: Vec<Real>,
@@ -188,9 +203,10 @@ struct GradientSum {
 
 impl MlpLayers {
     /// Runs the transmitter branch for one transmitter, so that batches are bit-identical to single calls.
-    fn tx_side(&self, weights: &[Real], tx: [Real; 3]) -> TxSide {
-        let mut gamma = vec![0.0; self.tx[0].inputs];
+    fn tx_side(&self, weights: &[Real], tx: [Real; 3], carrier: Real) -> TxSide {
+        let mut gamma = vec![0.0; encoding::width(self.tx_frequencies)];
         encode([tx].into_iter(), self.tx_frequencies, &mut gamma);
+        gamma.extend(self.carrier.map(|factor| factor * carrier));
         let apply = |layer: &Linear, x: &[Real]| {
             let mut y = vec![0.0; layer.outputs];
             layer.whole().apply(weights, x, &mut y, StoreMode::Set);
@@ -204,8 +220,8 @@ impl MlpLayers {
         TxSide { gamma, hidden, features, folded }
     }
 
-    fn tx_sides(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<TxSide> {
-        txs.par_iter().map(|&tx| self.tx_side(weights, tx)).collect()
+    fn tx_sides(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<TxSide> {
+        txs.positions().par_iter().enumerate().map(|(b, &tx)| self.tx_side(weights, tx, txs.carrier(b))).collect()
     }
 
     /// Computes γ and W·γ of the centres of a chunk.
@@ -215,7 +231,7 @@ impl MlpLayers {
         self.trunk.share(weights, &scratch.gamma, &mut scratch.shared);
     }
 
-    pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]]) -> Deltas {
+    pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Deltas {
         let sides = self.tx_sides(weights, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let pieces: Vec<Vec<Deltas>> = items
@@ -267,8 +283,7 @@ impl MlpLayers {
         d_weights: &mut [Real],
         d_txs: Option<&mut [Real]>,
     ) {
-        let DeformationInputs { weights, means, .. } = *inputs;
-        let txs = inputs.txs.positions();
+        let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.tx_sides(weights, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let sums: Vec<GradientSum> = items
@@ -359,7 +374,8 @@ impl MlpLayers {
         product(MatrixMut::new(&mut d_gamma, batch, first.inputs), StoreMode::Set, d_z, first.weight(weights));
         let own = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
         let each = own.zip(d_txs.as_chunks_mut().0.chunks_mut(1));
-        each.for_each(|((gamma, d), d_tx)| encode_vjp(gamma, d, self.tx_frequencies, d_tx));
+        let encoded = encoding::width(self.tx_frequencies); // the carrier may follow
+        each.for_each(|((gamma, d), d_tx)| encode_vjp(&gamma[..encoded], &d[..encoded], self.tx_frequencies, d_tx));
     }
 }
 

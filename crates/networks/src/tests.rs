@@ -44,6 +44,7 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     deformation.start(Conditions::new(width, &conditions(5, "training")), &mut weights);
     let fixed = deformation.layout().fixed();
     let (means, txs) = (points(n, "means"), conditions(batch, "txs"));
+    let carriers: Vec<Real> = txs.chunks_exact(width).map(|tx| tx[0]).collect();
     let moved = if along_means { means.as_flattened() } else { &[] };
     let x = [weights.as_slice(), &txs, moved].concat();
     let split = |x: &[Real]| {
@@ -55,12 +56,12 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     };
     let f = |x: &[Real]| {
         let (w, txs, means) = split(x);
-        let inputs = DeformationInputs::new(&w, &means, Conditions::new(width, &txs), &POSE);
-        flat(&deformation.forward(&inputs, &None))
+        let txs = Conditions::new(width, &txs).at_carriers(&carriers);
+        flat(&deformation.forward(&DeformationInputs::new(&w, &means, txs, &POSE), &None))
     };
     let vjp = |x: &[Real], d: &[Real]| {
         let (w, txs, means) = split(x);
-        let inputs = DeformationInputs::new(&w, &means, Conditions::new(width, &txs), &POSE);
+        let inputs = DeformationInputs::new(&w, &means, Conditions::new(width, &txs).at_carriers(&carriers), &POSE);
         let d = deltas_like(&deformation.forward(&inputs, &None), d);
         // Starts from ones to show that derivatives are added.
         let (mut d_weights, mut d_txs, mut d_means) = (vec![1.0; w.len()], vec![1.0; txs.len()], vec![[1.0; 3]; n]);
@@ -98,6 +99,7 @@ fn mlp_derivatives_agree_with_central_differences() {
     check_derivative("no skip", &Mlp { skip: None, ..small_mlp() }, 5, 2, false);
     check_derivative("signals", &Mlp { outputs: Outputs::Signals, skip: Some(0), ..small_mlp() }, 20, 4, false);
     check_derivative("one layer", &Mlp { depth: 1, skip: None, ..small_mlp() }, 3, 1, false);
+    check_derivative("carriers", &Mlp { carrier: 2.0, ..small_mlp() }, 5, 3, false);
     check_derivative("coordinates", &Mlp { position_frequencies: 0, tx_frequencies: 0, ..small_mlp() }, 3, 1, false);
 }
 
@@ -117,6 +119,7 @@ fn small_factored() -> Factored {
         tx_encoding: Encoding::Octaves(2),
         position_encoding: Encoding::Octaves(1),
         near: None,
+        carrier: 0.0,
     }
 }
 
@@ -124,6 +127,7 @@ fn small_factored() -> Factored {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn factored_derivatives_agree_with_central_differences() {
     check_derivative("factored", &small_factored(), 7, 3, true);
+    check_derivative("factored, carriers", &Factored { carrier: 2.0, ..small_factored() }, 2, 35, true);
     check_derivative("factored, two groups", &small_factored(), 2, 35, true);
     let bare = Factored { depth: 1, tx_encoding: Encoding::Octaves(0), ..small_factored() };
     check_derivative("factored, coordinates", &bare, 3, 1, true);
@@ -143,6 +147,29 @@ fn factored_derivatives_agree_with_central_differences() {
         2,
         true,
     );
+}
+
+#[test]
+fn networks_read_the_carrier_if_it_is_set() {
+    let [deaf, hearing]: [[Box<dyn Deformation>; 2]; 2] = [0.0, 2.0].map(|carrier| {
+        [
+            Box::new(Mlp { carrier, ..small_mlp() }) as Box<dyn Deformation>,
+            Box::new(Factored { carrier, ..small_factored() }),
+        ]
+    });
+    let (means, txs) = (points(5, "means"), points(2, "txs"));
+    for (deaf, hearing) in deaf.iter().zip(&hearing) {
+        assert_eq!((deaf.traits().reads_carrier, hearing.traits().reads_carrier), (false, true));
+        let run = |own: &dyn Deformation, carriers: &[Real]| {
+            let weights = own.layout().init(&mut rng::stream(1, "init", 0));
+            let txs = Conditions::from(&txs).at_carriers(carriers);
+            flat(&own.forward(&DeformationInputs::new(&weights, &means, txs, &POSE), &None))
+        };
+        assert_eq!(run(&**deaf, &[-1.0, 1.0]), run(&**deaf, &[]));
+        assert_ne!(run(&**hearing, &[-1.0, 1.0]), run(&**hearing, &[]));
+        assert_eq!(run(&**hearing, &[0.0, 0.0]), run(&**hearing, &[]));
+    }
+    assert!(Factored { carrier: -1.0, ..small_factored() }.check().is_err());
 }
 
 #[test]

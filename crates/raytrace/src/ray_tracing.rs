@@ -200,6 +200,12 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
 /// Index in the scene of each receiver of the data: by name, or the only one.
 fn receivers(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     let of_data = &data.scene.receivers;
+    if !scene.carriers_hz.is_empty() {
+        let find = |hz: Option<f64>| scene.carriers_hz.iter().position(|own| Some(*own) == hz);
+        let absent =
+            || Error::Config("RayTracing: a carrier of the data is not in `carriers_hz` of the scene; add it".into());
+        return of_data.iter().map(|receiver| find(receiver.carrier_hz).ok_or_else(absent)).collect();
+    }
     let find = |name: &str| scene.receivers().position(|receiver| receiver.name == name);
     let only = (of_data.len() == 1).then_some(0);
     let which = |name: &str| {

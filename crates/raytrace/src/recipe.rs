@@ -41,7 +41,7 @@ impl SimulationRecipe {
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check(samples, points).map_err(Error::Config)?;
         let scene = SceneFile::read(scene)?;
-        let receivers = scene.receivers().count();
+        let receivers = scene.receivers().count() * scene.carriers_hz.len().max(1);
         if samples * receivers > MOST_SAMPLES {
             let what = format!("more than {MOST_SAMPLES} links; give fewer samples");
             let subject = format!("{samples} samples at {receivers} receivers");
@@ -67,6 +67,10 @@ impl SimulationRecipe {
         observe.check().map_err(Error::Config)?;
         if self.scene.moving_receiver.is_some() && observe != ObservationKind::Spectrum {
             let what = "its receiver moves, which only spectra support; remove `moving_receiver`";
+            return Err(Error::Config(format!("scene `{}`: {what}", self.scene.name)));
+        }
+        if !self.scene.carriers_hz.is_empty() && observe != ObservationKind::Spectrum {
+            let what = "it has several carriers, which only spectra support; remove `carriers_hz` or set --carrier-hz";
             return Err(Error::Config(format!("scene `{}`: {what}", self.scene.name)));
         }
         if let ObservationKind::Channel { .. } = observe {

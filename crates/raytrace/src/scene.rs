@@ -16,8 +16,9 @@ use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
 use crate::transmitters::Transmitters;
 use glam::{DQuat, DVec3};
+use propagation::check_carriers;
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Pose, Result, ShippedFile, did_you_mean, files, rng};
+use pwrfgs_core::{Error, Pose, Receiver, Result, ShippedFile, did_you_mean, files, rng};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -49,6 +50,10 @@ pub struct SceneFile {
     pub about: String,
     /// Carrier frequency, Hz.
     pub carrier_hz: f64,
+    /// Carriers of spectra at one receiver, Hz, ascending; without them, `carrier_hz` alone. Materials and antenna spacing
+    /// are those of each carrier.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub carriers_hz: Vec<f64>,
     /// Walls, floor and ceiling; without them, the scene is open, as outdoors.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub room: Option<Room>,
@@ -137,7 +142,9 @@ impl SceneFile {
     /// # Errors
     /// A value out of range.
     pub fn with(mut self, carrier_hz: Option<f64>, receiver: Option<[f64; 3]>) -> Result<Self> {
-        self.carrier_hz = carrier_hz.unwrap_or(self.carrier_hz);
+        if let Some(only) = carrier_hz {
+            (self.carrier_hz, self.carriers_hz) = (only, Vec::new());
+        }
         self.receiver.position = receiver.unwrap_or(self.receiver.position);
         let fault = self.fault().map(|what| Error::Config(format!("scene `{}`: {what}", self.name)));
         fault.map_or(Ok(self), Err)
@@ -207,6 +214,17 @@ impl SceneFile {
         Some(SceneReceiver { position: position.to_array(), orientation, ..self.receiver.clone() })
     }
 
+    /// The scene at each of its carriers, with a receiver of this name, which sets its noise; the scene itself if it has
+    /// one carrier.
+    pub(crate) fn per_carrier(&self) -> Vec<Self> {
+        let at = |hz: &f64| {
+            let mut receiver = self.receiver.clone();
+            receiver.name = Receiver::of_carrier(Pose::IDENTITY, *hz).name;
+            Self { carrier_hz: *hz, carriers_hz: Vec::new(), receiver, ..self.clone() }
+        };
+        if self.carriers_hz.is_empty() { vec![self.clone()] } else { self.carriers_hz.iter().map(at).collect() }
+    }
+
     /// The scene with only one of its receivers.
     pub fn with_receiver(&self, receiver: &SceneReceiver) -> Self {
         Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
@@ -258,13 +276,15 @@ impl SceneFile {
             let what = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
             return Err(SceneFault::of(what, "carrier_hz"));
         }
+        let is_fixed = self.more_receivers.is_empty() && self.moving_receiver.is_none();
+        check_carriers(&self.carriers_hz, is_fixed).map_err(|what| SceneFault::of(what, "carriers_hz"))?;
         for (name, material) in &self.materials {
             material
                 .check()
                 .map_err(|why| SceneFault::of(format!("material `{name}`: {why}"), &format!("\"{name}\"")))?;
         }
-        for (owner, finish) in self.finishes() {
-            self.check_finish(owner, finish)?;
+        for hz in std::iter::once(self.carrier_hz).chain(self.carriers_hz.iter().copied()) {
+            self.finishes().try_for_each(|(owner, finish)| self.check_finish(owner, finish, hz))?;
         }
         if let Some(room) = &self.room {
             room.outline.check().map_err(|what| SceneFault::of(what, "outline"))?;
@@ -311,7 +331,7 @@ impl SceneFile {
         Ok(())
     }
 
-    fn check_finish(&self, owner: &str, finish: &Finish) -> Result<(), SceneFault> {
+    fn check_finish(&self, owner: &str, finish: &Finish, carrier_hz: f64) -> Result<(), SceneFault> {
         let name = &finish.material;
         let quoted = format!("\"{name}\"");
         let Some(material) = self.material(name) else {
@@ -322,13 +342,13 @@ impl SceneFile {
             let what = format!("unknown material `{name}`{hint}; known are {}", known.join(", "));
             return Err(SceneFault::of(what, &quoted));
         };
-        let eta = material.permittivity(self.carrier_hz);
+        let eta = material.permittivity(carrier_hz);
         if !(eta.re >= LEAST_PERMITTIVITY && eta.norm() <= MOST_PERMITTIVITY) {
             let what = format!(
                 "material `{name}` has a relative permittivity of {:e} and {:e} at {} GHz; correct its `a`, `b`, `c` and `d`",
                 eta.re,
                 eta.im,
-                self.carrier_hz / 1e9
+                carrier_hz / 1e9
             );
             return Err(SceneFault::of(what, &quoted));
         }

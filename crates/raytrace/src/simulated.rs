@@ -80,7 +80,8 @@ impl Simulated {
         } else {
             links(recipe, folder, points)?
         };
-        if (one && data.len() != self.samples) || data.scene.points.len() != self.points {
+        let links = self.samples * recipe.scene.carriers_hz.len().max(1);
+        if (one && data.len() != links) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds an unexpected number of spectra or points"));
         }
         data.title = strip_control(&format!("{} (simulated)", recipe.scene.name));

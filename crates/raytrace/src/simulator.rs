@@ -21,7 +21,7 @@ const CHUNK: usize = 32;
 pub struct Simulator {
     scene: Arc<SceneFile>,
     world: Arc<World>,
-    /// Receivers, at least one.
+    /// Receivers, at least one; with several carriers, one per carrier.
     listeners: Vec<PreparedReceiver>,
 }
 
@@ -35,9 +35,14 @@ impl Simulator {
         let (scene, world) = (Arc::new(scene.clone()), Arc::new(world::from_scene(scene)?));
         check_patches(&scene, &world)?;
         let mut listeners: Vec<PreparedReceiver> = Vec::new();
-        for receiver in scene.receivers() {
-            listeners.push(PreparedReceiver::new(&scene, receiver, &world)?);
-            check_memory(&scene, &listeners)?;
+        for own in scene.per_carrier() {
+            let own_world =
+                if scene.carriers_hz.is_empty() { Arc::clone(&world) } else { Arc::new(world::from_scene(&own)?) };
+            let own = Arc::new(own);
+            for receiver in own.receivers() {
+                listeners.push(PreparedReceiver::new(&own, receiver, &own_world)?);
+                check_memory(&scene, &listeners)?;
+            }
         }
         Ok(Self { scene, world, listeners })
     }
@@ -52,7 +57,7 @@ impl Simulator {
         &self.world
     }
 
-    /// Receivers, in the order of the scene; the first is `receiver`.
+    /// Receivers, in the order of the scene; the first is `receiver`. With several carriers, one per carrier.
     pub fn listeners(&self) -> &[PreparedReceiver] {
         &self.listeners
     }
@@ -159,7 +164,7 @@ fn check_memory(scene: &SceneFile, listeners: &[PreparedReceiver]) -> Result<()>
         "scene `{}`: images for {} of its {} receivers take more than {} GB already; give fewer receivers or a lower `order`",
         scene.name,
         listeners.len(),
-        scene.receivers().count(),
+        scene.receivers().count() * scene.carriers_hz.len().max(1),
         MOST_BYTES >> 30
     )))
 }

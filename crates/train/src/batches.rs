@@ -116,14 +116,19 @@ fn observed(
 ) -> Result<Batch> {
     let mut batch = Batch { width: stages.method.traits().inputs, places, ..Batch::default() };
     let (mut before, own) = (None, matches!(batch.places, BatchPixels::Own(_)));
+    let (carriers, mut last) = (stages.carriers(), None);
     for &i in links {
         let (query, transmitter) = (data.query(i), data.links[i].transmitter);
+        let carrier = carriers.get(query.receiver);
         if !query.features.is_empty() {
             batch.conditions.extend_from_slice(query.features); // one per link
-        } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) {
+            batch.carriers.extend(carrier);
+        } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) || carrier != last {
             batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
             batch.orientations.extend(query.orientation);
+            batch.carriers.extend(carrier);
         }
+        last = carrier;
         before = Some((transmitter, i));
         let transmitter = batch.conditions.len() / batch.width.max(1) - 1;
         batch.links.push(Link { transmitter, receiver: query.receiver });

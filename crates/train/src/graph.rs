@@ -32,6 +32,8 @@ pub struct Batch {
     pub width: usize,
     /// Orientations of a moving receiver `[B,4]`; otherwise empty.
     pub orientations: Vec<[f64; 4]>,
+    /// Carriers `[B]`, from -1 to 1; empty for one carrier.
+    pub carriers: Vec<Real>,
     /// Links between transmitters of the batch and receivers, grouped by transmitter.
     pub links: Vec<Link>,
     /// Selected values of the observations.
@@ -77,6 +79,7 @@ impl Batch {
         let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
             conditions: self.conditions.clone(),
             orientations: self.orientations.clone(),
+            carriers: self.carriers.clone(),
             width: self.width,
             links: links.to_vec(),
             places: BatchPixels::Own(places.to_vec()),
@@ -87,7 +90,8 @@ impl Batch {
 
     /// Borrows the links for a method.
     pub(crate) fn request(&self) -> ObservationRequest<'_> {
-        let conditions = Conditions::new(self.width, &self.conditions).turned(&self.orientations);
+        let conditions =
+            Conditions::new(self.width, &self.conditions).turned(&self.orientations).at_carriers(&self.carriers);
         ObservationRequest { conditions, links: &self.links, pixels: self.places.pixels() }
     }
 }
@@ -354,7 +358,7 @@ mod tests {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
         let places = BatchPixels::Own((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
-        let batch = Batch { conditions: vec![1.0; 21], width: 3, orientations: Vec::new(), links, places, truths };
+        let batch = Batch { conditions: vec![1.0; 21], width: 3, links, places, truths, ..Batch::default() };
         assert!(batch.parts(20).is_none() && Batch { places: BatchPixels::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
         assert_eq!(parts.iter().map(|part| part.links.len()).collect::<Vec<_>>(), [7, 7, 6]);

@@ -6,9 +6,10 @@ use numpy::PyArrayDyn;
 use numpy::PyReadonlyArrayDyn;
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
 use pwrfgs::experiment::data_warnings;
-use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Pose, Real, Receiver, Sample, Spectra};
+use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 
 /// Exception for received powers without receiver positions.
 pub(super) fn receivers_missing(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
@@ -35,6 +36,7 @@ pub(super) fn receivers_of(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> 
         };
         Ok(Receiver {
             antennas: item.getattr("antennas")?.extract()?,
+            carrier_hz: item.getattr("carrier_hz")?.extract()?,
             ..Receiver::new(item.getattr("name")?.extract::<String>()?, pose)
         })
     };
@@ -46,10 +48,29 @@ fn listed<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     value.try_iter().map_err(|error| wrong(value.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
-/// Adds the orientations `[M, 4]` of a moving receiver, if given.
-pub(super) fn turned(data: Dataset, orientations: Option<Vec<f64>>) -> pwrfgs_core::Result<Dataset> {
-    match orientations {
-        Some(all) => data.with_moving_receiver(all.as_chunks().0.to_vec()),
+/// Creates the Python object of a receiver.
+pub(super) fn receiver_object<'py>(
+    class: &Bound<'py, PyAny>,
+    origin: Origin,
+    receiver: &Receiver,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (py, pose) = (class.py(), origin.world_pose(receiver.pose));
+    let (position, orientation) = (PyTuple::new(py, pose.position)?, PyTuple::new(py, pose.orientation)?);
+    class.call1((&receiver.name, position, orientation, receiver.antennas.clone(), receiver.carrier_hz))
+}
+
+/// Adds the orientations `[M, 4]` of a moving receiver, and the carriers `[M]` in Hz, if given.
+pub(super) fn turned(
+    data: Dataset,
+    orientations: Option<Vec<f64>>,
+    carriers_hz: Option<Vec<f64>>,
+) -> pwrfgs_core::Result<Dataset> {
+    let data = match orientations {
+        Some(all) => data.with_moving_receiver(all.as_chunks().0.to_vec())?,
+        None => data,
+    };
+    match carriers_hz {
+        Some(all) => data.with_carriers(&all),
         None => Ok(data),
     }
 }

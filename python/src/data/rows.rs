@@ -134,8 +134,9 @@ impl Dataset {
             if error.is_instance_of::<pyo3::exceptions::PyKeyError>(py) { wrong(py, "damaged data set") } else { error }
         })?;
         let title: String = get("title")?.extract()?;
-        let made =
-            free(py, || inputs::turned(Data::of_links(title, receivers, points, &samples, observations)?, turns))?;
+        let made = free(py, || {
+            inputs::turned(Data::of_links(title, receivers, points, &samples, observations)?, turns, None)
+        })?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
         let camera: Option<([f64; 2], [f64; 2])> = get("camera")?.extract()?;

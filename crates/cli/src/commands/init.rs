@@ -137,7 +137,12 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
                 set.extend(MOVING_LOBES.map(str::to_owned));
                 (COARSE_SPECTRA, 16)
             };
-            (start, batch, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+            if survey.data.scene.receivers.len() == 1 {
+                (start, batch, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+            } else {
+                set.push("deformation.carrier=2.0".into()); // several carriers
+                (start, batch, "MeanSpectrum(), NearestCarrier(), NearestNeighbours(k: Auto), Kriging()")
+            }
         }
         _ if survey.data.task().is_scalar => {
             // Wavelengths from the size of the site to 2 m, or to an eighth of a small site.

@@ -15,6 +15,7 @@ fn source(root: PathBuf) -> Channels {
         points: None,
         carrier_hz: Some(1e9),
         spacing_hz: Some(1e6),
+        more_carriers: vec![],
         receiver: Some(ReceiverPlace::default()),
         simulated: false,
     }
@@ -55,6 +56,34 @@ fn reads_channels_with_antennas_and_frequencies() {
     assert!(data.is_simulated() && !data.title.contains("measured"), "{}", data.title);
     source.carrier_hz = Some(1e5);
     assert!(source.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string().contains("correct `carrier_hz`"));
+}
+
+#[test]
+fn reads_several_carriers_at_the_same_positions() {
+    let folder = folder([2, 1, 3]);
+    fs::copy(folder.path().join("h.npy"), folder.path().join("low.npy")).unwrap();
+    fs::write(folder.path().join("train_index.txt"), "0\n").unwrap();
+    fs::write(folder.path().join("test_index.txt"), "1\n").unwrap();
+    let low = CarrierFile { file: "low.npy".into(), carrier_hz: 9e8 };
+    let mut source = Channels { more_carriers: vec![low], ..source(folder.path().into()) };
+    let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
+    let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
+    assert_eq!((names, data.transmitters.len(), data.len()), (vec!["900MHz", "1000MHz"], 2, 4));
+    assert_eq!(data.image(2).pixels, data.image(3).pixels);
+    assert_eq!(data.official, Some((vec![0, 1], vec![2, 3])));
+    let setup = pwrfgs_core::MeasurementSetup::of(&data, data.plane());
+    assert_eq!(setup.frequencies_of(0), [9e8 - 1e6, 9e8, 9e8 + 1e6]);
+    assert_eq!(setup.frequencies_of(1), [1e9 - 1e6, 1e9, 1e9 + 1e6]);
+    assert_eq!(setup.carriers(), [-1.0, 1.0]);
+    fs::write(
+        folder.path().join("low.npy"),
+        npy_header_as("<c8", &[1, 1, 1]).into_iter().chain([0; 8]).collect::<Vec<u8>>(),
+    )
+    .unwrap();
+    let message = source.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
+    assert!(message.contains("low.npy: has the shape [1, 1, 1], but h.npy has [2, 1, 3]; give arrays of"), "{message}");
+    source.more_carriers[0].carrier_hz = 0.0;
+    assert!(source.check().unwrap_err().starts_with("`more_carriers`: the carrier is 0.0 Hz"));
 }
 
 #[test]

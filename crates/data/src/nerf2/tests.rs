@@ -76,6 +76,21 @@ fn reads_valid_nerf2_folder() {
 }
 
 #[test]
+fn reads_the_carrier_of_every_row() {
+    let folder = Folder::new();
+    folder.write("s/tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n1,2,3\n1,1,1\n");
+    folder.write("s/freq.txt", "2.4\n2.4\n2.5\n2.5\n");
+    let data = folder.load();
+    let rows: Vec<(u32, &str)> =
+        data.samples().map(|s| (s.id, data.scene.receivers[s.receiver].name.as_str())).collect();
+    assert_eq!(rows, [(1, "2400MHz"), (1, "2500MHz"), (2, "2400MHz")]);
+    let first: Vec<u8> = (0..3).map(|i| data.observations.raw(i)[0]).collect();
+    assert_eq!((first, data.official), (vec![1, 3, 2], Some((vec![0, 1], vec![2]))));
+    folder.write("s/freq.txt", "2.4\n");
+    assert_eq!(folder.fault(), "DIR/s/freq.txt: has 1 lines, but tx_pos.csv has 4 rows; write one line per row");
+}
+
+#[test]
 fn file_format_variants_give_same_data() {
     let folder = Folder::new();
     let plain = folder.load();

@@ -49,6 +49,15 @@ fn reads_saved_data_back() {
     data.elevation = Elevation { first: 80.0, last: -10.0 }; // pixels that are not square, from above to below
     same(&data, &again(&data));
 
+    let spectra = Spectra::grey((30, 8), (0..960).map(|v| (v % 256) as u8).collect()).unwrap();
+    let samples = (1..=4).map(|i| Sample::new(i, [f64::from(i % 2), 0.5, 1.0])).collect();
+    let data = Dataset::new("carriers", pose, vec![], samples, spectra).unwrap();
+    let data = Dataset { official: Some((vec![0, 2], vec![1, 3])), ..data };
+    let data = data.with_carriers(&[2.4e9, 2.4e9, 2.4123e9, 2.4123e9]).unwrap();
+    let back = again(&data);
+    assert_eq!((&data.links, &data.scene.receivers), (&back.links, &back.scene.receivers));
+    assert_eq!((&data.official, data.image(2)), (&back.official, back.image(2)));
+
     let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
     let samples = [(0, 0), (0, 1), (1, 1)].map(|(id, receiver)| Sample { id, tx: [f64::from(id), 2.0, 1.5], receiver });
     let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);

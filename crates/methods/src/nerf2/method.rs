@@ -203,6 +203,9 @@ impl Method for Nerf2 {
         if setup.moves {
             return Err("method: Nerf2 has a fixed receiver, but that of these data moves; use Splatting()".into());
         }
+        if !setup.carriers().is_empty() {
+            return Err("method: Nerf2 has one carrier, but these data have several; use Splatting()".into());
+        }
         if setup.task.has_pixels && setup.plane.direction(0.0, 0.0).is_none() {
             return Err("method: Nerf2 needs the directions of pixels, which these data do not contain".into());
         }

@@ -31,8 +31,8 @@ impl SplattedChannel {
         let network = parts(setup, weights).0.len();
         let conditions = Conditions::new(self.deformation.traits().inputs, &all);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
-        let (Some(linear), [receiver]) = (linear, setup.receivers.as_slice()) else { return false };
-        let waves = Waves::new(setup, receiver, cloud, None);
+        let (Some(linear), [_]) = (linear, setup.receivers.as_slice()) else { return false };
+        let waves = Waves::new(setup, 0, cloud, None);
         let Some(all) = data.observations.channels() else { return false };
         let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();
         let Some(map) = ridge(&linear, &channels) else { return false };

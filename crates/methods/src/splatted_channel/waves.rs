@@ -33,17 +33,12 @@ fn way(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
 }
 
 impl Waves {
-    pub(super) fn new(
-        setup: &MeasurementSetup,
-        receiver: &Receiver,
-        cloud: &GaussianCloud,
-        gate: Option<&[Real]>,
-    ) -> Self {
-        let (n, columns) = (cloud.len(), setup.frequencies_hz.len());
-        let antennas = antennas(receiver);
+    pub(super) fn new(setup: &MeasurementSetup, receiver: usize, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Self {
+        let (n, frequencies) = (cloud.len(), setup.frequencies_of(receiver));
+        let (columns, antennas) = (frequencies.len(), antennas(&setup.receivers[receiver]));
         let mut both = vec![[0.0; 2]; antennas.len() * columns * n];
         both.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(row, out)| {
-            let (antenna, hz) = (&antennas[row / columns], setup.frequencies_hz[row % columns]);
+            let (antenna, hz) = (&antennas[row / columns], frequencies[row % columns]);
             let k = std::f64::consts::TAU * hz / SPEED_OF_LIGHT;
             for (i, out) in out.iter_mut().enumerate() {
                 let d = way(&cloud.means[i], antenna).1;
@@ -131,19 +126,19 @@ impl Waves {
     /// Adds to the cotangents of means and gate, given those of the waves.
     pub(super) fn vjp(
         setup: &MeasurementSetup,
-        receiver: &Receiver,
+        receiver: usize,
         cloud: &GaussianCloud,
         gate: Option<&[Real]>,
         d_waves: &[[Real; 2]],
         (d_means, d_gate): (&mut [[Real; 3]], &mut [Real]),
     ) {
-        let (n, columns) = (cloud.len(), setup.frequencies_hz.len());
-        let antennas = antennas(receiver);
+        let (n, frequencies) = (cloud.len(), setup.frequencies_of(receiver));
+        let (columns, antennas) = (frequencies.len(), antennas(&setup.receivers[receiver]));
         d_means.par_iter_mut().zip(d_gate).enumerate().for_each(|(i, (d_mean, d_gate))| {
             let open = gate.map_or(1.0, |gate| gate[i] as f64);
             for (row, d) in d_waves.chunks_exact(n).enumerate() {
                 let (d_re, d_im) = (d[i][0] as f64, d[i][1] as f64);
-                let k = std::f64::consts::TAU * setup.frequencies_hz[row % columns] / SPEED_OF_LIGHT;
+                let k = std::f64::consts::TAU * frequencies[row % columns] / SPEED_OF_LIGHT;
                 let (way, d) = way(&cloud.means[i], &antennas[row / columns]);
                 let (sin, cos) = (k * d).sin_cos();
                 *d_gate += ((d_re * cos - d_im * sin) / d) as Real;

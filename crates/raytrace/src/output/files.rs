@@ -11,7 +11,7 @@ use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::{Error, Number, Result, files};
-use pwrfgs_data::{POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv};
+use pwrfgs_data::{CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -65,16 +65,22 @@ impl OutputLayout {
             let what = "does not match the observation type; choose another layout";
             return Err(Error::Config(format!("{self:?} {what}")));
         }
-        if self == Self::Pictures && recipe.samples > MOST_PICTURES {
+        let pictures = recipe.samples * recipe.scene.carriers_hz.len().max(1);
+        if self == Self::Pictures && pictures > MOST_PICTURES {
             return Err(Error::Config(format!(
-                "{} spectra exceed the limit of {MOST_PICTURES} images; write one array with --npy",
-                recipe.samples
+                "{pictures} spectra exceed the limit of {MOST_PICTURES} images; write one array with --npy"
             )));
         }
         if recipe.scene.moving_receiver.is_some() && (self != Self::Array || paths) {
             return Err(Error::Config(format!(
                 "the receiver of scene `{}` moves, which only an array of spectra without paths supports; remove --layout \
                  and add --npy --no-paths (in Python layout=\"arrays\")",
+                recipe.scene.name
+            )));
+        }
+        if !recipe.scene.carriers_hz.is_empty() && !matches!(self, Self::Pictures | Self::Array) {
+            return Err(Error::Config(format!(
+                "scene `{}` has several carriers, which only spectra support; remove --layout, or select one with --carrier-hz",
                 recipe.scene.name
             )));
         }
@@ -100,7 +106,8 @@ pub(crate) fn is_test(i: usize) -> bool {
     (i + 1).is_multiple_of(TEST_EVERY)
 }
 
-/// Open files in an empty folder. With several receivers, their observations of a transmitter are consecutive.
+/// Open files in an empty folder. With several receivers or carriers, their observations of a transmitter are consecutive.
+/// Every carrier is a row.
 pub(super) struct Files {
     folder: PathBuf,
     layout: OutputLayout,
@@ -112,6 +119,8 @@ pub(super) struct Files {
     facts: Option<(&'static str, String)>,
     /// Table of positions, or of the poses of a moving receiver.
     positions: (&'static str, String),
+    /// Carriers, each with a row per transmitter, Hz; empty for one carrier.
+    carriers_hz: Vec<f64>,
     /// Path tables, one per receiver, or none.
     paths: Vec<(PathTable, Growing)>,
 }
@@ -125,7 +134,7 @@ impl Files {
         paths: bool,
     ) -> Result<Self> {
         let (listeners, scene) = (simulator.listeners(), simulator.scene());
-        let (links, is_alone) = (samples * listeners.len(), listeners.len() == 1);
+        let (links, is_alone) = (samples * listeners.len(), scene.more_receivers.is_empty());
         let array = |name, header: Vec<u8>| Growing::begin(folder.join(name), &header).map(Some);
         let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
         let channels = |name| array(name, npy_header_as("<c8", &shape));
@@ -160,7 +169,7 @@ impl Files {
         };
         let table_of = |listener: &PreparedReceiver| {
             let own = format!("paths-{}.csv", listener.receiver().name);
-            let path = folder.join(if is_alone { PATHS } else { &own });
+            let path = folder.join(if listeners.len() == 1 { PATHS } else { &own });
             let file = Growing::begin(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
             Ok((PathTable::new(simulator.world(), listener.world_from_receiver()), file))
         };
@@ -169,17 +178,20 @@ impl Files {
             Some(_) => (POSES, poses_csv(std::iter::empty())),
             None => (POSITIONS, "x,y,z\n".into()),
         };
-        Ok(Self { folder: folder.into(), layout, array, table, facts, positions, paths })
+        let carriers_hz = scene.carriers_hz.clone();
+        Ok(Self { folder: folder.into(), layout, array, table, facts, positions, carriers_hz, paths })
     }
 
     /// Adds the observations of the `i`th transmitter, counted from 0; `place` is its row in the table of positions.
     pub(super) fn add(&mut self, i: usize, place: &str, all: &[ReceiverObservation]) -> Result<()> {
-        let id = i + self.layout.first();
-        self.positions.1 += place;
-        for ((table, file), received) in self.paths.iter_mut().zip(all) {
-            file.add(table.rows(id, &received.paths).as_bytes())?;
+        let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first());
+        let id_of = |receiver: usize| i * rows + first + if rows == 1 { 0 } else { receiver };
+        self.positions.1 += &place.repeat(rows);
+        for (receiver, ((table, file), received)) in self.paths.iter_mut().zip(all).enumerate() {
+            file.add(table.rows(id_of(receiver), &received.paths).as_bytes())?;
         }
         for (receiver, received) in all.iter().enumerate() {
+            let id = id_of(receiver);
             match (&received.observed, &mut self.array) {
                 (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels)?,
                 (SimulatedObservation::Spectrum(spectrum), None) => {
@@ -218,9 +230,14 @@ impl Files {
         for (name, text) in self.facts.into_iter().chain(self.table).chain([self.positions]) {
             put(&self.folder.join(name), text)?;
         }
+        let rows = self.carriers_hz.len().max(1);
+        if !self.carriers_hz.is_empty() {
+            let text = self.carriers_hz.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat();
+            put(&self.folder.join(CARRIERS), text.repeat(samples))?;
+        }
         for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
             let mut text = String::new();
-            for i in (0..samples).filter(|i| is_test(*i) == is_wanted) {
+            for i in (0..samples * rows).filter(|i| is_test(i / rows) == is_wanted) {
                 match self.layout.first() {
                     0 => writeln!(text, "{i}"),
                     first => writeln!(text, "{:05}", i + first),

@@ -1,11 +1,14 @@
 //! Propagation effects and frequencies of a scene.
 
 use crate::scattering::Lobe;
+use pwrfgs_core::carrier_fault;
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of subcarriers.
 const MOST_SUBCARRIERS: usize = 4096;
+/// Largest number of carriers; each has its own images and beams.
+const MOST_CARRIERS: usize = 200;
 
 /// Propagation effects to simulate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -109,4 +112,18 @@ impl Subcarriers {
             "subcarriers: `bandwidth_hz` is {wide}, more than the carrier of {carrier_hz} Hz; give a narrower band"
         ))
     }
+}
+
+/// Returns an error for carriers that are out of range or not in order, or for several receivers or a moving one.
+pub(super) fn check_carriers(carriers_hz: &[f64], is_fixed: bool) -> Result<(), String> {
+    if let Some(fault) = carriers_hz.iter().find_map(|hz| carrier_fault(*hz)) {
+        return Err(format!("`carriers_hz`: {fault}"));
+    }
+    if !carriers_hz.is_sorted_by(|a, b| a < b) || carriers_hz.len() > MOST_CARRIERS {
+        return Err(format!("`carriers_hz` must ascend; give at most {MOST_CARRIERS} different frequencies in order"));
+    }
+    if !carriers_hz.is_empty() && !is_fixed {
+        return Err("`carriers_hz` needs one fixed receiver; remove `more_receivers` and `moving_receiver`".into());
+    }
+    Ok(())
 }

@@ -4,8 +4,8 @@ use super::{QueryParams, RequestError};
 use crate::side::{LoadedData, Predictor, ServerState, ViewPane};
 use hyper::StatusCode;
 use pwrfgs_core::{
-    Appearance, Conditions, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters,
-    PixelSubset, Query, Real, Statistic, neighbours,
+    Appearance, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters, PixelSubset,
+    Query, Real, Statistic, neighbours,
 };
 use pwrfgs_experiment::folder::{CURVE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
@@ -120,12 +120,8 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     if !blends {
         return strengths.iter().zip(&primitives.opacities).map(|(s, o)| s * o).collect();
     }
-    let (conditions, orientations, links) = stages.setup.conditions(inputs, std::iter::once(Query::at(tx, receiver)));
-    let request = Request {
-        conditions: Conditions::new(inputs, &conditions).turned(&orientations),
-        links: &links,
-        pixels: PixelSubset::All,
-    };
+    let inputs = stages.setup.inputs(inputs, std::iter::once(Query::at(tx, receiver)));
+    let request = Request { conditions: inputs.conditions(), links: &inputs.links, pixels: PixelSubset::All };
     let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };
     let truth = vec![0.0; stages.setup.numbers()];
     let needs = Needs::of(&[Statistic::Weight], 0);

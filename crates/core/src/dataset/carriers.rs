@@ -1,0 +1,112 @@
+//! Data sets with several carriers: one receiver per carrier, at one pose.
+
+use crate::{Dataset, Error, Receiver, Result, Sample, Scene, carrier_fault};
+use std::collections::BTreeMap;
+
+impl Dataset {
+    /// Sets the carrier of each link of one receiver, Hz. Every carrier then is a receiver at the same pose, with a name
+    /// such as `2400MHz`, in ascending order. Links at equal positions have one transmitter, with the ID of the first,
+    /// unless they also have equal carriers.
+    ///
+    /// # Errors
+    /// Several receivers, a moving receiver, features, another number of carriers than links, or a carrier out of range.
+    pub fn with_carriers(mut self, carriers_hz: &[f64]) -> Result<Self> {
+        let refuse = |what: String| Err(Error::Config(format!("data set `{}`: {what}", self.title)));
+        if self.scene.receivers.len() > 1 || self.orientations.is_some() || self.features.is_some() {
+            return refuse("carriers need one fixed receiver and no features; leave them out".into());
+        }
+        if carriers_hz.len() != self.len() {
+            let (have, need) = (carriers_hz.len(), self.len());
+            return refuse(format!("{have} carriers for {need} links; give as many of each"));
+        }
+        if let Some((i, fault)) = carriers_hz.iter().enumerate().find_map(|(i, hz)| Some((i, carrier_fault(*hz)?))) {
+            return refuse(format!("carrier {}: {fault}", i + 1));
+        }
+        let mut all = carriers_hz.to_vec();
+        all.sort_by(f64::total_cmp);
+        all.dedup();
+        if let [only] = all[..] {
+            self.scene.receivers[0].carrier_hz = Some(only);
+            return Ok(self);
+        }
+        // Repeated links at a position and carrier count up, and each count has its own transmitter.
+        let (mut counts, mut first_ids) = (BTreeMap::new(), BTreeMap::new());
+        let place = |(i, hz): (usize, &f64)| {
+            let Sample { id, tx, .. } = self.sample(i);
+            let (position, receiver) = (tx.map(f64::to_bits), all.partition_point(|other| other < hz));
+            let count: &mut usize = counts.entry((position, receiver)).or_default();
+            *count += 1;
+            (*first_ids.entry((position, *count)).or_insert(id), receiver, i)
+        };
+        let mut rows: Vec<(u32, usize, usize)> = carriers_hz.iter().enumerate().map(place).collect();
+        rows.sort_unstable();
+        let order: Vec<usize> = rows.iter().map(|(.., i)| *i).collect();
+        let samples: Vec<Sample> =
+            rows.iter().map(|&(id, receiver, i)| Sample { id, receiver, ..self.sample(i) }).collect();
+        let mut places = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(place, i)| places[*i] = place);
+        let moved = |list: &Vec<usize>| {
+            let mut list: Vec<usize> = list.iter().map(|i| places[*i]).collect();
+            list.sort_unstable();
+            list
+        };
+        let (local, antennas) = (self.scene.pose(), self.scene.receivers[0].antennas.clone());
+        let of_carrier = |hz: &f64| Receiver { antennas: antennas.clone(), ..Receiver::of_carrier(local, *hz) };
+        let receivers: Vec<Receiver> = all.iter().map(of_carrier).collect();
+        let is_sorted = order.is_sorted();
+        let observations = if is_sorted { self.observations.clone() } else { self.observations.subset(&order)? };
+        let official = self.official.as_ref().map(|(train, test)| (moved(train), moved(test)));
+        let columns = Self::of_links(self.title.clone(), receivers.clone(), vec![], &samples, observations)?;
+        Ok(Self {
+            scene: Scene { receivers, ..self.scene },
+            elevation: self.elevation,
+            placed: self.placed,
+            official,
+            simulation: self.simulation,
+            unmatched: self.unmatched,
+            ..columns
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Pose, Spectra};
+
+    /// Returns a data set of grey spectra 0, 1, .. at these positions along x.
+    fn line(xs: &[f64]) -> Dataset {
+        let sample = |(i, x): (usize, &f64)| Sample::new(i as u32 + 1, [*x, 0.0, 0.0]);
+        let spectra = Spectra::grey((1, 1), (0..xs.len() as u8).collect()).unwrap();
+        let data = Dataset::new("line", Pose::IDENTITY, vec![], xs.iter().enumerate().map(sample).collect(), spectra);
+        Dataset { official: Some(((0..xs.len() - 1).collect(), vec![xs.len() - 1])), ..data.unwrap() }
+    }
+
+    #[test]
+    fn links_at_one_position_share_a_transmitter() {
+        // Positions 0 and 1 at 3 GHz, then 1 and 0 at 2 GHz, then a repetition of 0 at 2 GHz.
+        let data = line(&[0.0, 1.0, 1.0, 0.0, 0.0]).with_carriers(&[3e9, 3e9, 2e9, 2e9, 2e9]).unwrap();
+        let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
+        assert_eq!((names, data.transmitters.len()), (vec!["2000MHz", "3000MHz"], 3));
+        let rows: Vec<(u32, f64, usize, u8)> = (0..5)
+            .map(|i| (data.sample(i).id, data.sample(i).tx[0], data.sample(i).receiver, data.observations.raw(i)[0]))
+            .collect();
+        assert_eq!(rows, [(1, 0.0, 0, 3), (1, 0.0, 1, 0), (2, 1.0, 0, 2), (2, 1.0, 1, 1), (5, 0.0, 0, 4)]);
+        assert_eq!(data.official, Some((vec![0, 1, 2, 3], vec![4])));
+    }
+
+    #[test]
+    fn one_carrier_changes_no_link() {
+        let data = line(&[0.0, 1.0]).with_carriers(&[2e9; 2]).unwrap();
+        assert_eq!((data.scene.receivers[0].carrier_hz, data.transmitters.len(), data.len()), (Some(2e9), 2, 2));
+        assert_eq!(data.scene.receivers[0].name, "receiver");
+    }
+
+    #[test]
+    fn rejects_invalid_carriers() {
+        let fault = |hz: &[f64]| line(&[0.0, 1.0]).with_carriers(hz).unwrap_err().to_string();
+        assert_eq!(fault(&[2e9]), "data set `line`: 1 carriers for 2 links; give as many of each");
+        let message = "data set `line`: carrier 2: the carrier is 2.4 Hz; give a frequency between 1e6 and 1e12 Hz";
+        assert_eq!(fault(&[2e9, 2.4]), message);
+    }
+}
