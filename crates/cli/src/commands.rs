@@ -13,6 +13,8 @@ mod init;
 mod map;
 mod options;
 mod pipelines;
+#[cfg(feature = "report")]
+mod plan;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -48,6 +50,9 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Draw radio maps over a plane, as images and arrays
     Map(map::Map),
+    #[cfg(feature = "report")]
+    /// Select positions to measure next
+    Plan(plan::Plan),
     #[cfg(feature = "viewer")]
     /// Show predictions in a browser while you move the transmitter
     View(view::View),
@@ -95,6 +100,8 @@ impl Command {
         match self {
             Self::Run(run) => return run::run(run, verbosity),
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
+            #[cfg(feature = "report")]
+            Self::Plan(plan) => return plan::plan(plan, verbosity),
             Self::Compare(compare) => return compare::compare(compare, verbosity),
             #[cfg(feature = "raytrace")]
             Self::Simulate(simulate) => return simulate::simulate(simulate, verbosity),
