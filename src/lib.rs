@@ -25,6 +25,7 @@ pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
 pub use pwrfgs_networks as networks;
 pub use pwrfgs_pipeline as pipeline;
+pub use pwrfgs_planning as planning;
 pub use pwrfgs_prune as prune;
 pub use pwrfgs_raster as raster;
 #[cfg(feature = "raytrace")]

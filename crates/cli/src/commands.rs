@@ -15,6 +15,8 @@ mod locate;
 mod map;
 mod options;
 mod pipelines;
+#[cfg(feature = "report")]
+mod plan;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -53,6 +55,9 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Locate transmitters from their spectra, received powers or channels
     Locate(locate::Locate),
+    #[cfg(feature = "report")]
+    /// Select positions to measure next
+    Plan(plan::Plan),
     #[cfg(feature = "viewer")]
     /// Show predictions in a browser while you move the transmitter
     View(view::View),
@@ -100,6 +105,8 @@ impl Command {
         match self {
             Self::Run(run) => return run::run(run, verbosity),
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
+            #[cfg(feature = "report")]
+            Self::Plan(plan) => return plan::plan(plan, verbosity),
             Self::Compare(compare) => return compare::compare(compare, verbosity),
             #[cfg(feature = "raytrace")]
             Self::Simulate(simulate) => return simulate::simulate(simulate, verbosity),

@@ -22,6 +22,7 @@ mod maps;
 mod model_format;
 mod my_pruner;
 mod odd_files;
+mod planning;
 mod prose;
 mod pruning;
 mod report;

@@ -25,6 +25,7 @@ const COMMANDS: &[&str] = &[
     "inspect",
     "map",
     "pipelines",
+    "plan",
     "plugins",
     "predict",
     "report",

@@ -10,7 +10,7 @@ use crate::Complex;
 use crate::scattering::Lobe;
 pub use build::{WorldBuilder, WorldPart};
 pub(crate) use contact::TOUCHING;
-pub(crate) use from_scene::from_scene;
+pub use from_scene::from_scene;
 use glam::DVec3;
 pub use hierarchy::Triangle;
 use hierarchy::{Hierarchy, crossing};

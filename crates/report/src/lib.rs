@@ -14,6 +14,7 @@ pub mod draw {
     pub mod plan;
     pub(crate) mod room;
     pub(crate) mod spectra;
+    pub mod survey;
 }
 pub mod live;
 mod run_page;

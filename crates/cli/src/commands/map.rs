@@ -8,7 +8,8 @@ use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
 use layers::{MapLayer, MapQuantity, layers, quantities};
-use plane::{MapPlane, PlaneBounds, PlaneGrid};
+pub(super) use plane::PlaneBounds;
+use plane::{MapPlane, PlaneGrid};
 use pwrfgs::data::npy_header;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::{field, grouped};
@@ -77,7 +78,8 @@ pub(crate) struct Map {
 
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let plane = MapPlane::parse(&arguments.plane)?;
-    let bounds = arguments.bounds.as_ref().map(|text| PlaneBounds::parse(text, plane.names())).transpose()?;
+    let bounds =
+        arguments.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.names())).transpose()?;
     let ensemble = read_models(&arguments.models)?;
     check_positions(&ensemble)?;
     let model = ensemble.prepare();

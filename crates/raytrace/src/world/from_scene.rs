@@ -12,7 +12,7 @@ use pwrfgs_core::{Error, Result};
 ///
 /// # Errors
 /// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
-pub(crate) fn from_scene(scene: &SceneFile) -> Result<World> {
+pub fn from_scene(scene: &SceneFile) -> Result<World> {
     let mut builder = WorldBuilder::default();
     match &scene.room {
         Some(room) => add_room(&mut builder, scene, room),

@@ -61,15 +61,15 @@ impl MapPlane {
 
 /// Extent of a map: low and high of the first and second free coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PlaneBounds(pub(super) [[f64; 2]; 2]);
+pub(in crate::commands) struct PlaneBounds(pub(super) [[f64; 2]; 2]);
 
 impl PlaneBounds {
     /// Parses `x0,x1,y0,y1`.
-    pub(super) fn parse(text: &str, names: [&str; 2]) -> Result<Self> {
+    pub(in crate::commands) fn parse(option: &str, text: &str, names: [&str; 2]) -> Result<Self> {
         let [a, b] = names;
         let wrong = || {
             Error::Config(format!(
-                "--bounds {text}: expected metres as {a}0,{a}1,{b}0,{b}1, the smaller first, such as 0,8,0,6"
+                "{option} {text}: expected metres as {a}0,{a}1,{b}0,{b}1, the smaller first, such as 0,8,0,6"
             ))
         };
         let fits = |ends: &[f64; 4]| {
@@ -77,6 +77,11 @@ impl PlaneBounds {
         };
         let [x0, x1, y0, y1] = numbers(text).filter(fits).ok_or_else(wrong)?;
         Ok(Self([[x0, x1], [y0, y1]]))
+    }
+
+    /// Whether a point is inside or on the edge.
+    pub(in crate::commands) fn holds(&self, place: [f64; 2]) -> bool {
+        self.0.iter().zip(place).all(|([low, high], v)| (*low..=*high).contains(&v))
     }
 
     /// Extends the bounds to multiples of `step`.
@@ -161,9 +166,9 @@ mod tests {
         for wrong in ["", "z", "w=1", "z=", "z=NaN", "z=1e9", "z=1,2"] {
             assert!(MapPlane::parse(wrong).unwrap_err().is_input(), "{wrong}");
         }
-        assert_eq!(PlaneBounds::parse("0, 8,-1,6", ["x", "y"]).unwrap().0, [[0.0, 8.0], [-1.0, 6.0]]);
+        assert_eq!(PlaneBounds::parse("--bounds", "0, 8,-1,6", ["x", "y"]).unwrap().0, [[0.0, 8.0], [-1.0, 6.0]]);
         for wrong in ["", "0,1,2", "1,0,0,1", "0,1,0,inf", "0,1,0,1,2"] {
-            assert!(PlaneBounds::parse(wrong, ["x", "y"]).is_err(), "{wrong}");
+            assert!(PlaneBounds::parse("--bounds", wrong, ["x", "y"]).is_err(), "{wrong}");
         }
     }
 

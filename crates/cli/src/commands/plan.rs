@@ -1,0 +1,284 @@
+//! `pwrfgs plan`: positions to measure next.
+
+mod source;
+
+use super::map::PlaneBounds;
+use crate::interrupt::stop_flag;
+use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
+use crate::progress::RunProgress;
+use clap::Args;
+use pwrfgs::experiment::statistics::Spread;
+use pwrfgs::experiment::text::{Lines, aligned, fixed, grouped, number};
+use pwrfgs::experiment::{Observer as _, staged};
+use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn};
+use pwrfgs::report::draw::survey::SurveyMap;
+use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::kriging::Correlation;
+use pwrfgs_core::{Dataset, Error, Result, evenly};
+use source::{PlaceOptions, Places, places};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Largest number of transmitters that a choice is scored on.
+const TESTED: usize = 500;
+/// Regular positions are as good if their variance exceeds that of the plan by at most this share.
+const ALIKE: f64 = 0.02;
+/// Width of the image in print, millimetres.
+const WIDTH_MM: f64 = 120.0;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Selects one candidate after another. Each lowers the variance of a Gaussian process, summed over the
+region, most. Prints random, regular and largest-variance choices of the same size beside the plan.
+Writes plan.csv (order, candidate, position, mean variance so far) and plan.png.
+CANDIDATES
+  SOURCE alone           the positions of a data folder, none of them measured yet
+  --candidates, --floor  new positions; those of SOURCE (data, run folder or model) are measured
+LENGTH SCALE
+  A fifth of the diagonal of the region, without measurements. Measured data with new candidates, and
+  --simulate at 8 positions and at every doubling, estimate it by maximum likelihood.
+
+EXAMPLES
+  pwrfgs plan data/s23 --simulate --count 100 --out next
+  pwrfgs plan data/mine --candidates new.csv --count 20 --out next
+  pwrfgs plan --floor scenes/office.ron --step 0.25 --height 1.2 --count 20 --out next")]
+pub(crate) struct Plan {
+    #[command(flatten)]
+    pub(crate) places: PlaceOptions,
+    /// Number of positions to select
+    #[arg(long, value_name = "N")]
+    pub(crate) count: usize,
+    /// Extent in x and y of the region to predict, metres [default: all candidates]
+    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
+    pub(crate) region: Option<String>,
+    /// Learn the length scale from the selected measurements of the data folder
+    #[arg(long, requires = "source", conflicts_with_all = ["candidates", "floor", "length_scale"])]
+    pub(crate) simulate: bool,
+    /// Length scale in metres, not learned
+    #[arg(long, value_name = "M")]
+    pub(crate) length_scale: Option<f64>,
+    /// Random seed of the random choice
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Output folder; must be new or empty
+    #[arg(long, value_name = "DIR", default_value = "plan")]
+    pub(crate) out: PathBuf,
+}
+
+pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<u8> {
+    let stop = stop_flag();
+    let places = RunProgress::during(verbosity, |progress| places(&arguments.places, progress))?;
+    let total = places.candidates.len();
+    check_count(arguments.count, total)?;
+    let region = region(arguments, &places)?;
+    let survey = Survey::new(&places.candidates, &region, &places.known);
+    let start = start(arguments, &places, &region)?;
+    let folder = NewFolder::begin(&arguments.out)?;
+    let learn =
+        |order: &[usize]| places.data.as_ref().filter(|_| arguments.simulate).and_then(|data| learn(data, order));
+    let plan = RunProgress::during(verbosity, |progress| {
+        staged(progress, "selecting positions", |progress| {
+            survey.select(start, arguments.count, learn, |done| {
+                progress(done, arguments.count);
+                !stop.load(Ordering::Relaxed)
+            })
+        })
+    });
+    let scored =
+        (!stop.load(Ordering::Relaxed)).then(|| choices(arguments, &places, &survey, &plan, (&stop, verbosity)));
+    let Some(choices) = scored.transpose().or_else(|e| if matches!(e, Error::Stopped) { Ok(None) } else { Err(e) })?
+    else {
+        output::note("stopped without output; repeat the command to start again");
+        return Ok(INTERRUPTED);
+    };
+    write(&folder, &places, &plan, &choices[0].variances)?;
+    folder.publish()?;
+    output::result(&table(&choices, &plan.correlation, &places))?;
+    verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
+    Ok(SUCCESS)
+}
+
+fn check_count(count: usize, total: usize) -> Result<()> {
+    if (1..=total).contains(&count) {
+        return Ok(());
+    }
+    let what = if count == 0 {
+        "give at least 1".to_owned()
+    } else {
+        format!("there are {} candidates; lower --count, or give more candidates", grouped(total as i64))
+    };
+    Err(Error::Config(format!("--count {count}: {what}")))
+}
+
+/// Candidates in the region to predict.
+fn region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
+    let Some(text) = &arguments.region else { return Ok(places.region(|_| true)) };
+    let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
+    let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
+    let region = places.region(inside);
+    if region.is_empty() {
+        let ends = [0, 1].map(|k| {
+            let all = places.candidates.iter().map(|place| place[k]);
+            all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+        });
+        let [(x0, x1), (y0, y1)] = ends;
+        return Err(Error::Config(format!(
+            "--region {text}: no candidate inside; candidates have x from {} to {} m and y from {} to {} m",
+            number(x0),
+            number(x1),
+            number(y0),
+            number(y1)
+        )));
+    }
+    Ok(region)
+}
+
+/// Correlation of the first step.
+fn start(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
+    let default = default_correlation(region);
+    if let Some(length) = arguments.length_scale {
+        if !(1e-6..=1e8).contains(&length) {
+            return Err(Error::Config(format!("--length-scale {length}: expected metres, more than 0, such as 0.5")));
+        }
+        return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
+    }
+    let measured = places.data.as_ref().filter(|_| !places.known.is_empty());
+    let learned = measured.and_then(|data| learn(data, &(0..data.transmitters.len()).collect::<Vec<_>>()));
+    Ok(learned.unwrap_or(default))
+}
+
+/// Selection of positions with its results.
+struct Choice {
+    name: String,
+    order: Vec<usize>,
+    /// Mean variance over the region before and after each position.
+    variances: Vec<f64>,
+    /// Score of each test link; empty without observations.
+    scores: Vec<f64>,
+}
+
+impl Choice {
+    fn variance(&self) -> f64 {
+        self.variances.last().copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// The plan, then choices of the same size to compare it with.
+fn choices(
+    arguments: &Plan,
+    places: &Places,
+    survey: &Survey,
+    plan: &SurveyPlan,
+    (stop, verbosity): (&AtomicBool, Verbosity),
+) -> Result<Vec<Choice>> {
+    let (count, correlation) = (plan.order.len(), plan.correlation);
+    let choice = |(name, order): (String, Vec<usize>)| Choice {
+        name,
+        variances: survey.mean_variances(correlation, &order),
+        order,
+        scores: Vec::new(),
+    };
+    let orders = [
+        ("plan: least integrated variance".to_owned(), plan.order.clone()),
+        ("regular: every k-th candidate".into(), survey.regular(count)),
+        (format!("random (seed {})", arguments.seed), survey.random(count, arguments.seed)),
+        ("largest variance".into(), survey.by_largest_variance(correlation, count)),
+    ];
+    let mut choices: Vec<Choice> = orders.into_iter().map(choice).collect();
+    let Some(data) = places.data.as_ref().filter(|_| places.known.is_empty()) else { return Ok(choices) };
+    let test = test_links(data, &choices);
+    if test.is_empty() {
+        return Ok(choices);
+    }
+    RunProgress::during(verbosity, |progress| {
+        let total = choices.len();
+        for (k, choice) in choices.iter_mut().enumerate() {
+            if stop.load(Ordering::Relaxed) {
+                return Err(Error::Stopped);
+            }
+            progress.on_stage("scoring", k, total);
+            choice.scores = kriging_scores(data, &choice.order, &test)?;
+        }
+        progress.finish();
+        Ok(choices)
+    })
+}
+
+/// Links of transmitters that are in no choice, at most [`TESTED`] transmitters.
+fn test_links(data: &Dataset, choices: &[Choice]) -> Vec<usize> {
+    let mut is_taken = vec![false; data.transmitters.len()];
+    choices.iter().flat_map(|choice| &choice.order).for_each(|&j| is_taken[j] = true);
+    let left: Vec<usize> = (0..is_taken.len()).filter(|&j| !is_taken[j]).collect();
+    data.links_of(&evenly(&left, TESTED))
+}
+
+/// Writes `plan.csv` and `plan.png` into `folder`.
+fn write(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f64]) -> Result<()> {
+    let mut lines = Lines::new(["order", "candidate", "x", "y", "z", "mean_variance"]);
+    for (k, &j) in plan.order.iter().enumerate() {
+        let [x, y, z] = places.candidates[j].map(|v| v.to_string());
+        let [order, candidate] = [k + 1, j + 1].map(|v| v.to_string());
+        lines.put([&order, &candidate, &x, &y, &z, &format!("{:.6}", variances[k + 1])]);
+    }
+    let above = |[x, y, _]: &[f64; 3]| [*x, *y];
+    let map = SurveyMap {
+        title: format!("{}: {} positions to measure", places.title, grouped(plan.order.len() as i64)),
+        candidates: places.candidates.iter().map(above).collect(),
+        known: places.known.iter().map(above).collect(),
+        selected: plan.order.iter().map(|&j| above(&places.candidates[j])).collect(),
+        receivers: places.receivers.iter().map(above).collect(),
+    };
+    for (name, bytes) in [("plan.csv", lines.text().into_bytes()), ("plan.png", map.draw().png(WIDTH_MM))] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))?;
+    }
+    Ok(())
+}
+
+/// Table of the choices, with the correlation and a comparison with the regular choice.
+fn table(choices: &[Choice], correlation: &Correlation, places: &Places) -> String {
+    let task = places.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
+    let mut header = vec!["choice".to_owned(), "mean variance".into()];
+    header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
+    let mut lines = vec![header];
+    for choice in choices {
+        let mut line = vec![choice.name.clone(), fixed(choice.variance(), 4)];
+        line.extend(task.map(|_| fixed(mean(&choice.scores), 4)));
+        lines.push(line);
+    }
+    let Correlation { scales: [length, ..], noise, .. } = correlation;
+    let mut text = aligned(&lines, 1);
+    _ = write!(
+        text,
+        "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",
+        grouped(places.candidates.len() as i64),
+        grouped(places.known.len() as i64),
+        number(*length),
+        number(*noise)
+    );
+    if let Some(task) = task {
+        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated());
+        _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
+    }
+    text + &verdict(&choices[0], &choices[1], task.is_some_and(|task| task.headline.higher))
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Compares the plan with the regular choice: by scores if there are any (two standard errors), otherwise by variance.
+fn verdict(plan: &Choice, regular: &Choice, is_higher_better: bool) -> String {
+    let sign = if is_higher_better { 1.0 } else { -1.0 };
+    let gains: Vec<f64> = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b)).collect();
+    let is_alike = match Spread::of(&gains) {
+        Some(Spread { mean, deviation: Some(deviation), n }) => mean <= 2.0 * deviation / (n as f64).sqrt(),
+        _ => regular.variance() <= (1.0 + ALIKE) * plan.variance(),
+    };
+    if is_alike {
+        "the regular choice is as good: measure every k-th candidate if that is simpler\n".into()
+    } else {
+        "the plan is better than the regular choice\n".into()
+    }
+}

@@ -1,0 +1,149 @@
+//! Correlation of measurements, and scores of Kriging from a selection of them.
+
+use crate::survey::diagonal;
+use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, PathLoss, in_space, log_distance};
+use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Real, Result, Sampling, evenly, rng};
+use pwrfgs_data::Kriging;
+use rayon::prelude::*;
+
+/// Largest number of links in the likelihood, and of earlier links that each is given.
+const CASES: usize = 320;
+const NEIGHBOURS: usize = 16;
+/// Approximate number of values per observation in the likelihood.
+const VALUES: usize = 500;
+/// One of so many transmitters of a choice fits the correlation of its Kriging.
+const HELD_OUT: usize = 4;
+
+/// Estimates the exponential correlation of the measurements at these transmitters by maximum likelihood; `None` if fewer
+/// than two can be compared, or if the data have no positions.
+///
+/// The likelihood is the product of the densities of at most 320 links, each given the 16 nearest of those before it in random
+/// order. All receivers and values share the correlation. Received powers are residuals of a path-loss model per receiver.
+pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
+    let mut sorted = transmitters.to_vec();
+    sorted.sort_unstable();
+    let mut links = evenly(&data.links_of(&sorted), CASES);
+    if !data.placed || data.features.is_some() {
+        return None;
+    }
+    rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
+    let receivers = 0..data.scene.receivers.len();
+    let laws: Vec<Option<PathLoss>> = receivers.clone().map(|receiver| path_loss(data, receiver, &links)).collect();
+    let place = |i: usize| in_space(data.sample(i).tx);
+    let cases_of = |receiver: usize| {
+        let own: Vec<usize> = links.iter().copied().filter(|&i| data.links[i].receiver == receiver).collect();
+        let case = |n: usize| {
+            let nearest = Nearest::new(own[..n].to_vec(), 3, |i| data.sample(i).tx);
+            let near = nearest.find(&data.sample(own[n]).tx, NEIGHBOURS).1;
+            (own[n], near.into_iter().map(|(_, j)| j).collect::<Vec<_>>())
+        };
+        (1..own.len()).into_par_iter().map(case).collect::<Vec<_>>()
+    };
+    let cases: Vec<_> = receivers.flat_map(cases_of).collect();
+    if cases.len() < 2 {
+        return None;
+    }
+    let stride = ((data.width * data.height) as f64 / VALUES as f64).sqrt().ceil().max(1.0) as usize;
+    let values = |_: usize, i: usize| {
+        let mut values: Vec<Real> = vec![0.0; data.width.div_ceil(stride) * data.height.div_ceil(stride)];
+        data.observations.sampled(i, Sampling::every(stride), &mut values);
+        if let Some(law) = laws[data.links[i].receiver] {
+            values[0] -= law.at(log_m(data, i)) as Real;
+        }
+        values
+    };
+    let cases = HeldOutCases::new(&cases, Mean::Unknown, place, values);
+    let reach = diagonal(&sorted.iter().map(|&t| data.transmitters[t].position).collect::<Vec<_>>());
+    (reach > 0.0).then(|| most_likely(&cases, reach))
+}
+
+/// Most likely exponential correlation with a length scale from 1/64 to once `reach` (metres), in steps of a factor √2, and a
+/// noise variance from 1/1024 to 4 times the process variance, in steps of a factor 2.
+///
+/// Longer scales than the distances between measurements are not identified: variogram and noise stay the same if scale and
+/// process variance grow together.
+fn most_likely(cases: &HeldOutCases, reach: f64) -> Correlation {
+    let of = |[length, noise]: [i32; 2]| {
+        let scale = reach * (-0.5 * f64::from(length)).exp2();
+        let scales = [scale, scale, scale, f64::INFINITY];
+        Correlation { kind: CorrelationKind::Exponential, scales, noise: 4.0 * (-f64::from(noise)).exp2() }
+    };
+    let likelihood = |at: [i32; 2]| {
+        let found = cases.log_likelihood(&of(at));
+        if found.is_nan() { f64::NEG_INFINITY } else { found }
+    };
+    let grid = (0..=12).flat_map(|length| (0..=12).map(move |noise| [length, noise]));
+    let found = grid.map(|at| (at, likelihood(at))).reduce(|best, next| if next.1 > best.1 { next } else { best });
+    of(found.map_or([4, 5], |(at, _)| at))
+}
+
+/// Path-loss model of these links at `receiver`; `None` for observations other than powers.
+fn path_loss(data: &Dataset, receiver: usize, links: &[usize]) -> Option<PathLoss> {
+    let powers = data.observations.powers()?;
+    let own = links.iter().filter(|&&i| data.links[i].receiver == receiver);
+    Some(PathLoss::fit(&own.map(|&i| (log_m(data, i), powers[i] as f64)).collect::<Vec<_>>()))
+}
+
+/// log10 of the length of link `i` in metres.
+fn log_m(data: &Dataset, i: usize) -> f64 {
+    let sample = data.sample(i);
+    let receiver = data.scene.receivers[sample.receiver].pose;
+    log_distance(sample.tx, data.scene.origin.world_pose(receiver).position)
+}
+
+/// Main metric of Kriging, fitted on these transmitters, for each link of `test`. Every fourth transmitter fits the correlation;
+/// predictions use all.
+///
+/// # Errors
+/// Data without positions, or an observation that cannot be read.
+pub fn kriging_scores(data: &Dataset, transmitters: &[usize], test: &[usize]) -> Result<Vec<f64>> {
+    let mut sorted = transmitters.to_vec();
+    sorted.sort_unstable();
+    let (held_out, others): (Vec<_>, Vec<_>) = sorted.iter().copied().enumerate().partition(|(k, _)| k % HELD_OUT == 0);
+    let links = |part: &[(usize, usize)]| data.links_of(&part.iter().map(|(_, t)| *t).collect::<Vec<_>>());
+    let (train, validation) = (links(&others), links(&held_out));
+    let (kriging, task) = (Kriging::default(), data.task());
+    let fitted = kriging.fit(data, FittingSet { train: &train, validation: &validation })?;
+    let score = |&i: &usize| task.score(&task.shown(fitted.predict(data.query(i))), &data.image(i));
+    let scores = test.par_iter().map(score).collect();
+    data.observations.check()?;
+    Ok(scores)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Pose, Sample, Spectra};
+
+    /// Spectra of values that vary with this length along x, at random positions.
+    fn waves(length: f64) -> Dataset {
+        let mut random = rng::stream(2, "waves", 0);
+        let samples: Vec<Sample> =
+            (0..150).map(|id| Sample::new(id, [10.0 * rng::uniform_f64(&mut random), 0.0, 0.0])).collect();
+        let value = |x: f64, k: usize| (0.5 + 0.4 * (x / length + k as f64).sin()) as f32;
+        let pixels: Vec<f32> = samples.iter().flat_map(|s| (0..12).map(move |k| value(s.tx[0], k))).collect();
+        Dataset::new("waves", Pose::IDENTITY, vec![], samples, Spectra::float((4, 3), &pixels).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn learned_scale_follows_data_and_few_data_teach_nothing() {
+        let all: Vec<usize> = (0..150).collect();
+        let [short, long] = [0.1, 2.0].map(|length| learn(&waves(length), &all).unwrap());
+        assert!(short.scales[0] < 0.5 * long.scales[0], "{short:?} and {long:?}");
+        assert!(long.scales[0] <= 10.0 && long.noise < 0.1, "{long:?}");
+        assert_eq!(learn(&waves(1.0), &[0, 1]), None);
+    }
+
+    #[test]
+    fn scores_improve_with_measurements() {
+        let data = waves(1.0);
+        let test: Vec<usize> = (100..150).collect();
+        let mean = |count: usize| {
+            let scores = kriging_scores(&data, &(0..count).rev().collect::<Vec<_>>(), &test).unwrap();
+            scores.iter().sum::<f64>() / 50.0
+        };
+        let [few, many] = [10, 100].map(mean);
+        assert!(many > few, "{few} and {many}");
+    }
+}
