@@ -300,19 +300,22 @@ fn region_rule(
     if rank == 0 {
         return None;
     }
-    let densities = |sharpness: f64, bandwidth: f64| -> Vec<(f64, f64)> {
-        let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
-            let density = Density::new(&weights(misfits, sharpness / scale), positions, bandwidth);
-            let at = density.at([truth[0], truth[1]]);
-            (at, at / density.highest())
-        };
-        misfits.par_iter().zip(truths).map(one).collect()
+    let density = |misfits: &[f32], (sharpness, bandwidth): (f64, f64)| {
+        Density::new(&weights(misfits, sharpness / scale), positions, bandwidth)
     };
+    let flat = |truth: &[f64; 3]| [truth[0], truth[1]];
     let all = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| (s, 2.0 * b * spacing)));
-    let score = |(s, b): (f64, f64)| densities(s, b).iter().map(|(at, _)| at.ln()).sum::<f64>();
+    let score = |own: (f64, f64)| {
+        let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| density(misfits, own).at(flat(truth)).ln();
+        misfits.par_iter().zip(truths).map(one).collect::<Vec<f64>>().iter().sum::<f64>()
+    };
     let best = all.map(|own| (score(own), own)).max_by(|a, b| a.0.total_cmp(&b.0));
     let (_, (sharpness, bandwidth)) = best?;
-    let mut shares: Vec<f64> = densities(sharpness, bandwidth).into_iter().map(|(_, share)| share).collect();
+    let share = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
+        let density = density(misfits, (sharpness, bandwidth));
+        density.at(flat(truth)) / density.highest()
+    };
+    let mut shares: Vec<f64> = misfits.par_iter().zip(truths).map(share).collect();
     shares.sort_unstable_by(f64::total_cmp);
     Some(RegionRule { sharpness, bandwidth, share: shares[rank - 1] })
 }

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-/// Weight below which a position is left out of a density, relative to the largest.
-const FAINTEST: f64 = 1e-4;
+/// Largest number of kernels of a density, those of the largest weights; and of kernels at which its maximum is sought.
+const KERNELS: usize = 500;
+const PEAKS: usize = 100;
 /// Number of cells along the longer side of the grid.
 const CELLS: f64 = 96.0;
 
@@ -22,17 +23,19 @@ pub struct RegionRule {
 /// a density far from all positions is small but not 0.
 #[derive(Clone, Debug)]
 pub(crate) struct Density {
-    /// Weights, which sum to 1, and positions.
+    /// Weights, which sum to 1, and positions; largest weight first.
     kernels: Vec<(f64, [f64; 2])>,
     bandwidth: f64,
 }
 
 impl Density {
     pub(crate) fn new(weights: &[f64], positions: &[[f64; 3]], bandwidth: f64) -> Self {
-        let least = weights.iter().copied().fold(0.0, f64::max) * FAINTEST;
-        let kept = || weights.iter().zip(positions).filter(|(w, _)| **w > least);
-        let sum: f64 = kept().map(|(w, _)| w).sum();
-        Self { kernels: kept().map(|(w, p)| (w / sum, [p[0], p[1]])).collect(), bandwidth }
+        let mut order: Vec<usize> = (0..weights.len()).collect();
+        order.sort_by(|a, b| weights[*b].total_cmp(&weights[*a]));
+        order.truncate(KERNELS);
+        let sum: f64 = order.iter().map(|k| weights[*k]).sum();
+        let kernel = |k: &usize| (weights[*k] / sum, [positions[*k][0], positions[*k][1]]);
+        Self { kernels: order.iter().map(kernel).collect(), bandwidth }
     }
 
     /// Returns the density at a point, per square metre.
@@ -44,15 +47,15 @@ impl Density {
         self.kernels.iter().map(kernel).sum::<f64>() / (std::f64::consts::PI * self.bandwidth * self.bandwidth)
     }
 
-    /// Returns the highest density at the positions.
+    /// Returns the highest density at the positions of the largest weights.
     pub(crate) fn highest(&self) -> f64 {
-        self.kernels.iter().map(|(_, p)| self.at(*p)).fold(0.0, f64::max)
+        self.kernels.iter().take(PEAKS).map(|(_, p)| self.at(*p)).fold(0.0, f64::max)
     }
 
     /// Returns the region with at least `share` of the highest density.
     pub(crate) fn region(&self, share: f64) -> Region {
         let reach = self.bandwidth * (1.0 / share.clamp(1e-6, 1.0).sqrt() - 1.0).sqrt() + self.bandwidth;
-        let largest = self.kernels.iter().map(|(w, _)| *w).fold(0.0, f64::max);
+        let largest = self.kernels.first().map_or(0.0, |(w, _)| *w);
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for (_, p) in self.kernels.iter().filter(|(w, _)| *w >= 1e-3 * share * largest) {
             for k in 0..2 {
