@@ -3,7 +3,7 @@
 
 use crate::common::{cloud, plugin};
 use pwrfgs::core::testing::check_vjp;
-use pwrfgs::core::{FittingSet, GaussianCloud, MeasurementSetup, Origin, Projector, Query, Receiver, Sampling, rng};
+use pwrfgs::core::{FittingSet, GaussianCloud, MeasurementSetup, Origin, Projector, Query, Receiver, rng};
 use pwrfgs::model::{Ensemble, KnownLinks, Kriged, LeftOutBy, Model, Prepared, Residuals, Stages};
 use pwrfgs::prelude::*;
 use std::sync::atomic::AtomicBool;
@@ -29,7 +29,7 @@ fn model(method: &str, moves: bool, seed: u64) -> Model {
     let method: Plugin<dyn Method> = plugin(method);
     let task = method.traits().task.unwrap_or_default();
     let projector: Plugin<dyn Projector> = plugin("Mercator()");
-    let plain = |width, height| ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
+    let plain = ImagePlane::plain;
     let plane = match (task.has_pixels, task.is_complex) {
         (true, _) => projector.plane(36, 9),
         (_, true) => plain(3, 4),

@@ -26,7 +26,7 @@ pub(crate) fn descend(
     for _ in 0..STEPS {
         let mut direction = inverse.map(|row| -dot(row, gradient));
         let mut slope = dot(direction, gradient);
-        if !(slope < 0.0) {
+        if slope.is_nan() || slope >= 0.0 {
             (direction, slope) = (gradient.map(|g| -g), -dot(gradient, gradient));
         }
         let mut share = 1.0 / dot(direction, direction).sqrt().max(1.0);
@@ -55,7 +55,7 @@ pub(crate) fn descend(
 /// Returns the inverse of the Hessian after a step `moved` that changed the gradient by `turned`.
 fn updated(inverse: [[f64; 3]; 3], moved: [f64; 3], turned: [f64; 3]) -> [[f64; 3]; 3] {
     let curvature = dot(moved, turned);
-    if !(curvature > 1e-12) {
+    if curvature.is_nan() || curvature <= 1e-12 {
         return inverse;
     }
     let product = inverse.map(|row| dot(row, turned));

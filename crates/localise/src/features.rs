@@ -31,7 +31,7 @@ impl Features {
     pub fn new(data: &Dataset, known: &[usize]) -> Self {
         let (task, width, height) = (data.task(), data.width, data.height);
         let block = if task.has_pixels {
-            (1..).find(|b| width.div_ceil(*b) * height.div_ceil(*b) <= MOST).unwrap_or(1)
+            (1..=width.max(height)).find(|b| width.div_ceil(*b) * height.div_ceil(*b) <= MOST).unwrap_or(1)
         } else {
             1
         };

@@ -187,7 +187,8 @@ impl<'a> Locator<'a> {
     /// Returns the misfit of the prediction for a transmitter at `at`, and its derivative.
     fn misfit(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
         let count = self.features.count();
-        let is_heard = |v: &&f32| !v.is_nan() && !(self.features.task().is_scalar && **v <= self.floor);
+        let is_scalar = self.features.task().is_scalar;
+        let is_heard = |v: &&f32| !v.is_nan() && (!is_scalar || **v > self.floor);
         let known = observation.iter().filter(is_heard).count().max(1) as f64;
         let (mut sum, mut gradient) = (0.0, [0.0; 3]);
         for receiver in 0..self.receivers {

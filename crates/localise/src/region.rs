@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 const KERNELS: usize = 500;
 const PEAKS: usize = 100;
 /// Number of cells along the longer side of the grid.
-const CELLS: f64 = 96.0;
+const CELLS: f64 = 64.0;
 
 /// How regions follow from weights; chosen on validation samples.
 #[derive(Clone, Copy, Debug, PartialEq)]

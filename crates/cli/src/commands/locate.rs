@@ -237,7 +237,7 @@ fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Parti
 
 /// Test samples located with Kriging in place of the model; none if it does not support the data.
 fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Vec<Located>> {
-    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(|e| Error::Config(e.to_string()))?;
+    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
     if !kriging.supports(data.task()) || kriging.check_data(data).is_err() {
         return Ok(Vec::new());
     }

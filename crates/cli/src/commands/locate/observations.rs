@@ -15,13 +15,13 @@ pub(super) fn read(path: &Path, features: &Features, receivers: &[Receiver]) -> 
     let task = features.task();
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
         Some("npy") if task.is_scalar => powers(path, &real(path, &[receivers.len()])?, receivers.len()),
-        Some("npy") if task.is_complex => images(path, features, receivers, complex(path, features)?),
+        Some("npy") if task.is_complex => images(path, features, receivers, &complex(path, features)?),
         Some("npy") => {
             let (width, height) = features.size();
-            images(path, features, receivers, real(path, &[height, width])?)
+            images(path, features, receivers, &real(path, &[height, width])?)
         }
         Some("csv") if task.is_scalar => table(path, receivers),
-        Some("png") if task.has_pixels => images(path, features, receivers, picture(path, features)?),
+        Some("png") if task.has_pixels => images(path, features, receivers, &picture(path, features)?),
         _ => {
             let what = match (task.has_pixels, task.is_scalar) {
                 (true, _) => "a PNG image, or an array [B, height, width] (.npy)",
@@ -109,7 +109,7 @@ fn picture(path: &Path, features: &Features) -> Result<Vec<Real>> {
 }
 
 /// Features of spectra or channels at one receiver.
-fn images(path: &Path, features: &Features, receivers: &[Receiver], values: Vec<Real>) -> Result<Vec<Vec<f32>>> {
+fn images(path: &Path, features: &Features, receivers: &[Receiver], values: &[Real]) -> Result<Vec<Vec<f32>>> {
     if receivers.len() != 1 {
         let what = format!(
             "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
@@ -173,9 +173,8 @@ fn table(path: &Path, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
             return Err(Error::at(path, k + 1, 1, what));
         }
         for (cell, column) in cells.iter().zip(&columns).filter(|(cell, _)| !cell.is_empty()) {
-            row[*column] = cell.parse().map_err(|_| {
-                Error::at(path, k + 1, 1, format!("`{}` is no number; give dBm or leave it empty", strip_control(cell)))
-            })?;
+            let advice = || format!("`{}` is no number; give dBm or leave it empty", strip_control(cell));
+            row[*column] = cell.parse().ok().ok_or_else(|| Error::at(path, k + 1, 1, advice()))?;
         }
         values.extend(row);
     }
