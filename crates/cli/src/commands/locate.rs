@@ -230,8 +230,7 @@ fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Parti
         [0, 1, 2].map(|k| places.iter().map(|p| p[k]).sum::<f64>() / places.len() as f64)
     };
     lines.push(line("centre of the positions", errors(vec![centre; truths.len()]), None));
-    let kind = if data.is_simulated() { "simulated" } else { "measured" };
-    let heading = format!("{} ({kind}): {} test positions\n", data.title, grouped(test.len() as i64));
+    let heading = format!("{}: {} test positions\n", data.title, grouped(test.len() as i64));
     output::result(&(heading + &aligned(&lines, 1)))
 }
 
