@@ -1,7 +1,7 @@
 //! Plans of measurements: positions to measure next, and positions of receivers.
 //!
 //! * [`Survey`] selects the positions that lower the posterior variance of a Gaussian process most, from [`Posterior`].
-//! * [`learn`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a selection.
+//! * [`learn()`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a selection.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
