@@ -88,6 +88,7 @@ fn rejects_output_paths_that_cannot_be_created() {
         &["sweep", "e.ron", "--out"],
         &["predict", model, "--tx", "0,0,1", "--out"],
         &["map", model, "--plane", "z=1", "--step", "1", "--bounds", "0,1,0,1", "--out"],
+        &["locate", model, "--out"],
         &["plan", "data", "--count", "2", "--out"],
         &["evaluate", model, "--out"],
         &["report", "r", "--out"],

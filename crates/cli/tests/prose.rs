@@ -23,6 +23,7 @@ const COMMANDS: &[&str] = &[
     "import",
     "init",
     "inspect",
+    "locate",
     "map",
     "pipelines",
     "plan",
