@@ -150,8 +150,12 @@ impl<'a> Locator<'a> {
         (0..all.len()).map(|k| all.row(k).to_vec()).collect()
     }
 
-    /// Locates a transmitter from its features at all receivers, `[receivers, count]`; NaN for unknown values.
+    /// Locates a transmitter from its features at all receivers, `[receivers, count]`; NaN for unknown values. Powers below
+    /// [`Self::floor`] count as this: the receiver did not hear the transmitter.
     pub fn locate(&self, observation: &[f32]) -> Located {
+        let is_scalar = self.features.task().is_scalar;
+        let heard = |v: &f32| if is_scalar && *v < self.floor { self.floor } else { *v };
+        let observation = &observation.iter().map(heard).collect::<Vec<f32>>()[..];
         let misfits = self.fingerprints.misfits(observation);
         let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
         let weights = weights(&misfits, self.choice.sharpness / self.choice.scale);

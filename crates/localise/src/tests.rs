@@ -78,6 +78,8 @@ fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
     let some = [whole[0], f32::NAN, whole[2], whole[3]];
     let apart = distance(locator.locate(&whole).position, locator.locate(&some).position);
     assert!(apart < 1.5, "three receivers are enough: {apart} m apart");
+    let weak = |dbm: f32| locator.locate(&[whole[0], dbm, whole[2], whole[3]]).position;
+    assert_eq!(weak(locator.floor()), weak(-200.0), "not heard is not heard");
     let nothing = locator.locate(&[f32::NAN; 4]);
     assert!(nothing.position.iter().all(|v| v.is_finite()) && nothing.misfit.is_infinite());
     assert!(locator.within(|_| false).is_err());

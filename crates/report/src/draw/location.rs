@@ -50,7 +50,7 @@ impl LocationMap<'_> {
         }
         let plan = FloorPlan::new(corners, ["x", "y"], WIDTH, MOST_HEIGHT);
         let mut map = plan.canvas();
-        self.draw_density(&mut map, &plan);
+        self.draw_density(&mut map, &plan, corners);
         plan.points(&mut map, self.training.iter().copied());
         for outline in &self.outlines {
             let corners: Vec<Point> = outline.iter().chain(outline.first()).map(|p| plan.place(*p)).collect();
@@ -62,7 +62,7 @@ impl LocationMap<'_> {
         plan.axes(&mut map);
         let width = plan.size[0].max(300.0);
         let region = if self.outlines.is_empty() { "" } else { "; outline: 90 % region" };
-        let note = format!("orange circle: estimate; blue cross: true position; grey: training positions{region}");
+        let note = format!("circle: estimate; cross: true position; grey dots: training positions{region}");
         let note = wrapped(&note, width * TEXT / SMALL);
         let mut canvas = Canvas::new(width, HEAD + plan.size[1] + LINE * (note.len() as f64 + 0.5));
         let middle = canvas.width / 2.0;
@@ -73,20 +73,29 @@ impl LocationMap<'_> {
         canvas
     }
 
-    fn draw_density(&self, map: &mut Canvas, plan: &FloorPlan) {
-        let (rows, (first, step)) = (self.density.len() / self.columns.max(1), self.grid);
-        if rows == 0 {
+    /// Draws the cells of the density that are completely inside the frame.
+    fn draw_density(&self, map: &mut Canvas, plan: &FloorPlan, [low, high]: [Point; 2]) {
+        let (first, step) = self.grid;
+        let sizes = [self.columns, self.density.len() / self.columns.max(1)];
+        let edge = |axis: usize, k: usize| first[axis] + (k as f64 - 0.5) * step;
+        let inside = |axis: usize| {
+            let is_in = |k: &usize| edge(axis, *k) >= low[axis] && edge(axis, k + 1) <= high[axis];
+            let all: Vec<usize> = (0..sizes[axis]).filter(is_in).collect();
+            all.first().map_or(0..0, |start| *start..start + all.len())
+        };
+        let (columns, rows) = (inside(0), inside(1));
+        if columns.is_empty() || rows.is_empty() {
             return;
         }
-        let corner = |k: [f64; 2]| plan.place([first[0] + (k[0] - 0.5) * step, first[1] + (k[1] - 0.5) * step]);
-        let ([left, bottom], [right, top]) = (corner([0.0; 2]), corner([self.columns as f64, rows as f64]));
+        let [left, bottom] = plan.place([edge(0, columns.start), edge(1, rows.start)]);
+        let [right, top] = plan.place([edge(0, columns.end), edge(1, rows.end)]);
         let colour = |v: &f32| {
             let [r, g, b] = sequential(f64::from(*v).sqrt());
             [r, g, b, (255.0 * f64::from(*v).sqrt().min(1.0)) as u8]
         };
-        let upwards = (0..rows).rev().flat_map(|row| &self.density[row * self.columns..][..self.columns]);
-        let image =
-            RasterImage { width: self.columns, height: rows, rgba: upwards.flat_map(colour).collect(), smooth: false };
+        let upwards = rows.clone().rev().flat_map(|row| &self.density[row * self.columns..][columns.clone()]);
+        let rgba = upwards.flat_map(colour).collect();
+        let image = RasterImage { width: columns.len(), height: rows.len(), rgba, smooth: false };
         map.pixels([left, top], [right - left, bottom - top], image);
     }
 
