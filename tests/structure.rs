@@ -29,11 +29,11 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// Code lines of a file, of a crate, and of all Rust files. A change that needs more states the new total and the reason in its
 /// commit. 50,000 were planned for all features, so further features need deletions.
 const OF_FILE: usize = 300;
-const OF_CRATE: usize = 5_365;
-const IN_TOTAL: usize = 51_450;
+const OF_CRATE: usize = 5_390;
+const IN_TOTAL: usize = 52_270;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 391;
-const SMALL: usize = 38;
+const FILES: usize = 400;
+const SMALL: usize = 40;
 /// A Rust file that is no test.
 pub(crate) struct Source {
     /// Such as `crates/train`, and `train/trainer` as `["train", "trainer"]`.

@@ -50,7 +50,7 @@ fn folders(here: &Path) {
 const NO_POSITION: (&str, &str) = ("uplinks", "instead of a transmitter");
 
 /// Commands in the order of a user, KIND for the kind of data; who cannot do them, and the words that say so.
-const COMMANDS: [(&str, &[(&str, &str)]); 16] = [
+const COMMANDS: [(&str, &[(&str, &str)]); 17] = [
     ("inspect KIND", &[]),
     ("init KIND --out KIND.ron", &[]),
     ("check KIND.ron", &[]),
@@ -64,6 +64,10 @@ const COMMANDS: [(&str, &[(&str, &str)]); 16] = [
     ),
     ("map run/KIND/model.safetensors --plane z=1.2 --step 0.5 --bounds 1,3,0,2 --out map/KIND", &[NO_POSITION]),
     ("plan KIND --simulate --count 12 --out next/KIND", &[("uplinks", "no transmitter positions")]),
+    (
+        "place KIND --count 1 --out place/KIND",
+        &[("spectra", "no received powers"), ("channels", "no received powers"), ("uplinks", "no received powers")],
+    ),
     ("export run/KIND/model.safetensors --npz KIND.npz --ply KIND.ply --half KIND.half", &[]),
     ("compress run/KIND/model.safetensors --out KIND.small", &[]),
     ("evaluate KIND.small --pipeline run/KIND/pipeline.ron", &[]),

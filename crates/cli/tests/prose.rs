@@ -25,6 +25,7 @@ const COMMANDS: &[&str] = &[
     "inspect",
     "map",
     "pipelines",
+    "place",
     "plan",
     "plugins",
     "predict",
