@@ -16,6 +16,8 @@ mod map;
 mod options;
 mod pipelines;
 #[cfg(feature = "report")]
+mod place;
+#[cfg(feature = "report")]
 mod plan;
 mod plugins;
 mod predict;
@@ -58,6 +60,9 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Select positions to measure next
     Plan(plan::Plan),
+    #[cfg(feature = "report")]
+    /// Select positions of receivers with the largest coverage
+    Place(place::Place),
     #[cfg(feature = "viewer")]
     /// Show predictions in a browser while you move the transmitter
     View(view::View),
@@ -107,6 +112,8 @@ impl Command {
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
             #[cfg(feature = "report")]
             Self::Plan(plan) => return plan::plan(plan, verbosity),
+            #[cfg(feature = "report")]
+            Self::Place(place) => return place::place(place, verbosity),
             Self::Compare(compare) => return compare::compare(compare, verbosity),
             #[cfg(feature = "raytrace")]
             Self::Simulate(simulate) => return simulate::simulate(simulate, verbosity),

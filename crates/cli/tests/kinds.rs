@@ -76,6 +76,10 @@ const COMMANDS: [(&str, &[(&str, &str)]); 17] = [
     ("map run/KIND/model.safetensors --plane z=1.2 --step 0.5 --bounds 1,3,0,2 --out map/KIND", &[NO_POSITION]),
     ("locate run/KIND/model.safetensors --out located/KIND", &[NO_POSITION, ("images", "the receiver moves")]),
     ("plan KIND --simulate --count 12 --out next/KIND", &[("uplinks", "no transmitter positions")]),
+    (
+        "place KIND --count 1 --out place/KIND",
+        &[("spectra", "no received powers"), ("channels", "no received powers"), ("uplinks", "no received powers")],
+    ),
     ("export run/KIND/model.safetensors --npz KIND.npz --ply KIND.ply --half KIND.half", &[]),
     ("compress run/KIND/model.safetensors --out KIND.small", &[]),
     ("evaluate KIND.small --pipeline run/KIND/pipeline.ron", &[]),

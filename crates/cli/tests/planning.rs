@@ -1,8 +1,33 @@
-//! `pwrfgs plan`: files, table, and messages about invalid input.
+//! `pwrfgs plan` and `pwrfgs place`: files, table, and messages about invalid input.
 
 #![cfg(all(feature = "report", feature = "raytrace"))]
 
 use crate::common::{copy_small_run, measured, refuse, stdout, succeed, write};
+use pwrfgs::data::save;
+use pwrfgs_core::{Dataset, Observations, Pose, Real, Receiver, Sample};
+use std::path::Path;
+
+/// Empty room with smooth walls.
+const BOX: &str = r#"(
+    name: "box",
+    carrier_hz: 2.4e9,
+    room: (
+        outline: Box(low: (0, 0, 0), high: (8, 6, 3)),
+        walls: (material: "plasterboard", thickness_m: 0.1),
+        floor: (material: "concrete", thickness_m: 0.25),
+        ceiling: (material: "ceiling_board", thickness_m: 0.02),
+    ),
+    receiver: (position: (1, 1, 2.9), orientation: Facing(direction: (0, 0, -1)), array: (rows: 4, columns: 4)),
+    transmitter: (positions: Uniform(low: (2, 2, 1), high: (5, 4, 1.4)), polarization: (0, 1, 0)),
+    propagation: (order: 1, room_order: 1),
+)"#;
+/// Scene without surfaces.
+const OPEN: &str = r#"(
+    name: "open",
+    carrier_hz: 2.4e9,
+    receiver: (position: (1, 1, 2.9), orientation: Facing(direction: (0, 0, -1))),
+    transmitter: (positions: Uniform(low: (2, 2, 1), high: (5, 4, 1.4))),
+)"#;
 
 const NEW: &str = "x,y,z\n0.1,1.1,0.5\n0.3,1.2,0.5\n0.5,1.1,0.5\n";
 
@@ -78,5 +103,106 @@ fn plan_rejects_invalid_input_with_advice() {
     for (arguments, words) in cases {
         refuse(here, &[&["plan"], *arguments].concat(), 2, words);
         assert!(!here.join("plan").exists(), "{arguments:?} leaves no folder");
+    }
+}
+
+/// Received powers of 30 transmitters on a line at three receivers, each strong near one of them.
+fn powers(here: &Path) {
+    let at = |k: usize| [0.2 * k as f64, 1.0, 1.0];
+    let receiver = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.0], ..Pose::IDENTITY });
+    let receivers = [("west", 0.0), ("middle", 3.0), ("east", 6.0)];
+    let pairs: Vec<(usize, usize)> =
+        (0..30).flat_map(|k| (0..3).map(move |r| (k, r))).filter(|p| *p != (0, 2)).collect();
+    let samples: Vec<Sample> =
+        pairs.iter().map(|&(k, receiver)| Sample { id: k as u32, tx: at(k), receiver }).collect();
+    let power = |&(k, r): &(usize, usize)| (-40.0 - 5.0 * (at(k)[0] - receivers[r].1).abs()) as Real;
+    let observations = Observations::Powers(pairs.iter().map(power).collect());
+    let receivers = receivers.map(|(name, x)| receiver(name, x)).to_vec();
+    let data = Dataset::of_links("line", receivers, vec![], &samples, observations).unwrap();
+    save(&data, &here.join("powers")).unwrap();
+}
+
+#[test]
+fn place_selects_receivers_of_measured_powers() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    powers(here);
+    let mut lists = Vec::new();
+    for (threads, out) in [("1", "a"), ("2", "b")] {
+        let line = ["place", "powers", "--count", "1", "--threads", threads, "--out", out];
+        let output = stdout(&succeed(here, &line));
+        for words in [
+            "exhaustive",
+            "greedy",
+            "random, mean of 100 (seed 0)",
+            "all 3 receivers",
+            "24 training and 6 held-out transmitters (random split, seed 0)",
+            "1 of 90 links are missing and count as −69.0",
+            "exhaustive choice: middle",
+        ] {
+            assert!(output.contains(words), "{words} is not in: {output}");
+        }
+        lists.push(std::fs::read_to_string(here.join(out).join("place.csv")).unwrap());
+        assert!(image::open(here.join(out).join("place.png")).unwrap().width() > 500);
+    }
+    assert_eq!(lists[0], lists[1]);
+    assert!(
+        lists[0].starts_with("choice,order,receiver,x,y,z,coverage_dbm\nexhaustive,1,middle,3,0,2,-"),
+        "{}",
+        lists[0]
+    );
+}
+
+#[test]
+fn place_searches_positions_in_simulated_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("box.ron"), BOX);
+    let mut lists = Vec::new();
+    for (threads, out) in [("1", "a"), ("2", "b")] {
+        let line = ["place", "box.ron", "--count", "1", "--step", "0.8", "--threads", threads, "--out", out];
+        let output = stdout(&succeed(here, &line));
+        for words in
+            ["ascent", "grid, exhaustive", "random, mean of 100", "links traced", "simulated power", "dB from the grid"]
+        {
+            assert!(output.contains(words), "{words} is not in: {output}");
+        }
+        lists.push(std::fs::read_to_string(here.join(out).join("place.csv")).unwrap());
+    }
+    assert_eq!(lists[0], lists[1]);
+    let ascent = lists[0].lines().nth(1).unwrap();
+    let cells: Vec<&str> = ascent.split(',').collect();
+    let [x, y] = [3, 4].map(|k| cells[k].parse::<f64>().unwrap());
+    assert!((x - 4.0).abs() < 1.5 && (y - 3.0).abs() < 1.5, "{ascent}");
+    let quick = ["place", "box.ron", "--count", "2", "--step", "1.5", "--no-grid", "--mount", "2", "--out", "quick"];
+    let output = stdout(&succeed(here, &quick));
+    assert!(!output.contains("grid"), "{output}");
+}
+
+#[test]
+fn place_rejects_invalid_input_with_advice() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    powers(here);
+    write(&here.join("box.ron"), BOX);
+    write(&here.join("open.ron"), OPEN);
+    std::fs::create_dir(here.join("nothing")).unwrap();
+    let cases: &[(&[&str], &[&str])] = &[
+        (&["powers", "--count", "0"], &["--count 0", "at least 1"]),
+        (&["powers", "--count", "4"], &["--count 4", "3 receivers"]),
+        (&["box.ron", "--count", "4"], &["--count 4", "at most 3"]),
+        (&["box.ron", "--count", "1", "--step", "0"], &["grid step", "0.25"]),
+        (&["box.ron", "--count", "1", "--height", "9"], &["height of 9 m", "give one inside"]),
+        (&["box.ron", "--count", "1", "--mount", "-1"], &["height of -1 m", "give one inside"]),
+        (&["box.ron", "--count", "3", "--step", "9"], &["1 receiver position", "smaller --step"]),
+        (&["open.ron", "--count", "1"], &["scene is empty", "give it a `room`"]),
+        (&["data", "--count", "1"], &["no received powers", "name data"]),
+        (&["nothing", "--count", "1"], &["no data found", "docs/data.md"]),
+        (&["missing", "--count", "1"], &["missing"]),
+    ];
+    for (arguments, words) in cases {
+        refuse(here, &[&["place"], *arguments].concat(), 2, words);
+        assert!(!here.join("place").exists(), "{arguments:?} leaves no folder");
     }
 }

@@ -26,6 +26,7 @@ const COMMANDS: &[&str] = &[
     "locate",
     "map",
     "pipelines",
+    "place",
     "plan",
     "plugins",
     "predict",

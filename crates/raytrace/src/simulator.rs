@@ -4,7 +4,7 @@ use crate::observe::{ObservationKind, ReceiverObservation};
 use crate::patches;
 use crate::path::PropagationPath;
 use crate::prepared_receiver::{MOST_BYTES, PreparedReceiver};
-use crate::scene::SceneFile;
+use crate::scene::{SceneFile, SceneReceiver};
 use crate::surface_points::{self, SurfacePoints};
 use crate::world::{self, MARGIN, Triangle, World};
 use glam::DVec3;
@@ -60,6 +60,14 @@ impl Simulator {
     /// Receivers, in the order of the scene; the first is `receiver`. With several carriers, one per carrier.
     pub fn listeners(&self) -> &[PreparedReceiver] {
         &self.listeners
+    }
+
+    /// Prepares the first receiver of the scene at another position (metres, world frame).
+    ///
+    /// # Errors
+    /// An antenna outside free space, or too much memory.
+    pub fn receiver_at(&self, position: [f64; 3]) -> Result<PreparedReceiver> {
+        PreparedReceiver::new(&self.scene, &SceneReceiver { position, ..self.scene.receiver.clone() }, &self.world)
     }
 
     /// Paths from `tx` to the centre of the first receiver's array.

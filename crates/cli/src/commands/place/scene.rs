@@ -1,0 +1,83 @@
+//! Receivers at any free position of a simulated scene.
+
+use super::choice::{Choice, Outcome, Place, RANDOM, mean, strongest};
+use crate::progress::RunProgress;
+use pwrfgs::experiment::staged;
+use pwrfgs::experiment::text::{fixed, grouped, number};
+use pwrfgs::planning::{Ascent, SceneCoverage, coverage, greedy_subset, random_subsets};
+use pwrfgs::raytrace::SceneFile;
+use pwrfgs::report::draw::coverage::CoverageMap;
+use pwrfgs_core::{Error, Result};
+use std::sync::atomic::AtomicBool;
+
+/// Largest number of receivers.
+const MOST: usize = 3;
+
+pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
+    let count = arguments.count;
+    if count > MOST {
+        return Err(Error::Config(format!("--count {count}: a scene takes at most {MOST} receivers; lower --count")));
+    }
+    let scene = SceneFile::read(&arguments.source)?;
+    let floor = SceneCoverage::new(&scene, arguments.step, arguments.height, arguments.mount)?;
+    let settings = Ascent::new(count, arguments.seed);
+    let found = staged(progress, "ascent", |_| floor.ascend(&settings, stop))?;
+    let at = |[x, y]: [f64; 2]| (String::new(), [x, y, floor.mount()]);
+    let line = |coverage: f64, positions: usize, links: usize| {
+        vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
+    };
+    let mut choices = vec![Choice {
+        short: "ascent",
+        name: "ascent".into(),
+        receivers: found.receivers.iter().map(|own| at(*own)).collect(),
+        coverage: found.coverage,
+        cells: line(found.coverage, found.positions, found.links),
+    }];
+    let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
+    let mut notes = vec![format!(
+        "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
+        grouped(transmitters as i64),
+        number(arguments.height)
+    )];
+    if !arguments.no_grid && candidates < count {
+        let what = format!("--count {count}: the grid has {candidates} receiver positions; give a smaller --step");
+        return Err(Error::Config(what));
+    }
+    if !arguments.no_grid {
+        let grid = staged(progress, "grid of receivers", |progress| floor.grid(stop, progress))?;
+        let best = greedy_subset(&grid, count);
+        let links = transmitters * candidates;
+        choices.push(Choice {
+            short: "grid",
+            name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
+            receivers: best.receivers.iter().map(|&r| (String::new(), floor.candidates[r])).collect(),
+            coverage: best.coverage,
+            cells: line(best.coverage, candidates, links),
+        });
+        let of = |subset: &Vec<usize>| coverage(&subset.iter().map(|&r| &grid[r][..]).collect::<Vec<_>>());
+        let random = mean(random_subsets(candidates, count, RANDOM, arguments.seed).iter().map(of));
+        choices.push(Choice {
+            short: "",
+            name: format!("random, mean of {RANDOM} (seed {})", arguments.seed),
+            receivers: Vec::new(),
+            coverage: random,
+            cells: line(random, count, count * transmitters),
+        });
+        notes.push(format!(
+            "the ascent is {:+.2} dB from the grid, with 1/{:.0} of its links",
+            found.coverage - best.coverage,
+            links as f64 / found.links as f64
+        ));
+    }
+    let above = |[x, y, _]: &[f64; 3]| [*x, *y];
+    let powers: Vec<&[f64]> = found.powers.iter().map(Vec::as_slice).collect();
+    let map = CoverageMap {
+        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(found.coverage, 1)),
+        transmitters: floor.transmitters.iter().map(above).collect(),
+        powers: strongest(&powers),
+        selected: found.receivers,
+        others: Vec::new(),
+    };
+    let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
+    Ok(Outcome { header, choices, notes, map })
+}

@@ -1,0 +1,125 @@
+//! Best subset of given receivers: exhaustive search, greedy search and random choices.
+
+use crate::place::coverage;
+use pwrfgs_core::rng;
+use rayon::prelude::*;
+
+/// Largest number of subsets in an exhaustive search.
+const MOST: usize = 100_000;
+
+/// Selected receivers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Subset {
+    /// Receivers: ascending after an exhaustive search, in the order of selection after a greedy search.
+    pub receivers: Vec<usize>,
+    /// Coverage, dBm.
+    pub coverage: f64,
+    /// Number of subsets whose coverage was computed.
+    pub evaluations: usize,
+}
+
+/// Best `count` receivers of all subsets, the first of equal ones; `None` if there are more than 100,000 subsets. `powers` holds
+/// powers in dBm `[T]` per receiver.
+pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<Subset> {
+    let subsets = combinations(powers.len(), count)?;
+    let all: Vec<f64> = subsets.par_iter().map(|subset| of(powers, subset)).collect();
+    let pairs = all.into_iter().enumerate();
+    let (best, coverage) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
+    Some(Subset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
+}
+
+/// Selects `count` receivers one after another, each raising the coverage most; of equal ones the first that raises the mean of
+/// the strongest powers most. (A few receivers may leave more than a tenth of the transmitters without a link.)
+pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> Subset {
+    let mut found = Subset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
+    let mut strongest: Vec<f64> = vec![f64::NEG_INFINITY; powers.first().map_or(0, Vec::len)];
+    while found.receivers.len() < count.min(powers.len()) {
+        let free: Vec<usize> = (0..powers.len()).filter(|r| !found.receivers.contains(r)).collect();
+        let value = |&r: &usize| {
+            let sum: f64 = strongest.iter().zip(&powers[r]).map(|(strongest, own)| strongest.max(*own)).sum();
+            (coverage(&[&strongest, &powers[r]]), sum)
+        };
+        let all: Vec<(f64, f64)> = free.par_iter().map(value).collect();
+        found.evaluations += free.len();
+        let pairs = free.into_iter().zip(all);
+        let Some((next, (value, _))) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best }) else {
+            break;
+        };
+        found.receivers.push(next);
+        found.coverage = value;
+        strongest.iter_mut().zip(&powers[next]).for_each(|(strongest, own)| *strongest = strongest.max(*own));
+    }
+    found
+}
+
+/// `draws` random subsets of `count` of `total` receivers.
+pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Vec<Vec<usize>> {
+    let draw = |k: usize| {
+        let mut all: Vec<usize> = (0..total).collect();
+        rng::shuffle(&mut rng::stream(seed, "random receivers", k as u64), &mut all);
+        all.truncate(count);
+        all
+    };
+    (0..draws).map(draw).collect()
+}
+
+/// All subsets of `count` of `total` in lexical order; `None` if they are more than 100,000.
+pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
+    let size = (0..count.min(total)).try_fold(1u128, |size, k| {
+        let next = size * (total - k) as u128 / (k + 1) as u128;
+        (next <= (MOST as u128) << 40).then_some(next)
+    })?;
+    if count > total || size > MOST as u128 {
+        return None;
+    }
+    let mut all = Vec::new();
+    let mut subset: Vec<usize> = (0..count).collect();
+    loop {
+        all.push(subset.clone());
+        let Some(k) = (0..count).rev().find(|&k| subset[k] < total - count + k) else { return Some(all) };
+        subset[k] += 1;
+        (k + 1..count).for_each(|next| subset[next] = subset[next - 1] + 1);
+    }
+}
+
+fn of(powers: &[Vec<f64>], subset: &[usize]) -> f64 {
+    coverage(&subset.iter().map(|&r| &powers[r][..]).collect::<Vec<_>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn random_powers(receivers: usize, transmitters: usize) -> Vec<Vec<f64>> {
+        let mut random = rng::stream(1, "powers", 0);
+        let mut of_one = || (0..transmitters).map(|_| -90.0 + 40.0 * rng::uniform_f64(&mut random)).collect();
+        (0..receivers).map(|_| of_one()).collect()
+    }
+
+    #[test]
+    fn subset_search_equals_brute_force() {
+        let powers = random_powers(7, 40);
+        for count in 1..=7_u32 {
+            let masks = (0..1_u32 << 7).filter(|mask| mask.count_ones() == count);
+            let members = |mask: u32| (0..7).filter(|r| mask >> r & 1 == 1).collect::<Vec<usize>>();
+            let brute = masks.map(|mask| of(&powers, &members(mask))).fold(f64::NEG_INFINITY, f64::max);
+            let best = best_subset(&powers, count as usize).unwrap();
+            assert_eq!((best.coverage, of(&powers, &best.receivers)), (brute, brute));
+            let greedy = greedy_subset(&powers, count as usize);
+            assert_eq!(greedy.coverage, of(&powers, &greedy.receivers));
+            assert!(greedy.coverage <= brute && (count > 1 || greedy.receivers == best.receivers));
+        }
+        assert_eq!(best_subset(&powers, 3).unwrap().evaluations, 35);
+        let one_far_each = vec![vec![-90.0; 4], vec![-90.0, -80.0, -90.0, -90.0], vec![-90.0, -90.0, -50.0, -90.0]];
+        assert_eq!(greedy_subset(&one_far_each, 2).receivers, [2, 1], "equal coverage: largest mean");
+    }
+
+    #[test]
+    fn combinations_are_limited_and_random_subsets_depend_on_seed() {
+        assert_eq!(combinations(4, 2).unwrap().len(), 6);
+        assert_eq!(combinations(21, 5).unwrap().len(), 20_349);
+        assert_eq!((combinations(1000, 500), combinations(200, 3), combinations(2, 3)), (None, None, None));
+        let draws = random_subsets(21, 5, 3, 0);
+        assert!(draws == random_subsets(21, 5, 3, 0) && draws != random_subsets(21, 5, 3, 1));
+    }
+}

@@ -1,0 +1,120 @@
+//! Map of coverage: strongest power per transmitter position, and the selected receivers.
+
+use super::plan::FloorPlan;
+use crate::canvas::{Anchor, Canvas, Colour, INK, LINE, Paint, Point, TEXT, WHITE, wrapped};
+use pwrfgs_core::colour::sequential;
+
+/// Width of the drawing and maximum height of the map.
+const WIDTH: f64 = 470.0;
+const MOST_HEIGHT: f64 = 420.0;
+/// Height for the title.
+const HEAD: f64 = 22.0;
+/// Size of the letters below the map.
+const SMALL: f64 = 10.0;
+/// Radius of a transmitter position: part of its share of the map, smallest and largest.
+const RADIUS: (f64, f64, f64) = (0.3, 1.2, 9.0);
+
+/// Coverage of selected receivers, seen from above, metres.
+#[derive(Clone, Debug, Default)]
+pub struct CoverageMap {
+    /// Title above the map.
+    pub title: String,
+    /// Positions of transmitters.
+    pub transmitters: Vec<Point>,
+    /// Strongest power of the selected receivers, dBm, per transmitter.
+    pub powers: Vec<f64>,
+    /// Selected receivers, in the order of the table.
+    pub selected: Vec<Point>,
+    /// Receivers that are not selected.
+    pub others: Vec<Point>,
+}
+
+impl CoverageMap {
+    /// Draws the map. Colours run from dark (weakest power) to light (strongest power).
+    pub fn draw(&self) -> Canvas {
+        let framed = [&self.transmitters, &self.selected, &self.others].into_iter().flatten().copied();
+        let plan = FloorPlan::new(FloorPlan::corners(framed), ["x", "y"], WIDTH, MOST_HEIGHT);
+        let mut map = plan.canvas();
+        let finite = self.powers.iter().copied().filter(|v| v.is_finite());
+        let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        let [width, height] = plan.area().1;
+        let (share, least, most) = RADIUS;
+        let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();
+        for (place, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
+            let [r, g, b] = sequential((power - low) / (high - low).max(1e-9)).map(u32::from);
+            map.circle(plan.place(*place), radius.clamp(least, most), Paint::fill(Colour::hex(r << 16 | g << 8 | b)));
+        }
+        for place in &self.others {
+            map.circle(plan.place(*place), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));
+        }
+        self.selected.iter().for_each(|place| plan.receiver(&mut map, *place));
+        self.draw_numbers(&mut map, &plan);
+        plan.axes(&mut map);
+        let width = plan.size[0].max(300.0);
+        let note = wrapped(&self.note((low, high)), width * TEXT / SMALL);
+        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + LINE * (note.len() as f64 + 0.5));
+        canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
+        canvas.put([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
+        canvas.letters.size = SMALL;
+        for (k, line) in note.iter().enumerate() {
+            canvas.text([width / 2.0, HEAD + plan.size[1] + LINE * (k as f64 + 0.8)], Anchor::Middle, line);
+        }
+        canvas
+    }
+
+    /// Writes the numbers of the selected receivers.
+    fn draw_numbers(&self, map: &mut Canvas, plan: &FloorPlan) {
+        map.letters.size = TEXT;
+        for (k, place) in self.selected.iter().enumerate() {
+            let ([x, y], words) = (plan.place(*place), (k + 1).to_string());
+            for (colour, [right, down]) in [
+                (WHITE, [1.0, 0.0]),
+                (WHITE, [-1.0, 0.0]),
+                (WHITE, [0.0, 1.0]),
+                (WHITE, [0.0, -1.0]),
+                (INK, [0.0, 0.0]),
+            ] {
+                map.letters.colour = colour;
+                map.text([x + 8.0 + right, y - 5.0 + down], Anchor::Start, &words);
+            }
+        }
+        map.letters.colour = INK;
+        map.letters.size = SMALL;
+    }
+
+    /// Explains the marks.
+    fn note(&self, (low, high): (f64, f64)) -> String {
+        let mut words = vec!["squares: selected receivers".to_owned()];
+        if low <= high {
+            let [low, high] = [low, high].map(|v| format!("{v:.0}").replace('-', "−"));
+            words.push(format!("dots: transmitters, strongest power from {low} dBm (dark) to {high} dBm (light)"));
+        }
+        if !self.others.is_empty() {
+            words.push("white circles: other receivers".into());
+        }
+        words.join("; ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::canvas::outside;
+
+    #[test]
+    fn draws_empty_and_full_maps() {
+        let full = CoverageMap {
+            title: "coverage".into(),
+            transmitters: vec![[0.0, 0.0], [1.0, 2.0], [f64::NAN, 0.0], [0.4, 0.1]],
+            powers: vec![-80.0, -60.0, -70.0, f64::NAN],
+            selected: vec![[0.5, 0.5], [0.2, 1.0]],
+            others: vec![[0.2, 0.1]],
+        };
+        for map in [CoverageMap::default(), full] {
+            let svg = map.draw().svg("map", "");
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            assert_eq!(svg.contains("from −80 dBm"), !map.selected.is_empty());
+            assert_eq!(outside::take().1, Vec::<String>::new(), "text leaves the map");
+        }
+    }
+}
