@@ -1,4 +1,4 @@
-//! `Features`: the numbers in which two observations are compared.
+//! `FingerprintFeatures`: the numbers in which two observations are compared.
 
 use pwrfgs_core::{Dataset, Image, Real, Task, gain_at};
 
@@ -17,7 +17,7 @@ const LINKS: usize = 200;
 /// - Received power: the power in dBm.
 /// - Channel: roots of the magnitudes of the gains. Phases turn once per wavelength and are not compared.
 #[derive(Clone, Debug)]
-pub struct Features {
+pub struct FingerprintFeatures {
     task: Task,
     width: usize,
     height: usize,
@@ -26,7 +26,7 @@ pub struct Features {
     faintest: Real,
 }
 
-impl Features {
+impl FingerprintFeatures {
     /// Creates the features for the links `known` of `data`.
     pub fn new(data: &Dataset, known: &[usize]) -> Self {
         let (task, width, height) = (data.task(), data.width, data.height);

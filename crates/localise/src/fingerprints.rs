@@ -1,6 +1,6 @@
 //! `Fingerprints`: features of the observations at known positions.
 
-use crate::Features;
+use crate::FingerprintFeatures;
 use pwrfgs_core::{Dataset, Link, Predict};
 use rayon::prelude::*;
 
@@ -18,7 +18,7 @@ pub struct Fingerprints {
 /// Features of all receivers for one transmitter, of which some are known.
 struct Row<'a> {
     data: &'a Dataset,
-    features: &'a Features,
+    features: &'a FingerprintFeatures,
     /// Value of a receiver without a link.
     unheard: f32,
 }
@@ -39,13 +39,13 @@ impl Row<'_> {
 impl Fingerprints {
     /// Returns the measured fingerprints of `transmitters`. Powers of receivers without a link are `floor`: the transmitter
     /// was not heard.
-    pub fn measured(features: &Features, data: &Dataset, transmitters: &[usize], floor: f32) -> Self {
+    pub fn measured(features: &FingerprintFeatures, data: &Dataset, transmitters: &[usize], floor: f32) -> Self {
         Self::new(features, data, transmitters, floor, |link| features.of(&data.image(link)))
     }
 
     /// Returns the predicted fingerprints of `transmitters`, for the same links as [`Self::measured`].
     pub fn predicted(
-        features: &Features,
+        features: &FingerprintFeatures,
         data: &Dataset,
         transmitters: &[usize],
         floor: f32,
@@ -55,7 +55,7 @@ impl Fingerprints {
     }
 
     fn new(
-        features: &Features,
+        features: &FingerprintFeatures,
         data: &Dataset,
         transmitters: &[usize],
         floor: f32,

@@ -17,7 +17,7 @@ mod locator;
 mod nearest;
 mod region;
 
-pub use features::Features;
+pub use features::FingerprintFeatures;
 pub use fingerprints::Fingerprints;
 pub use locator::{Choice, Located, Locator, transmitters};
 pub use nearest::NearestFingerprints;

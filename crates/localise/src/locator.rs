@@ -2,7 +2,7 @@
 
 use crate::descent::descend;
 use crate::region::Density;
-use crate::{Features, Fingerprints, Region, RegionRule, mean_and_median, median};
+use crate::{FingerprintFeatures, Fingerprints, Region, RegionRule, mean_and_median, median};
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
 use rayon::prelude::*;
 
@@ -30,7 +30,7 @@ pub struct Choice {
 
 /// Finds the position of a transmitter from its observations.
 pub struct Locator<'a> {
-    features: Features,
+    features: FingerprintFeatures,
     model: &'a dyn Predict,
     fingerprints: Fingerprints,
     receivers: usize,
@@ -88,7 +88,7 @@ impl<'a> Locator<'a> {
             return Err(Error::Config(format!("{}: {what}", data.title)));
         }
         let (train, validation) = (transmitters(data, known.train), transmitters(data, known.validation));
-        let features = Features::new(data, known.train);
+        let features = FingerprintFeatures::new(data, known.train);
         let floor = known.train.iter().map(|i| data.image(*i).pixels[0] as f32).fold(f32::INFINITY, f32::min);
         let measured = Fingerprints::measured(&features, data, &train, floor);
         let is_used = |share: &f32| *share > 0.0;
@@ -130,7 +130,7 @@ impl<'a> Locator<'a> {
     }
 
     /// Returns the features in which observations are compared.
-    pub fn features(&self) -> &Features {
+    pub fn features(&self) -> &FingerprintFeatures {
         &self.features
     }
 

@@ -1,6 +1,6 @@
 //! A hall with four receivers, whose powers follow a law of distance with noise.
 
-use crate::{Features, Locator, NearestFingerprints, mean_and_median};
+use crate::{FingerprintFeatures, Locator, NearestFingerprints, mean_and_median};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Channels, Spectra, rng};
 use pwrfgs_core::{Dataset, Elevation, FittingSet, Image, Observations, Pose, Predict, Query, Real, Receiver, Sample};
@@ -98,7 +98,7 @@ fn derivative_of_features_agrees_with_central_differences() {
     let channels = Dataset::of_links("waves", receivers, vec![], &samples(2), channels.into()).unwrap();
     assert_eq!(spectra.elevation, Elevation::UPPER);
     for data in [&spectra, &channels] {
-        let features = Features::new(data, &[0, 1]);
+        let features = FingerprintFeatures::new(data, &[0, 1]);
         let numbers = data.width * data.height;
         let image = |pixels: Vec<Real>| Image { width: data.width, height: data.height, pixels };
         let (pixels, d) = (values(numbers), values(features.count()));

@@ -12,6 +12,7 @@ mod factored;
 mod factored_network;
 pub mod linear;
 mod mlp;
+mod mlp_branch;
 mod near;
 #[cfg(test)]
 mod oracle;

@@ -6,9 +6,10 @@
 //! ```
 
 use crate::check_carrier;
-use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
-use crate::encoding::{self, check_frequencies, encode, encode_vjp};
+use crate::dense::{self, StoreMode};
+use crate::encoding::{self, check_frequencies, encode};
 use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
+use crate::mlp_branch::{TxBranch, TxSide};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real,
@@ -85,17 +86,18 @@ impl Mlp {
     fn network(&self, plan: &mut LayoutBuilder) -> MlpLayers {
         let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
         let tx_inputs = encoding::width(self.tx_frequencies) + usize::from(carrier.is_some());
-        let tx =
+        let layers =
             [plan.linear("tx.0", tx_inputs, self.tx_hidden), plan.linear("tx.1", self.tx_hidden, self.tx_features)];
+        let branch = TxBranch { frequencies: self.tx_frequencies, carrier, layers };
         let gamma = encoding::width(self.position_frequencies);
-        let &Self { position_frequencies, tx_frequencies, depth, width, skip, outputs, .. } = self;
+        let &Self { position_frequencies, depth, width, skip, outputs, .. } = self;
         let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: self.tx_features });
         let heads: &[(&str, usize)] = match outputs {
             Outputs::All => &[("rotation", 4), ("scaling", 3), ("signal", 2)],
             Outputs::Signals => &[("signal", 2)],
         };
         let heads = plan.heads(heads, width, self.head_init);
-        MlpLayers { position_frequencies, tx_frequencies, carrier, outputs, tx, trunk, heads }
+        MlpLayers { position_frequencies, outputs, branch, trunk, heads }
     }
 }
 
@@ -162,25 +164,10 @@ pub enum Outputs {
 #[derive(Debug)]
 pub(super) struct MlpLayers {
     pub(super) position_frequencies: usize,
-    pub(super) tx_frequencies: usize,
-    /// Factor on the carrier, which then is the last input of the transmitter branch.
-    pub(super) carrier: Option<Real>,
     pub(super) outputs: Outputs,
-    pub(super) tx: [Linear; 2],
+    pub(super) branch: TxBranch,
     pub(super) trunk: Trunk,
     pub(super) heads: Linear,
-}
-
-/// Activations that depend on the transmitter only.
-struct TxSide {
-    /// Encoding γ of the transmitter position, and the carrier.
-    gamma: Vec<Real>,
-    /// Activations after `tx.0`.
-    hidden: Vec<Real>,
-    /// Features e, after `tx.1`.
-    features: Vec<Real>,
-    /// Biases of the trunk including W·e.
-    folded: Joints,
 }
 
 /// Buffers for one chunk, reused for all items of a task.
@@ -202,28 +189,6 @@ struct GradientSum {
 }
 
 impl MlpLayers {
-    /// Runs the transmitter branch for one transmitter, so that batches are bit-identical to single calls.
-    fn tx_side(&self, weights: &[Real], tx: [Real; 3], carrier: Real) -> TxSide {
-        let mut gamma = vec![0.0; encoding::width(self.tx_frequencies)];
-        encode([tx].into_iter(), self.tx_frequencies, &mut gamma);
-        gamma.extend(self.carrier.map(|factor| factor * carrier));
-        let apply = |layer: &Linear, x: &[Real]| {
-            let mut y = vec![0.0; layer.outputs];
-            layer.whole().apply(weights, x, &mut y, StoreMode::Set);
-            y
-        };
-        let mut hidden = apply(&self.tx[0], &gamma);
-        dense::bias_relu(&mut hidden, self.tx[0].bias(weights));
-        let mut features = apply(&self.tx[1], &hidden);
-        dense::add_bias(&mut features, self.tx[1].bias(weights));
-        let folded = self.trunk.fold(weights, &features);
-        TxSide { gamma, hidden, features, folded }
-    }
-
-    fn tx_sides(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<TxSide> {
-        txs.positions().par_iter().enumerate().map(|(b, &tx)| self.tx_side(weights, tx, txs.carrier(b))).collect()
-    }
-
     /// Computes γ and W·γ of the centres of a chunk.
     fn begin(&self, weights: &[Real], means: &[[Real; 3]], scratch: &mut Scratch) {
         scratch.gamma.resize(means.len() * encoding::width(self.position_frequencies), 0.0);
@@ -232,7 +197,7 @@ impl MlpLayers {
     }
 
     pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Deltas {
-        let sides = self.tx_sides(weights, txs);
+        let sides = self.branch.sides(weights, &self.trunk, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let pieces: Vec<Vec<Deltas>> = items
             .par_iter()
@@ -284,7 +249,7 @@ impl MlpLayers {
         d_txs: Option<&mut [Real]>,
     ) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
-        let sides = self.tx_sides(weights, txs);
+        let sides = self.branch.sides(weights, &self.trunk, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let sums: Vec<GradientSum> = items
             .par_chunks(items_per_sum(items.len()))
@@ -302,7 +267,7 @@ impl MlpLayers {
         let mut folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
         dense::add_in_order(&mut folded.first, &sums.iter().map(|s| s.folded.first.as_slice()).collect::<Vec<_>>());
         dense::add_in_order(&mut folded.joined, &sums.iter().map(|s| s.folded.joined.as_slice()).collect::<Vec<_>>());
-        self.tx_vjp(weights, &sides, &folded, d_weights, d_txs);
+        self.branch.vjp(weights, &self.trunk, &sides, &folded, d_weights, d_txs);
     }
 
     /// Backward pass of one chunk for some transmitters; recomputes its forward pass first.
@@ -342,40 +307,6 @@ impl MlpLayers {
             self.trunk.backward(weights, slots, d_h, spare, into);
         }
         self.trunk.share_vjp(weights, gamma, &d_shared, &mut sum.weights, None);
-    }
-
-    /// Backward pass of the transmitter branch, for all transmitters at once.
-    fn tx_vjp(
-        &self,
-        weights: &[Real],
-        sides: &[TxSide],
-        d_folded: &Joints,
-        d_weights: &mut [Real],
-        d_txs: Option<&mut [Real]>,
-    ) {
-        let batch = sides.len();
-        let stack = |of: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(of).copied().collect() };
-        let features = stack(|s| &s.features);
-        let d_features = self.trunk.fold_vjp(weights, &features, d_folded, d_weights);
-        let [first, second] = &self.tx;
-        let d_e = Matrix::new(&d_features, batch, second.outputs);
-        let hidden = stack(|s| &s.hidden);
-        product(second.weight_mut(d_weights), StoreMode::Add, d_e.t(), Matrix::new(&hidden, batch, second.inputs));
-        d_features.chunks_exact(second.outputs).for_each(|d| dense::add(second.bias_mut(d_weights), d));
-        let mut d_hidden = vec![0.0; hidden.len()];
-        product(MatrixMut::new(&mut d_hidden, batch, second.inputs), StoreMode::Set, d_e, second.weight(weights));
-        d_hidden.iter_mut().zip(&hidden).for_each(|(d, &h)| *d = if h > 0.0 { *d } else { 0.0 });
-        let gamma = stack(|s| &s.gamma);
-        let d_z = Matrix::new(&d_hidden, batch, first.outputs);
-        product(first.weight_mut(d_weights), StoreMode::Add, d_z.t(), Matrix::new(&gamma, batch, first.inputs));
-        d_hidden.chunks_exact(first.outputs).for_each(|d| dense::add(first.bias_mut(d_weights), d));
-        let Some(d_txs) = d_txs else { return };
-        let mut d_gamma = vec![0.0; gamma.len()];
-        product(MatrixMut::new(&mut d_gamma, batch, first.inputs), StoreMode::Set, d_z, first.weight(weights));
-        let own = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
-        let each = own.zip(d_txs.as_chunks_mut().0.chunks_mut(1));
-        let encoded = encoding::width(self.tx_frequencies); // the carrier may follow
-        each.for_each(|((gamma, d), d_tx)| encode_vjp(&gamma[..encoded], &d[..encoded], self.tx_frequencies, d_tx));
     }
 }
 

@@ -1,6 +1,6 @@
 //! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
 
-use pwrfgs::localise::Features;
+use pwrfgs::localise::FingerprintFeatures;
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, did_you_mean, files, rows_of};
@@ -11,7 +11,7 @@ use std::path::Path;
 const MOST: u64 = 1 << 30;
 
 /// Features `[receivers, count]` of every transmitter in a file; NaN for unknown values.
-pub(super) fn read(path: &Path, features: &Features, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
+pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
     let task = features.task();
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
         Some("npy") if task.is_scalar => powers(path, &real(path, &[receivers.len()])?, receivers.len()),
@@ -52,7 +52,7 @@ fn real(path: &Path, inner: &[usize]) -> Result<Vec<Real>> {
 }
 
 /// Observations of a complex array `[B, A, F]`, as rows of real and imaginary parts.
-fn complex(path: &Path, features: &Features) -> Result<Vec<Real>> {
+fn complex(path: &Path, features: &FingerprintFeatures) -> Result<Vec<Real>> {
     let (width, height) = features.size();
     let (header, bytes) = open(path)?;
     check_shape(path, &header, &[height / 2, width])?;
@@ -93,7 +93,7 @@ fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
     Ok(())
 }
 
-fn picture(path: &Path, features: &Features) -> Result<Vec<Real>> {
+fn picture(path: &Path, features: &FingerprintFeatures) -> Result<Vec<Real>> {
     let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
     let image = image::load_from_memory(&bytes).map_err(|e| Error::input(path, format!("is no PNG image: {e}")))?;
     let (width, height) = features.size();
@@ -109,7 +109,12 @@ fn picture(path: &Path, features: &Features) -> Result<Vec<Real>> {
 }
 
 /// Features of spectra or channels at one receiver.
-fn images(path: &Path, features: &Features, receivers: &[Receiver], values: &[Real]) -> Result<Vec<Vec<f32>>> {
+fn images(
+    path: &Path,
+    features: &FingerprintFeatures,
+    receivers: &[Receiver],
+    values: &[Real],
+) -> Result<Vec<Vec<f32>>> {
     if receivers.len() != 1 {
         let what = format!(
             "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
