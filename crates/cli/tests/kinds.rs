@@ -58,7 +58,7 @@ fn folders(here: &Path) {
 const NO_POSITION: (&str, &str) = ("uplinks", "instead of a transmitter");
 
 /// Commands in the order of a user, KIND for the kind of data; who cannot do them, and the words that say so.
-const COMMANDS: [(&str, &[(&str, &str)]); 17] = [
+const COMMANDS: [(&str, &[(&str, &str)]); 18] = [
     ("inspect KIND", &[]),
     ("init KIND --out KIND.ron", &[]),
     ("check KIND.ron", &[]),
