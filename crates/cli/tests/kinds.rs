@@ -78,7 +78,12 @@ const COMMANDS: [(&str, &[(&str, &str)]); 18] = [
     ("plan KIND --simulate --count 12 --out next/KIND", &[("uplinks", "no transmitter positions")]),
     (
         "place KIND --count 1 --out place/KIND",
-        &[("spectra", "no received powers"), ("channels", "no received powers"), ("uplinks", "no received powers")],
+        &[
+            ("spectra", "no received powers"),
+            ("channels", "no received powers"),
+            ("uplinks", "no received powers"),
+            ("images", "no received powers"),
+        ],
     ),
     ("export run/KIND/model.safetensors --npz KIND.npz --ply KIND.ply --half KIND.half", &[]),
     ("compress run/KIND/model.safetensors --out KIND.small", &[]),
