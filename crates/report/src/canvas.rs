@@ -10,6 +10,7 @@ mod png;
 mod svg;
 
 pub use font::{cut, text_width, wrapped};
+use pwrfgs_core::colour::sequential;
 use pwrfgs_core::messages;
 pub use svg::xml;
 
@@ -34,6 +35,11 @@ impl Colour {
     /// Creates an opaque colour from `0xrrggbb`.
     pub const fn hex(rgb: u32) -> Self {
         Self { rgb: [(rgb >> 16) as u8, (rgb >> 8) as u8, rgb as u8], opacity: 1.0 }
+    }
+
+    /// Returns the colour of a share from 0 (dark) to 1 (light) on the sequential scale.
+    pub fn sequential(share: f64) -> Self {
+        Self { rgb: sequential(share), opacity: 1.0 }
     }
 
     /// Returns the colour with another opacity.

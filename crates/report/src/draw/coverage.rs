@@ -1,16 +1,8 @@
 //! Map of coverage: strongest power per transmitter position, and the selected receivers.
 
 use super::plan::FloorPlan;
-use crate::canvas::{Anchor, Canvas, Colour, INK, LINE, Paint, Point, TEXT, WHITE, wrapped};
-use pwrfgs_core::colour::sequential;
+use crate::canvas::{Canvas, Colour, INK, Paint, Point, TEXT, WHITE};
 
-/// Width of the drawing and maximum height of the map.
-const WIDTH: f64 = 470.0;
-const MOST_HEIGHT: f64 = 420.0;
-/// Height for the title.
-const HEAD: f64 = 22.0;
-/// Size of the letters below the map.
-const SMALL: f64 = 10.0;
 /// Radius of a transmitter position: part of its share of the map, smallest and largest.
 const RADIUS: (f64, f64, f64) = (0.3, 1.2, 9.0);
 
@@ -33,7 +25,7 @@ impl CoverageMap {
     /// Draws the map. Colours run from dark (weakest power) to light (strongest power).
     pub fn draw(&self) -> Canvas {
         let framed = [&self.transmitters, &self.selected, &self.others].into_iter().flatten().copied();
-        let plan = FloorPlan::new(FloorPlan::corners(framed), ["x", "y"], WIDTH, MOST_HEIGHT);
+        let plan = FloorPlan::around(framed);
         let mut map = plan.canvas();
         let finite = self.powers.iter().copied().filter(|v| v.is_finite());
         let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
@@ -41,45 +33,15 @@ impl CoverageMap {
         let (share, least, most) = RADIUS;
         let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();
         for (place, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
-            let [r, g, b] = sequential((power - low) / (high - low).max(1e-9)).map(u32::from);
-            map.circle(plan.place(*place), radius.clamp(least, most), Paint::fill(Colour::hex(r << 16 | g << 8 | b)));
+            let colour = Colour::sequential((power - low) / (high - low).max(1e-9));
+            map.circle(plan.place(*place), radius.clamp(least, most), Paint::fill(colour));
         }
         for place in &self.others {
             map.circle(plan.place(*place), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));
         }
         self.selected.iter().for_each(|place| plan.receiver(&mut map, *place));
-        self.draw_numbers(&mut map, &plan);
-        plan.axes(&mut map);
-        let width = plan.size[0].max(300.0);
-        let note = wrapped(&self.note((low, high)), width * TEXT / SMALL);
-        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + LINE * (note.len() as f64 + 0.5));
-        canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
-        canvas.put([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
-        canvas.letters.size = SMALL;
-        for (k, line) in note.iter().enumerate() {
-            canvas.text([width / 2.0, HEAD + plan.size[1] + LINE * (k as f64 + 0.8)], Anchor::Middle, line);
-        }
-        canvas
-    }
-
-    /// Writes the numbers of the selected receivers.
-    fn draw_numbers(&self, map: &mut Canvas, plan: &FloorPlan) {
-        map.letters.size = TEXT;
-        for (k, place) in self.selected.iter().enumerate() {
-            let ([x, y], words) = (plan.place(*place), (k + 1).to_string());
-            for (colour, [right, down]) in [
-                (WHITE, [1.0, 0.0]),
-                (WHITE, [-1.0, 0.0]),
-                (WHITE, [0.0, 1.0]),
-                (WHITE, [0.0, -1.0]),
-                (INK, [0.0, 0.0]),
-            ] {
-                map.letters.colour = colour;
-                map.text([x + 8.0 + right, y - 5.0 + down], Anchor::Start, &words);
-            }
-        }
-        map.letters.colour = INK;
-        map.letters.size = SMALL;
+        plan.numbers(&mut map, &self.selected, TEXT, [8.0, 5.0]);
+        plan.titled(map, &self.title, &self.note((low, high)))
     }
 
     /// Explains the marks.

@@ -1,16 +1,9 @@
 //! Where transmitters are: the region of one, and the errors of many.
 
 use super::plan::FloorPlan;
-use crate::canvas::{Anchor, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, TEXT, VectorPath, WHITE, wrapped};
+use crate::canvas::{Canvas, Colour, INK, Paint, Point, RasterImage, VectorPath, WHITE};
 use pwrfgs_core::colour::sequential;
 
-/// Width of the drawing and maximum height of the map.
-const WIDTH: f64 = 470.0;
-const MOST_HEIGHT: f64 = 420.0;
-/// Height for the title above the map.
-const HEAD: f64 = 22.0;
-/// Size of the letters below the map.
-const SMALL: f64 = 10.0;
 /// Colours of estimates and true positions (Okabe and Ito); their marks differ too.
 const ESTIMATE: Colour = Colour::hex(0xd5_5e00);
 const TRUTH: Colour = Colour::hex(0x00_5aa0);
@@ -48,7 +41,7 @@ impl LocationMap<'_> {
             let air = 0.5 * (corners[1][0] - corners[0][0]).max(corners[1][1] - corners[0][1]);
             corners = [corners[0].map(|v| v - air), corners[1].map(|v| v + air)];
         }
-        let plan = FloorPlan::new(corners, ["x", "y"], WIDTH, MOST_HEIGHT);
+        let plan = FloorPlan::of_floor(corners);
         let mut map = plan.canvas();
         self.draw_density(&mut map, &plan, corners);
         plan.points(&mut map, self.training.iter().copied());
@@ -59,18 +52,9 @@ impl LocationMap<'_> {
         }
         self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
         self.draw_estimates(&mut map, &plan);
-        plan.axes(&mut map);
-        let width = plan.size[0].max(300.0);
         let region = if self.outlines.is_empty() { "" } else { "; outline: 90 % region" };
         let note = format!("circle: estimate; cross: true position; grey dots: training positions{region}");
-        let note = wrapped(&note, width * TEXT / SMALL);
-        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + LINE * (note.len() as f64 + 0.5));
-        let middle = canvas.width / 2.0;
-        canvas.text([middle, 15.0], Anchor::Middle, &self.title);
-        canvas.put([middle - plan.size[0] / 2.0, HEAD], 1.0, &map);
-        canvas.letters.size = SMALL;
-        canvas.lines([middle, HEAD + plan.size[1] + LINE], Anchor::Middle, &note);
-        canvas
+        plan.titled(map, &self.title, &note)
     }
 
     /// Draws the cells of the density that are completely inside the frame.

@@ -109,6 +109,45 @@ impl FloorPlan {
         (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
     }
 
+    /// Creates a floor plan around `places`, as large as a map.
+    pub(crate) fn around(places: impl IntoIterator<Item = Point>) -> Self {
+        Self::of_floor(Self::corners(places))
+    }
+
+    /// Creates a floor plan between two corners, metres, as large as a map.
+    pub(crate) fn of_floor(corners: [Point; 2]) -> Self {
+        Self::new(corners, ["x", "y"], WIDTH, MOST_HEIGHT)
+    }
+
+    /// Adds axes, a title above the map and a note below it, wrapped to its width.
+    pub(crate) fn titled(&self, mut map: Canvas, title: &str, note: &str) -> Canvas {
+        self.axes(&mut map);
+        let width = self.size[0].max(300.0);
+        let note = wrapped(note, width * TEXT / SMALL);
+        let mut canvas = Canvas::new(width, HEAD + self.size[1] + LINE * (note.len() as f64 + 0.5));
+        canvas.text([width / 2.0, 15.0], Anchor::Middle, title);
+        canvas.put([(width - self.size[0]) / 2.0, HEAD], 1.0, &map);
+        canvas.letters.size = SMALL;
+        for (k, line) in note.iter().enumerate() {
+            canvas.text([width / 2.0, HEAD + self.size[1] + LINE * (k as f64 + 0.8)], Anchor::Middle, line);
+        }
+        canvas
+    }
+
+    /// Writes the numbers from 1 beside `places`, with a white rim.
+    pub(crate) fn numbers(&self, canvas: &mut Canvas, places: &[Point], size: f64, [right, up]: Point) {
+        let letters = canvas.letters;
+        canvas.letters.size = size;
+        for (k, place) in places.iter().enumerate() {
+            let ([x, y], words) = (self.place(*place), (k + 1).to_string());
+            for (colour, shift) in [(WHITE, 0.8), (WHITE, -0.8), (INK, 0.0)] {
+                canvas.letters.colour = colour;
+                canvas.text([x + right + shift, y - up + shift], Anchor::Start, &words);
+            }
+        }
+        canvas.letters = letters;
+    }
+
     /// Centres the drawing in a given width, so that a page scales maps of any shape equally.
     pub(crate) fn widened(canvas: &Canvas, width: f64) -> Canvas {
         let mut wide = Canvas::new(width.max(canvas.width), canvas.height);

@@ -1,15 +1,9 @@
 //! Map of a survey: candidates, known measurements and selected positions.
 
 use super::plan::FloorPlan;
-use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, TEXT, WHITE, wrapped};
-use pwrfgs_core::colour::sequential;
+use crate::canvas::{BLACK, Canvas, Colour, Paint, Point};
 
-/// Width of the drawing and maximum height of the map.
-const WIDTH: f64 = 470.0;
-const MOST_HEIGHT: f64 = 420.0;
-/// Height for the title.
-const HEAD: f64 = 22.0;
-/// Size of the letters below the map.
+/// Size of the numbers.
 const SMALL: f64 = 10.0;
 /// Colour of known measurements.
 const KNOWN: Colour = Colour::hex(0x8d_94a1);
@@ -37,7 +31,7 @@ impl SurveyMap {
     /// Draws the map. Colours run from dark (first position) to light (last position).
     pub fn draw(&self) -> Canvas {
         let framed = [&self.candidates, &self.known, &self.selected].into_iter().flatten().copied();
-        let plan = FloorPlan::new(FloorPlan::corners(framed), ["x", "y"], WIDTH, MOST_HEIGHT);
+        let plan = FloorPlan::around(framed);
         let mut map = plan.canvas();
         plan.points(&mut map, self.candidates.iter().copied());
         for place in &self.known {
@@ -45,36 +39,13 @@ impl SurveyMap {
         }
         let last = self.selected.len().saturating_sub(1).max(1) as f64;
         for (k, place) in self.selected.iter().enumerate().rev() {
-            let [r, g, b] = sequential(k as f64 / last).map(u32::from);
-            let fill = Paint::fill(Colour::hex(r << 16 | g << 8 | b));
+            let fill = Paint::fill(Colour::sequential(k as f64 / last));
             map.circle(plan.place(*place), RADIUS, fill.outlined(BLACK, 0.6));
         }
         self.receivers.iter().for_each(|place| plan.receiver(&mut map, *place));
-        self.draw_numbers(&mut map, &plan);
-        plan.axes(&mut map);
-        let width = plan.size[0].max(300.0);
-        let note = wrapped(&self.note(&plan), width * TEXT / SMALL);
-        let mut canvas = Canvas::new(width, HEAD + plan.size[1] + LINE * (note.len() as f64 + 0.5));
-        canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
-        canvas.put([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
-        canvas.letters.size = SMALL;
-        for (k, line) in note.iter().enumerate() {
-            canvas.text([width / 2.0, HEAD + plan.size[1] + LINE * (k as f64 + 0.8)], Anchor::Middle, line);
-        }
-        canvas
-    }
-
-    /// Writes the numbers of the first selected positions.
-    fn draw_numbers(&self, map: &mut Canvas, plan: &FloorPlan) {
-        map.letters.size = SMALL;
-        for (k, place) in self.selected.iter().take(NUMBERED).enumerate() {
-            let ([x, y], words) = (plan.place(*place), (k + 1).to_string());
-            for (colour, shift) in [(WHITE, 0.8), (WHITE, -0.8), (INK, 0.0)] {
-                map.letters.colour = colour;
-                map.text([x + 1.4 * RADIUS + shift, y - RADIUS + shift], Anchor::Start, &words);
-            }
-        }
-        map.letters.colour = INK;
+        let numbered = &self.selected[..self.selected.len().min(NUMBERED)];
+        plan.numbers(&mut map, numbered, SMALL, [1.4 * RADIUS, RADIUS]);
+        plan.titled(map, &self.title, &self.note(&plan))
     }
 
     /// Explains the marks.
