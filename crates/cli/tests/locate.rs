@@ -66,13 +66,14 @@ fn powers_of_files_are_located_and_invalid_ones_refused() {
     let list = std::fs::read_to_string(here.join("out/locations.csv")).unwrap();
     for line in list.lines().skip(1) {
         let x: f64 = line.split(',').nth(1).unwrap().parse().unwrap();
-        assert!((-1.0..=6.0).contains(&x), "{line}: {}", stderr(&inside));
+        assert!((0.0..=5.0).contains(&x), "{line}: {}", stderr(&inside));
     }
     refuse(here, &["locate", MODEL, "o.csv", "--out", "out"], 2, &["out"]);
     refuse(here, &["locate", MODEL, "o.csv", "--prior", "50,60,0,6"], 2, &["--prior", "no training position"]);
-    refuse(here, &["locate", MODEL, "o.csv", "--prior", "5,0,0,6"], 2, &["--prior", "X0 < X1"]);
+    refuse(here, &["locate", MODEL, "o.csv", "--prior", "5,0,0,6"], 2, &["--prior", "the smaller first"]);
     for (text, words) in [
         ("north,soth\n-50,-50\n", ["soth", "did you mean"]),
+        ("north,north\n-50,-60\n", ["o.csv:1:1", "occurs twice"]),
         ("north,south\n,\n", ["row 1", "no receiver has a power"]),
         ("north,south\n-50\n", ["o.csv:2:1", "1 cells"]),
         ("north,south\n-50,high\n", ["o.csv:2:1", "`high` is no number"]),
@@ -84,6 +85,10 @@ fn powers_of_files_are_located_and_invalid_ones_refused() {
     }
     write(&here.join("o.npy"), array(&[2, 3], 0.0));
     refuse(here, &locate("o.npy"), 2, &["has shape [2, 3]", "[B, 2]"]);
+    write(&here.join("o.npy"), &array(&[3, 2], -50.0)[..140]);
+    refuse(here, &locate("o.npy"), 2, &["has shape [3, 2], but not its length"]);
+    write(&here.join("o.npy"), [npy_header(Number::U16, &[1, 2]), vec![0; 4]].concat());
+    refuse(here, &locate("o.npy"), 2, &["`<u2`", "astype"]);
     refuse(here, &locate("o.png"), 2, &["no file of received powers", "CSV"]);
 }
 

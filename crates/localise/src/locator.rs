@@ -10,8 +10,8 @@ use rayon::prelude::*;
 const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 /// Kernel widths to choose from, in units of the distance between neighbouring training positions.
 const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// Share of true positions that regions should hold.
-pub(crate) const HELD: f64 = 0.9;
+/// One of this number of true positions may be outside its region: regions should hold 90 %.
+const MISSED: usize = 10;
 /// Maximum number of validation samples on which descent is compared with no descent.
 const COMPARED: usize = 100;
 
@@ -38,6 +38,8 @@ pub struct Locator<'a> {
     floor: f32,
     /// Half the distance between neighbouring training positions, metres.
     spacing: f64,
+    /// Area of [`Self::within`].
+    is_possible: Option<Box<dyn Fn([f64; 2]) -> bool + Sync + 'a>>,
     /// Settings.
     pub choice: Choice,
     /// Rule of the regions; `None` without validation samples.
@@ -89,7 +91,8 @@ impl<'a> Locator<'a> {
         }
         let (train, validation) = (transmitters(data, known.train), transmitters(data, known.validation));
         let features = FingerprintFeatures::new(data, known.train);
-        let floor = known.train.iter().map(|i| data.image(*i).pixels[0] as f32).fold(f32::INFINITY, f32::min);
+        let weakest = |own: &[Real]| known.train.iter().map(|i| own[*i] as f32).fold(f32::INFINITY, f32::min);
+        let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
         let measured = Fingerprints::measured(&features, data, &train, floor);
         let is_used = |share: &f32| *share > 0.0;
         let predicted =
@@ -105,26 +108,27 @@ impl<'a> Locator<'a> {
                 best = Some((error, Choice { share: *share, sharpness, scale, descends: false }, own, misfits));
             }
         }
+        data.observations.check()?;
         let (error, choice, fingerprints, misfits) =
             best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
         let spacing = spacing(&fingerprints.positions);
         let rule = region_rule(&fingerprints.positions, &truths, &misfits, choice.scale, spacing);
         let receivers = data.scene.receivers.len();
-        let mut locator = Self { features, model, fingerprints, receivers, floor, spacing, choice, rule };
+        let mut locator =
+            Self { features, model, fingerprints, receivers, floor, spacing, is_possible: None, choice, rule };
         locator.choose_descent(&truths, error);
         Ok(locator)
     }
 
-    /// Restricts positions to those that satisfy `is_possible`.
+    /// Restricts fingerprints and estimates to positions that satisfy `is_possible`, a convex area of the floor.
     ///
     /// # Errors
     /// No training position does.
-    pub fn within(mut self, is_possible: impl Fn([f64; 3]) -> bool) -> Result<Self> {
-        self.fingerprints = self.fingerprints.filtered(is_possible);
+    pub fn within(mut self, is_possible: impl Fn([f64; 2]) -> bool + Sync + 'a) -> Result<Self> {
+        self.fingerprints = self.fingerprints.filtered(|[x, y, _]| is_possible([x, y]));
+        self.is_possible = Some(Box::new(is_possible));
         if self.fingerprints.is_empty() {
-            return Err(Error::Config(
-                "--prior: no training position is inside; give a box around some of them".into(),
-            ));
+            return Err(Error::Config("no training position is inside; give an area around some of them".into()));
         }
         Ok(self)
     }
@@ -158,16 +162,21 @@ impl<'a> Locator<'a> {
         let observation = &observation.iter().map(heard).collect::<Vec<f32>>()[..];
         let misfits = self.fingerprints.misfits(observation);
         let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
-        let weights = weights(&misfits, self.choice.sharpness / self.choice.scale);
-        let mut position = mean(&weights, &self.fingerprints.positions);
-        if self.choice.descends {
-            position = self.descended(observation, &weights, position).unwrap_or(position);
-        }
+        let position = self.position(observation, &misfits);
         let density = self.rule.map(|rule| {
             let weights = self::weights(&misfits, rule.sharpness / self.choice.scale);
             (Density::new(&weights, &self.fingerprints.positions, rule.bandwidth), rule.share)
         });
         Located { position, misfit: f64::from(least) / self.choice.scale, density }
+    }
+
+    /// Returns the weighted mean of the positions, improved by descent if that was chosen and ends at a possible position.
+    fn position(&self, observation: &[f32], misfits: &[f32]) -> [f64; 3] {
+        let weights = weights(misfits, self.choice.sharpness / self.choice.scale);
+        let mean = mean(&weights, &self.fingerprints.positions);
+        let found = if self.choice.descends { self.descended(observation, &weights, mean) } else { None };
+        let is_possible = |[x, y, _]: &[f64; 3]| self.is_possible.as_ref().is_none_or(|own| own([*x, *y]));
+        found.filter(is_possible).unwrap_or(mean)
     }
 
     /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of the
@@ -223,7 +232,8 @@ impl<'a> Locator<'a> {
             return;
         }
         let mean_error = |locator: &Self| {
-            let one = |(observation, truth): &&Truth| distance(locator.locate(observation).position, *truth);
+            let position = |own: &[f32]| locator.position(own, &locator.fingerprints.misfits(own));
+            let one = |(observation, truth): &&Truth| distance(position(observation), *truth);
             mean_and_median(some.par_iter().map(one).collect())[0]
         };
         let without = mean_error(self);
@@ -291,7 +301,7 @@ fn spacing(positions: &[[f64; 3]]) -> f64 {
     if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
 }
 
-/// Returns the rule with the highest mean log density at the true positions, and the level that holds [`HELD`] of them.
+/// Returns the rule with the highest mean log density at the true positions, and the level that holds nine of ten of them.
 /// `None` if there are too few for this share.
 fn region_rule(
     positions: &[[f64; 3]],
@@ -301,7 +311,7 @@ fn region_rule(
     spacing: f64,
 ) -> Option<RegionRule> {
     // The smallest of n values holds n/(n + 1) of new ones.
-    let rank = ((1.0 - HELD) * (truths.len() + 1) as f64).floor() as usize;
+    let rank = (truths.len() + 1) / MISSED;
     if rank == 0 {
         return None;
     }

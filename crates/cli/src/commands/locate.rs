@@ -2,11 +2,13 @@
 
 mod observations;
 
-use super::options::{check_positions, numbers, read_models};
+use super::map::PlaneBounds;
+use super::options::{check_positions, read_models};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
+use pwrfgs::experiment::statistics::quantile;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
 use pwrfgs::experiment::{Observer as _, load as load_data, read_pipeline};
 use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, mean_and_median, transmitters};
@@ -30,7 +32,7 @@ const WIDTH_MM: f64 = 120.0;
 Compares an observation with the fingerprints of the training positions: what was measured there,
 blended with what the model predicts there. Validation samples choose the blend, the sharpness of
 the weights, whether to descend along the model, and the size of the 90 % regions; train with
-validation samples, such as split=Voxel(size: 0.3, validation: 0.1), to get regions.
+validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
 
 Without OBSERVATIONS, locates the test samples of the model's data and prints the errors beside
 those of nearest fingerprints, of fingerprints predicted by Kriging, and of the centre of the room.
@@ -56,7 +58,7 @@ pub(crate) struct Locate {
     #[arg(value_name = "OBSERVATIONS")]
     pub(crate) observations: Option<PathBuf>,
     /// Only positions in this box, metres
-    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
+    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
     pub(crate) prior: Option<String>,
     /// Change a setting of the pipeline, such as data.root=data/ble; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
@@ -88,7 +90,7 @@ impl Row {
 }
 
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
-    let prior = arguments.prior.as_deref().map(parse_prior).transpose()?;
+    let prior = arguments.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
     let path = arguments.model.parent().unwrap_or(Path::new("")).join(PIPELINE);
@@ -105,11 +107,13 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     check_setup(&arguments.model, &model, &data)?;
     let locator = RunProgress::during(verbosity, |progress| {
         progress.on_stage("fingerprints", 0, 0);
-        Locator::fit(&data, fitting(&partition), &model, &SHARES)
+        Locator::fit(&data, partition.known(), &model, &SHARES)
     })?;
     verbosity.note(&summary(&locator, &data, &partition));
     let locator = match prior {
-        Some([x0, x1, y0, y1]) => locator.within(|[x, y, _]| (x0..=x1).contains(&x) && (y0..=y1).contains(&y))?,
+        Some(bounds) => {
+            locator.within(move |place| bounds.holds(place)).map_err(|e| Error::Config(format!("--prior: {e}")))?
+        }
         None => locator,
     };
     let rows = match &arguments.observations {
@@ -130,19 +134,6 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     } else {
         scores(&rows, &locator, &data, &partition)
     }
-}
-
-fn fitting(partition: &Partition) -> FittingSet<'_> {
-    FittingSet { train: &partition.train, validation: &partition.validation }
-}
-
-fn parse_prior(text: &str) -> Result<[f64; 4]> {
-    let is_box = |[x0, x1, y0, y1]: &[f64; 4]| x0 < x1 && y0 < y1 && text.len() < 200;
-    numbers(text).filter(is_box).ok_or_else(|| {
-        Error::Config(format!(
-            "--prior {text}: expected X0,X1,Y0,Y1 in metres with X0 < X1 and Y0 < Y1, such as 0,5,-2,2"
-        ))
-    })
 }
 
 /// Rejects data whose observations differ from those of the model.
@@ -200,7 +191,7 @@ fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbo
 
 /// Prints errors of the model and of the baselines.
 fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> Result<()> {
-    let known = fitting(partition);
+    let known = partition.known();
     let test = transmitters(data, &partition.test);
     let all = locator.observations(data, &test);
     let truths: Vec<[f64; 3]> = test.iter().map(|t| data.transmitters[*t].position).collect();
@@ -248,7 +239,7 @@ fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> R
 fn line(name: &str, errors: Vec<f64>, region: Option<(f64, f64)>) -> Vec<String> {
     let mut sorted = errors.clone();
     sorted.sort_unstable_by(f64::total_cmp);
-    let worst = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(f64::NAN);
+    let worst = quantile(&sorted, 0.9);
     let [mean, median] = mean_and_median(errors);
     let [held, area] =
         region.map_or_else(Default::default, |(held, area)| [format!("{} %", fixed(100.0 * held, 1)), fixed(area, 4)]);

@@ -4,7 +4,6 @@ use pwrfgs::localise::FingerprintFeatures;
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, did_you_mean, files, rows_of};
-use std::io::Read as _;
 use std::path::Path;
 
 /// Largest array that is read, bytes.
@@ -14,11 +13,11 @@ const MOST: u64 = 1 << 30;
 pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
     let task = features.task();
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
-        Some("npy") if task.is_scalar => powers(path, &real(path, &[receivers.len()])?, receivers.len()),
+        Some("npy") if task.is_scalar => powers(path, &real(path, &[receivers.len()], false)?, receivers.len()),
         Some("npy") if task.is_complex => images(path, features, receivers, &complex(path, features)?),
         Some("npy") => {
             let (width, height) = features.size();
-            images(path, features, receivers, &real(path, &[height, width])?)
+            images(path, features, receivers, &real(path, &[height, width], true)?)
         }
         Some("csv") if task.is_scalar => table(path, receivers),
         Some("png") if task.has_pixels => images(path, features, receivers, &picture(path, features)?),
@@ -33,22 +32,18 @@ pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Rec
     }
 }
 
-/// Numbers of a real array `[B, ..inner]`.
-fn real(path: &Path, inner: &[usize]) -> Result<Vec<Real>> {
+/// Numbers of a real array `[B, ..inner]`. Only pixels may be integers.
+fn real(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec<Real>> {
     let (header, bytes) = open(path)?;
-    let Some(number) = header.number() else {
+    let Some(number) = header.number().filter(|number| has_pixels || number.is_float()) else {
         let what = format!("holds numbers of type `{}`; save real numbers, such as a.astype('<f4')", header.descr);
         return Err(Error::input(path, what));
     };
     check_shape(path, &header, inner)?;
+    let bytes = numbers(path, &header, &bytes, header.bytes(number))?;
     let mut values = Vec::with_capacity(bytes.len() / number.bytes());
-    number.each(&bytes, |v| values.push(v as Real));
-    let scale = match number {
-        Number::U8 => 1.0 / 255.0,
-        Number::U16 => 1.0 / 65_535.0,
-        _ => return Ok(values),
-    };
-    Ok(values.into_iter().map(|v| v * scale).collect())
+    number.each(bytes, |v| values.push((v / number.full_scale()) as Real));
+    Ok(values)
 }
 
 /// Observations of a complex array `[B, A, F]`, as rows of real and imaginary parts.
@@ -56,30 +51,38 @@ fn complex(path: &Path, features: &FingerprintFeatures) -> Result<Vec<Real>> {
     let (width, height) = features.size();
     let (header, bytes) = open(path)?;
     check_shape(path, &header, &[height / 2, width])?;
-    let mut parts: Vec<Real> = Vec::new();
-    match header.descr.as_str() {
-        "<c8" => Number::F32.each(&bytes, |v| parts.push(v as Real)),
-        "<c16" => Number::F64.each(&bytes, |v| parts.push(v as Real)),
+    let number = match header.descr.as_str() {
+        "<c8" => Number::F32,
+        "<c16" => Number::F64,
         other => {
             let what = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
             return Err(Error::input(path, what));
         }
-    }
+    };
+    let bytes = numbers(path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
+    let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
+    number.each(bytes, |v| parts.push(v as Real));
     let gains = parts.as_chunks::<2>().0;
     Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|one| rows_of(one, width)).collect())
 }
 
-/// Header and numbers of an array file.
+/// Header of an array file, and all its bytes.
 fn open(path: &Path) -> Result<(Header, Vec<u8>)> {
     let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
-    let mut rest = bytes.as_slice();
-    let header = Header::read(path, &mut rest)?;
-    let mut numbers = Vec::new();
-    rest.read_to_end(&mut numbers).map_err(|e| Error::read(path, e))?;
-    Ok((header, numbers))
+    Ok((Header::read(path, &mut bytes.as_slice())?, bytes))
 }
 
-/// Rejects arrays of another shape than `[B, ..inner]`, and damaged ones.
+/// The numbers of an array file; an error if they are not as many bytes as `expected`.
+fn numbers<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
+    let numbers = bytes.get(header.offset as usize..).unwrap_or_default();
+    if expected == Some(numbers.len() as u64) {
+        return Ok(numbers);
+    }
+    let shape = header.shape_text();
+    Err(Error::input(path, format!("has shape {shape}, but not its length; it is truncated or damaged: copy it again")))
+}
+
+/// Rejects arrays of another shape than `[B, ..inner]`.
 fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
     let expected = inner.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     if header.shape.len() != inner.len() + 1 || header.shape[1..] != *inner || header.fortran {
@@ -169,6 +172,9 @@ fn table(path: &Path, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
         })
     };
     let columns: Vec<usize> = names.iter().map(place).collect::<Result<_>>()?;
+    if let Some(k) = (1..columns.len()).find(|k| columns[..*k].contains(&columns[*k])) {
+        return Err(Error::at(path, 1, 1, format!("column `{}` occurs twice; remove one", strip_control(names[k]))));
+    }
     let mut values = Vec::new();
     for (k, line) in lines {
         let mut row = vec![Real::NAN; receivers.len()];
