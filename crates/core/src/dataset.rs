@@ -248,6 +248,14 @@ impl Dataset {
         self.observations.task()
     }
 
+    /// Returns the transmitters of these links, each once, in ascending order.
+    pub fn transmitters_of(&self, links: &[usize]) -> Vec<usize> {
+        let mut all: Vec<usize> = links.iter().map(|i| self.links[*i].transmitter).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
     /// Returns the links of these transmitters; both lists are in ascending order.
     pub fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
         let begin = |t: usize| self.links.partition_point(|link| link.transmitter < t);

@@ -89,7 +89,7 @@ impl<'a> Locator<'a> {
         if let Some(what) = what {
             return Err(Error::Config(format!("{}: {what}", data.title)));
         }
-        let (train, validation) = (transmitters(data, known.train), transmitters(data, known.validation));
+        let (train, validation) = (data.transmitters_of(known.train), data.transmitters_of(known.validation));
         let features = FingerprintFeatures::new(data, known.train);
         let weakest = |own: &[Real]| known.train.iter().map(|i| own[*i] as f32).fold(f32::INFINITY, f32::min);
         let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
@@ -240,14 +240,6 @@ impl<'a> Locator<'a> {
         self.choice.descends = true;
         self.choice.descends = mean_error(self) < without;
     }
-}
-
-/// Returns the transmitters of links, each once, ascending.
-pub fn transmitters(data: &Dataset, links: &[usize]) -> Vec<usize> {
-    let mut all: Vec<usize> = links.iter().map(|i| data.links[*i].transmitter).collect();
-    all.sort_unstable();
-    all.dedup();
-    all
 }
 
 /// Returns the weights exp(-gain·misfit), which sum to 1.

@@ -1,6 +1,5 @@
 //! `NearestFingerprints`: the baseline of localisation.
 
-use crate::locator::transmitters;
 use crate::{FingerprintFeatures, Fingerprints, mean_and_median};
 use pwrfgs_core::{Dataset, FittingSet, neighbours::distance};
 use rayon::prelude::*;
@@ -19,7 +18,7 @@ pub struct NearestFingerprints {
 impl NearestFingerprints {
     /// Fits to the training links; `floor` is the power of a receiver that did not hear a transmitter.
     pub fn fit(data: &Dataset, known: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
-        let of = |links: &[usize]| Fingerprints::measured(features, data, &transmitters(data, links), floor);
+        let of = |links: &[usize]| Fingerprints::measured(features, data, &data.transmitters_of(links), floor);
         let (fingerprints, truths) = (of(known.train), of(known.validation));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {

@@ -54,7 +54,7 @@ fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten()
     let known = FittingSet { train: &train, validation: &validation };
     let locator = Locator::fit(&data, known, &Law, &[0.0, 0.5, 1.0]).unwrap();
     assert!(locator.choice.share > 0.0, "the exact law is better than noisy measurements: {:?}", locator.choice);
-    let transmitters = crate::transmitters(&data, &test);
+    let transmitters = data.transmitters_of(&test);
     let observations = locator.observations(&data, &transmitters);
     let truth = |k: usize| data.transmitters[transmitters[k]].position;
     let located: Vec<_> = observations.iter().map(|own| locator.locate(own)).collect();

@@ -20,10 +20,10 @@ mod survey;
 #[cfg(feature = "raytrace")]
 pub use floor::floor_grid;
 pub use learn::{kriging_scores, learn};
-pub use place::{coverage, soft_coverage};
+pub use place::{coverage, soft_coverage, strongest};
 pub use place_ascent::{Ascent, AscentResult, ascend};
 #[cfg(feature = "raytrace")]
 pub use place_scene::SceneCoverage;
-pub use place_subset::{Subset, best_subset, combinations, greedy_subset, random_subsets};
+pub use place_subset::{Subset, best_subset, combinations, coverage_of, greedy_subset, random_subsets};
 pub use posterior::Posterior;
 pub use survey::{Survey, SurveyPlan, default_correlation};

@@ -10,7 +10,7 @@ const HALVINGS: usize = 60;
 /// 10th percentile of the strongest power, with linear interpolation between transmitters. `powers` holds one slice of powers
 /// in dBm `[T]` per receiver. NaN without transmitters or receivers.
 pub fn coverage(powers: &[&[f64]]) -> f64 {
-    let mut strongest = over_receivers(powers, largest);
+    let mut strongest = strongest(powers);
     if strongest.is_empty() {
         return f64::NAN;
     }
@@ -18,6 +18,11 @@ pub fn coverage(powers: &[&[f64]]) -> f64 {
     let (_, low, above) = strongest.select_nth_unstable_by(rank as usize, f64::total_cmp);
     let next = above.iter().copied().fold(f64::INFINITY, f64::min);
     if rank.fract() > 0.0 { *low + rank.fract() * (next - *low) } else { *low }
+}
+
+/// Strongest power per transmitter `[T]`, dBm; `powers` holds one slice of powers `[T]` per receiver.
+pub fn strongest(powers: &[&[f64]]) -> Vec<f64> {
+    over_receivers(powers, largest)
 }
 
 /// Smooth [`coverage`]: the q at which the mean of 1 / (1 + exp((v − q) / 1 dB)) is 0.1, over soft maxima v of the powers.

@@ -36,16 +36,23 @@ impl SceneCoverage {
         let simulator = Simulator::new(scene)?;
         let mount = mount.unwrap_or(scene.receiver.position[2]);
         let (transmitters, candidates) = (floor_grid(scene, step, height)?, floor_grid(scene, step, mount)?);
-        if transmitters.len() * candidates.len() > MOST_LINKS {
-            return Err(Error::Config(format!(
-                "scene `{}`: {} transmitters and {} receiver positions, expected at most 4,000,000 pairs; give a larger \
-                 --step",
-                scene.name,
-                transmitters.len(),
-                candidates.len()
-            )));
-        }
         Ok(Self { simulator, transmitters, candidates, mount })
+    }
+
+    /// Checks the number of links of [`Self::grid`].
+    ///
+    /// # Errors
+    /// More than 4,000,000.
+    pub fn check_grid(&self) -> Result<()> {
+        let (transmitters, receivers) = (self.transmitters.len(), self.candidates.len());
+        if transmitters.saturating_mul(receivers) <= MOST_LINKS {
+            return Ok(());
+        }
+        Err(Error::Config(format!(
+            "scene `{}`: {transmitters} transmitters and {receivers} receiver positions, expected at most 4,000,000 pairs; give \
+             a larger --step, or --no-grid",
+            self.simulator.scene().name
+        )))
     }
 
     /// Powers in dBm of a receiver from these transmitters, without receiver errors.

@@ -22,7 +22,7 @@ pub struct Subset {
 /// powers in dBm `[T]` per receiver.
 pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<Subset> {
     let subsets = combinations(powers.len(), count)?;
-    let all: Vec<f64> = subsets.par_iter().map(|subset| of(powers, subset)).collect();
+    let all: Vec<f64> = subsets.par_iter().map(|subset| coverage_of(powers, subset)).collect();
     let pairs = all.into_iter().enumerate();
     let (best, coverage) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
     Some(Subset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
@@ -65,13 +65,11 @@ pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Ve
 
 /// All subsets of `count` of `total` in lexical order; `None` if they are more than 100,000.
 pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
-    let size = (0..count.min(total)).try_fold(1u128, |size, k| {
-        let next = size * (total - k) as u128 / (k + 1) as u128;
-        (next <= (MOST as u128) << 40).then_some(next)
+    // As many subsets are left out as are chosen; up to half of `total`, the number rises with every factor.
+    (0..count.min(total.checked_sub(count)?)).try_fold(1, |size: usize, k| {
+        let next = size * (total - k) / (k + 1);
+        (next <= MOST).then_some(next)
     })?;
-    if count > total || size > MOST as u128 {
-        return None;
-    }
     let mut all = Vec::new();
     let mut subset: Vec<usize> = (0..count).collect();
     loop {
@@ -82,7 +80,8 @@ pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
     }
 }
 
-fn of(powers: &[Vec<f64>], subset: &[usize]) -> f64 {
+/// Coverage of a subset of receivers with these powers `[T]` each, dBm.
+pub fn coverage_of(powers: &[Vec<f64>], subset: &[usize]) -> f64 {
     coverage(&subset.iter().map(|&r| &powers[r][..]).collect::<Vec<_>>())
 }
 
@@ -102,11 +101,11 @@ mod tests {
         for count in 1..=7_u32 {
             let masks = (0..1_u32 << 7).filter(|mask| mask.count_ones() == count);
             let members = |mask: u32| (0..7).filter(|r| mask >> r & 1 == 1).collect::<Vec<usize>>();
-            let brute = masks.map(|mask| of(&powers, &members(mask))).fold(f64::NEG_INFINITY, f64::max);
+            let brute = masks.map(|mask| coverage_of(&powers, &members(mask))).fold(f64::NEG_INFINITY, f64::max);
             let best = best_subset(&powers, count as usize).unwrap();
-            assert_eq!((best.coverage, of(&powers, &best.receivers)), (brute, brute));
+            assert_eq!((best.coverage, coverage_of(&powers, &best.receivers)), (brute, brute));
             let greedy = greedy_subset(&powers, count as usize);
-            assert_eq!(greedy.coverage, of(&powers, &greedy.receivers));
+            assert_eq!(greedy.coverage, coverage_of(&powers, &greedy.receivers));
             assert!(greedy.coverage <= brute && (count > 1 || greedy.receivers == best.receivers));
         }
         assert_eq!(best_subset(&powers, 3).unwrap().evaluations, 35);

@@ -11,7 +11,7 @@ use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::statistics::quantile;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
 use pwrfgs::experiment::{Observer as _, load as load_data, read_pipeline};
-use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, mean_and_median, transmitters};
+use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, mean_and_median};
 use pwrfgs::model::Prepared;
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
@@ -155,7 +155,7 @@ fn check_setup(path: &Path, model: &Prepared<'_>, data: &Dataset) -> Result<()> 
 /// What was chosen, in one line.
 fn summary(locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> String {
     let choice = locator.choice;
-    let validation = transmitters(data, &partition.validation).len();
+    let validation = data.transmitters_of(&partition.validation).len();
     if validation == 0 {
         return "warning: no validation samples, so nothing is chosen and there are no regions; train with validation samples, \
                 such as --set split.validation=0.1"
@@ -174,7 +174,7 @@ fn summary(locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> Stri
 
 /// Locates the test samples.
 fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
-    let test = transmitters(data, &partition.test);
+    let test = data.transmitters_of(&partition.test);
     let all = locator.observations(data, &test);
     RunProgress::during(verbosity, |progress| {
         let mut rows = Vec::with_capacity(test.len());
@@ -192,7 +192,7 @@ fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbo
 /// Prints errors of the model and of the baselines.
 fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> Result<()> {
     let known = partition.known();
-    let test = transmitters(data, &partition.test);
+    let test = data.transmitters_of(&partition.test);
     let all = locator.observations(data, &test);
     let truths: Vec<[f64; 3]> = test.iter().map(|t| data.transmitters[*t].position).collect();
     let errors =

@@ -19,7 +19,7 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<u8> {
     if arguments.count == 0 {
         return Err(Error::Config("--count 0: give at least 1".into()));
     }
-    let stop = stop_flag();
+    let (stop, folder) = (stop_flag(), NewFolder::begin(&arguments.out)?);
     let outcome = RunProgress::during(verbosity, |progress| match recognise(&arguments.source) {
         Some(source) => measured::choose(arguments, &source, progress),
         None => simulated(arguments, &stop, progress),
@@ -31,7 +31,6 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<u8> {
         }
         other => other?,
     };
-    let folder = NewFolder::begin(&arguments.out)?;
     outcome.write(&folder)?;
     folder.publish()?;
     output::result(&outcome.table())?;

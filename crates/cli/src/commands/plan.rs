@@ -7,7 +7,7 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::statistics::Spread;
+use pwrfgs::experiment::statistics::{Blocks, Difference};
 use pwrfgs::experiment::text::{Lines, aligned, fixed, grouped, number};
 use pwrfgs::experiment::{Observer as _, staged};
 use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn};
@@ -92,9 +92,10 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<u8> {
         output::note("stopped without output; repeat the command to start again");
         return Ok(INTERRUPTED);
     };
+    let (choices, gain) = choices;
     write(&folder, &places, &plan, &choices[0].variances)?;
     folder.publish()?;
-    output::result(&table(&choices, &plan.correlation, &places))?;
+    output::result(&table(&choices, gain, &plan.correlation, &places))?;
     verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
     Ok(SUCCESS)
 }
@@ -164,14 +165,14 @@ impl Choice {
     }
 }
 
-/// The plan, then choices of the same size to compare it with.
+/// The plan, then choices of the same size to compare it with, and the gain of its scores over the regular choice.
 fn choices(
     arguments: &Plan,
     places: &Places,
     survey: &Survey,
     plan: &SurveyPlan,
     (stop, verbosity): (&AtomicBool, Verbosity),
-) -> Result<Vec<Choice>> {
+) -> Result<(Vec<Choice>, Option<Difference>)> {
     let (count, correlation) = (plan.order.len(), plan.correlation);
     let choice = |(name, order): (String, Vec<usize>)| Choice {
         name,
@@ -186,10 +187,12 @@ fn choices(
         ("largest variance".into(), survey.by_largest_variance(correlation, count)),
     ];
     let mut choices: Vec<Choice> = orders.into_iter().map(choice).collect();
-    let Some(data) = places.data.as_ref().filter(|_| places.known.is_empty()) else { return Ok(choices) };
+    let Some(data) = places.data.as_ref().filter(|_| places.known.is_empty()) else {
+        return Ok((choices, None));
+    };
     let test = test_links(data, &choices);
     if test.is_empty() {
-        return Ok(choices);
+        return Ok((choices, None));
     }
     RunProgress::during(verbosity, |progress| {
         let total = choices.len();
@@ -201,8 +204,19 @@ fn choices(
             choice.scores = kriging_scores(data, &choice.order, &test)?;
         }
         progress.finish();
-        Ok(choices)
+        let gain = gain(data, &test, &choices[0], &choices[1]);
+        Ok((choices, gain))
     })
+}
+
+/// Mean gain of the scores of the plan over the regular choice, with an interval over blocks of positions; neighbours and the
+/// links of one transmitter are not independent.
+fn gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
+    let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
+    let samples = || test.iter().map(|i| data.sample(*i));
+    let blocks = Blocks::new(&samples().map(|own| (own.id, data.placed.then_some(own.tx))).collect());
+    let gains = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b));
+    Difference::of(&[blocks.cells(samples().map(|own| own.id).zip(gains))])
 }
 
 /// Links of transmitters that are in no choice, at most [`TESTED`] transmitters.
@@ -237,7 +251,7 @@ fn write(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f6
 }
 
 /// Table of the choices, with the correlation and a comparison with the regular choice.
-fn table(choices: &[Choice], correlation: &Correlation, places: &Places) -> String {
+fn table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
     let task = places.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
     let mut header = vec!["choice".to_owned(), "mean variance".into()];
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
@@ -261,24 +275,22 @@ fn table(choices: &[Choice], correlation: &Correlation, places: &Places) -> Stri
         let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated());
         _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
     }
-    text + &verdict(&choices[0], &choices[1], task.is_some_and(|task| task.headline.higher))
+    text + verdict(&choices[0], &choices[1], gain)
 }
 
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Compares the plan with the regular choice: by scores if there are any (two standard errors), otherwise by variance.
-fn verdict(plan: &Choice, regular: &Choice, is_higher_better: bool) -> String {
-    let sign = if is_higher_better { 1.0 } else { -1.0 };
-    let gains: Vec<f64> = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b)).collect();
-    let is_alike = match Spread::of(&gains) {
-        Some(Spread { mean, deviation: Some(deviation), n }) => mean <= 2.0 * deviation / (n as f64).sqrt(),
-        _ => regular.variance() <= (1.0 + ALIKE) * plan.variance(),
+/// Compares the plan with the regular choice: by scores if there are any, otherwise by variance.
+fn verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'static str {
+    let is_better = match gain {
+        Some(gain) => gain.is_clear() && gain.mean > 0.0,
+        None => regular.variance() > (1.0 + ALIKE) * plan.variance(),
     };
-    if is_alike {
-        "the regular choice is as good: measure every k-th candidate if that is simpler\n".into()
+    if is_better {
+        "the plan is better than the regular choice\n"
     } else {
-        "the plan is better than the regular choice\n".into()
+        "the regular choice is as good: measure every k-th candidate if that is simpler\n"
     }
 }

@@ -52,9 +52,23 @@ impl LocationMap<'_> {
         }
         self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
         self.draw_estimates(&mut map, &plan);
-        let region = if self.outlines.is_empty() { "" } else { "; outline: 90 % region" };
-        let note = format!("circle: estimate; cross: true position; grey dots: training positions{region}");
-        plan.titled(map, &self.title, &note)
+        plan.titled(map, &self.title, &self.note(&plan))
+    }
+
+    /// Explains the marks.
+    fn note(&self, plan: &FloorPlan) -> String {
+        let mut words = vec!["circle: estimate"];
+        if self.estimates.iter().any(|(_, truth)| truth.is_some()) {
+            words.push("cross: true position");
+        }
+        words.push("grey dots: training positions");
+        if self.receivers.iter().any(|place| plan.holds(*place)) {
+            words.push("squares: receivers");
+        }
+        if !self.outlines.is_empty() {
+            words.push("outline: 90 % region");
+        }
+        words.join("; ")
     }
 
     /// Draws the cells of the density that are completely inside the frame.

@@ -106,14 +106,8 @@ impl Outcome {
     }
 }
 
-/// Mean of finite values.
+/// Mean of values; NaN without any.
 pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
     sum / count
-}
-
-/// Strongest power per transmitter of receivers with these powers `[T]`.
-pub(super) fn strongest(powers: &[&[f64]]) -> Vec<f64> {
-    let of = |t: usize| powers.iter().map(|own| own[t]).fold(f64::NEG_INFINITY, f64::max);
-    (0..powers.first().map_or(0, |own| own.len())).map(of).collect()
 }

@@ -1,10 +1,10 @@
 //! Best receivers of a data folder with received powers.
 
-use super::choice::{Choice, Outcome, Place, RANDOM, mean, strongest};
+use super::choice::{Choice, Outcome, Place, RANDOM, mean};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
-use pwrfgs::planning::{Subset, best_subset, coverage, greedy_subset, random_subsets};
+use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::report::draw::coverage::CoverageMap;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{DataSource, Dataset, Error, Result, rng};
@@ -37,11 +37,9 @@ pub(super) fn choose(
         let receiver = &data.scene.receivers[r];
         (receiver.name.clone(), data.scene.origin.world_pose(receiver.pose).position)
     };
-    let score =
-        |powers: &[Vec<f64>], subset: &[usize]| coverage(&subset.iter().map(|&r| &powers[r][..]).collect::<Vec<_>>());
     let line = |train: f64, test: f64, subsets: &str| vec![fixed(train, 2), fixed(test, 2), subsets.to_owned()];
     let searched = |short: &'static str, subset: &Subset| {
-        let test = score(&held_out, &subset.receivers);
+        let test = coverage_of(&held_out, &subset.receivers);
         let cells = line(subset.coverage, test, &grouped(subset.evaluations as i64));
         let receivers = subset.receivers.iter().map(receiver).collect();
         Choice { short, name: short.into(), receivers, coverage: test, cells }
@@ -53,11 +51,11 @@ pub(super) fn choose(
     let found: Vec<(&str, Subset)> = found.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect();
     let mut choices: Vec<Choice> = found.iter().map(|(name, subset)| searched(name, subset)).collect();
     let draws = random_subsets(total, count, RANDOM, arguments.seed);
-    let average = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| score(powers, subset)));
+    let average = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
     let all: Vec<usize> = (0..total).collect();
     let further = [
         (format!("random, mean of {RANDOM} (seed {})", arguments.seed), average(&fitting), average(&held_out)),
-        (format!("all {total} receivers"), score(&fitting, &all), score(&held_out, &all)),
+        (format!("all {total} receivers"), coverage_of(&fitting, &all), coverage_of(&held_out, &all)),
     ];
     choices.extend(further.map(|(name, train, test)| {
         let cells = line(train, test, "");
@@ -101,12 +99,7 @@ pub(super) fn choose(
 /// Transmitters for the choice and for its score: the official split, otherwise a random fifth is held out.
 fn split(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
-        let [train, test] = [train, test].map(|links| {
-            let mut own: Vec<usize> = links.iter().map(|&i| data.links[i].transmitter).collect();
-            own.sort_unstable();
-            own.dedup();
-            own
-        });
+        let [train, test] = [train, test].map(|links| data.transmitters_of(links));
         let test: Vec<usize> = test.into_iter().filter(|t| train.binary_search(t).is_err()).collect();
         if !train.is_empty() && !test.is_empty() {
             return ([train, test], "official split".into());

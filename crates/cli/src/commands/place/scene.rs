@@ -1,10 +1,10 @@
 //! Receivers at any free position of a simulated scene.
 
-use super::choice::{Choice, Outcome, Place, RANDOM, mean, strongest};
+use super::choice::{Choice, Outcome, Place, RANDOM, mean};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped, number};
-use pwrfgs::planning::{Ascent, SceneCoverage, coverage, greedy_subset, random_subsets};
+use pwrfgs::planning::{Ascent, SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::report::draw::coverage::CoverageMap;
 use pwrfgs_core::{Error, Result};
@@ -20,6 +20,14 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     }
     let scene = SceneFile::read(&arguments.source)?;
     let floor = SceneCoverage::new(&scene, arguments.step, arguments.height, arguments.mount)?;
+    let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
+    if !arguments.no_grid {
+        floor.check_grid()?;
+        if candidates < count {
+            let what = format!("--count {count}: the grid has {candidates} receiver positions; give a smaller --step");
+            return Err(Error::Config(what));
+        }
+    }
     let settings = Ascent::new(count, arguments.seed);
     let found = staged(progress, "ascent", |_| floor.ascend(&settings, stop))?;
     let at = |[x, y]: [f64; 2]| (String::new(), [x, y, floor.mount()]);
@@ -33,16 +41,11 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
         coverage: found.coverage,
         cells: line(found.coverage, found.positions, found.links),
     }];
-    let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
         grouped(transmitters as i64),
         number(arguments.height)
     )];
-    if !arguments.no_grid && candidates < count {
-        let what = format!("--count {count}: the grid has {candidates} receiver positions; give a smaller --step");
-        return Err(Error::Config(what));
-    }
     if !arguments.no_grid {
         let grid = staged(progress, "grid of receivers", |progress| floor.grid(stop, progress))?;
         let best = greedy_subset(&grid, count);
@@ -54,7 +57,7 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
             coverage: best.coverage,
             cells: line(best.coverage, candidates, links),
         });
-        let of = |subset: &Vec<usize>| coverage(&subset.iter().map(|&r| &grid[r][..]).collect::<Vec<_>>());
+        let of = |subset: &Vec<usize>| coverage_of(&grid, subset);
         let random = mean(random_subsets(candidates, count, RANDOM, arguments.seed).iter().map(of));
         choices.push(Choice {
             short: "",
@@ -64,9 +67,10 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
             cells: line(random, count, count * transmitters),
         });
         notes.push(format!(
-            "the ascent is {:+.2} dB from the grid, with 1/{:.0} of its links",
-            found.coverage - best.coverage,
-            links as f64 / found.links as f64
+            "the ascent minus the grid: {} dB, with {} of {} links",
+            fixed(found.coverage - best.coverage, 2),
+            grouped(found.links as i64),
+            grouped(links as i64)
         ));
     }
     let above = |[x, y, _]: &[f64; 3]| [*x, *y];
