@@ -120,7 +120,7 @@ impl LocalKriging {
         }
         let mut d_at = [0.0; 3];
         for (place, d) in places.iter().zip(&d_towards) {
-            let slope = d * self.correlation.kind.slope(distance(*place, at));
+            let slope = d * self.correlation.kind.slope_over_distance(distance(*place, at));
             (0..3).for_each(|k| d_at[k] += slope * (at[k] - place[k]) / self.correlation.scales[k]);
         }
         d_at
@@ -151,8 +151,8 @@ impl CorrelationKind {
         }
     }
 
-    /// Returns the derivative of [`Self::at`] over d; 0 at d = 0.
-    fn slope(self, d: f64) -> f64 {
+    /// Returns ρ′(d)/d of the correlation ρ of [`Self::at`]; 0 for the exponential at d = 0, where it has no derivative.
+    fn slope_over_distance(self, d: f64) -> f64 {
         match self {
             Self::Exponential if d == 0.0 => 0.0,
             Self::Exponential => -(-d).exp() / d,

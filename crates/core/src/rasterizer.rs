@@ -135,6 +135,11 @@ pub trait Rasterizer:
         Ok(())
     }
 
+    /// Rejects data of several carriers if it draws waves of one wavelength.
+    fn check_carriers(&self) -> Result<(), String> {
+        Ok(())
+    }
+
     /// Returns the opacity below which a splat is not drawn; 0 if every splat is drawn.
     fn min_drawn_opacity(&self) -> Real {
         0.0

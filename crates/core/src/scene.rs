@@ -54,6 +54,13 @@ impl Receiver {
         Self { carrier_hz: Some(carrier_hz), ..Self::new(format!("{}MHz", carrier_hz / 1e6), pose) }
     }
 
+    /// Returns whether `receivers` are the carriers of one array: one or more with a carrier, at one pose and with the same
+    /// antennas.
+    pub fn are_carriers(receivers: &[Self]) -> bool {
+        let same = |own: &Self| (own.pose, &own.antennas) == (receivers[0].pose, &receivers[0].antennas);
+        !receivers.is_empty() && receivers.iter().all(|own| own.carrier_hz.is_some() && same(own))
+    }
+
     /// Returns antenna positions relative to the receiver position, along the world axes, metres.
     pub fn array(&self) -> Vec<[f64; 3]> {
         self.antennas.iter().map(|antenna| self.pose.turned(*antenna)).collect()

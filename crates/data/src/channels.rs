@@ -175,8 +175,21 @@ impl DataSource for Channels {
             return Ok(data);
         }
         let more = self.more_carriers.iter().map(|own| own.carrier_hz);
-        let hz: Vec<f64> = std::iter::once(carrier_hz).chain(more).flat_map(|hz| vec![hz; count]).collect();
-        data.with_carriers(&hz)
+        let carriers: Vec<f64> = std::iter::once(carrier_hz).chain(more).collect();
+        let below = carrier_hz - data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
+        let refuse = |what: String| Err(Error::input(&path, format!("`more_carriers`: {what}")));
+        for (k, hz) in carriers.iter().enumerate() {
+            if *hz <= below {
+                return refuse(format!(
+                    "with the carrier {hz} Hz, the lowest subcarrier would be at {} Hz; correct it",
+                    hz - below
+                ));
+            }
+            if carriers[..k].contains(hz) {
+                return refuse(format!("the carrier {hz} Hz occurs twice; remove one"));
+            }
+        }
+        data.with_carriers(&carriers.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<_>>())
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

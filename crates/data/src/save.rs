@@ -13,7 +13,7 @@ use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
-use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Link, Number, Observations, Real, Result, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Receiver, Result, Spectra};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -128,18 +128,32 @@ impl Folder<'_> {
         }
     }
 
-    /// The carriers of all links, Hz, if the receivers are the carriers of one array.
+    fn has_carriers(&self) -> bool {
+        self.data.scene.receivers.iter().any(|own| own.carrier_hz.is_some())
+    }
+
+    /// The carriers of all links, Hz, if a reader makes the same receivers of them: those of one fixed array, with the names
+    /// of ascending carriers if there are several.
     fn carriers(&self) -> Option<Vec<f64>> {
         let receivers = &self.data.scene.receivers;
-        let is_alone =
-            receivers.iter().all(|own| (own.pose, &own.antennas) == (receivers[0].pose, &receivers[0].antennas));
-        let of_link = |link: &Link| receivers[link.receiver].carrier_hz.filter(|_| is_alone);
-        self.data.links.iter().map(of_link).collect()
+        let is_named =
+            |own: &Receiver| own.carrier_hz.is_some_and(|hz| Receiver::of_carrier(own.pose, hz).name == own.name);
+        let is_read_back = receivers.len() == 1
+            || (receivers.iter().all(is_named) && receivers.is_sorted_by(|a, b| a.carrier_hz < b.carrier_hz));
+        if self.data.orientations.is_some() || !Receiver::are_carriers(receivers) || !is_read_back {
+            return None;
+        }
+        self.data.links.iter().map(|link| receivers[link.receiver].carrier_hz).collect()
     }
 
     fn spectra(&self, spectra: &Spectra) -> Result<()> {
         match self.carriers() {
             Some(all) => self.put(CARRIERS, all.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?,
+            None if self.has_carriers() => {
+                return refuse(
+                    "these carriers have no layout on disk; save those of one fixed receiver, named such as 2400MHz",
+                );
+            }
             None => self.alone()?,
         }
         let scene = &self.data.scene;
@@ -174,6 +188,9 @@ impl Folder<'_> {
 
     #[allow(clippy::needless_pass_by_value)] // made for this
     fn powers(&self, dbm: Vec<f64>) -> Result<()> {
+        if self.has_carriers() {
+            return refuse("received powers at stated carriers have no layout on disk; keep the original files");
+        }
         let receivers = &self.data.scene.receivers;
         let origin = self.data.scene.origin;
         let all = receivers.iter().map(|receiver| (receiver.name.as_str(), origin.world_pose(receiver.pose)));

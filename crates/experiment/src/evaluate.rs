@@ -173,7 +173,13 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     if known != listening {
         return refuse(format!("the model has {known} receivers, but the data have {listening}"));
     }
+    let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
     for (known, measured) in model.receivers().iter().zip(&data.scene.receivers) {
+        if let (Some(known), Some(measured)) = (known.carrier_hz, measured.carrier_hz)
+            && !near(&known, &measured)
+        {
+            return refuse(format!("a carrier of the model is {known} Hz, but {measured} Hz in the data"));
+        }
         // The name of a single receiver is a placeholder and is not compared.
         if known.name != measured.name && !task.has_pixels && listening > 1 {
             return refuse(format!(
@@ -183,7 +189,6 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
             ));
         }
     }
-    let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
     let (known, measured) = (model.frequencies(), data.observations.frequencies_hz());
     if !(known.len() == measured.len() && known.iter().zip(measured).all(|(a, b)| near(a, b))) {
         let first = |all: &[f64]| all.first().copied().unwrap_or_default();

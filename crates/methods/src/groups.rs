@@ -179,7 +179,7 @@ pub(crate) fn vjp(
 }
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
-/// the network. `strengths` computes pixel values `[N]` from signals `[N, channels]`.
+/// the network. Pose and carrier are those of the first receiver. `strengths` computes pixel values `[N]` from signals `[N, channels]`.
 pub(crate) fn gaussians(
     deformation: &dyn Deformation,
     activation: Activation,
@@ -189,8 +189,11 @@ pub(crate) fn gaussians(
     strengths: impl Fn(&[Real]) -> Vec<Real>,
 ) -> Activated {
     let network = &p.weights[..deformation.layout().numbers()];
+    let carriers = setup.carriers();
     let deform = |tx: [Real; 3]| {
-        deformation.forward(&DeformationInputs::new(network, &p.cloud.means, &[tx], &setup.pose()), &None)
+        let tx = [tx];
+        let txs = Conditions::from(&tx).at_carriers(carriers.get(..1).unwrap_or_default());
+        deformation.forward(&DeformationInputs::new(network, &p.cloud.means, txs, &setup.pose()), &None)
     };
     let deltas = tx.map_or_else(Deltas::default, deform);
     let signals = activation.signals(p.cloud, &deltas, 0..1);

@@ -66,10 +66,9 @@ pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
     (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
 }
 
-/// Returns whether all receivers are the carriers of one array.
-fn is_one_place(receivers: &[Receiver]) -> bool {
-    let same = |own: &Receiver| own.pose == receivers[0].pose && own.antennas == receivers[0].antennas;
-    receivers.len() == 1 || receivers.iter().all(|own| own.carrier_hz.is_some() && same(own))
+/// Returns whether there is one receiver, or the carriers of one array.
+fn is_one_array(receivers: &[Receiver]) -> bool {
+    receivers.len() == 1 || Receiver::are_carriers(receivers)
 }
 
 /// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
@@ -81,10 +80,11 @@ pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
 fn groups(setup: &MeasurementSetup, request: &ObservationRequest<'_>) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = request.conditions.positions();
     let position = |i: &usize| txs.get(request.links[*i].transmitter).copied();
-    let all = ReceiverGroup::all(request.links, setup.receivers.len(), true).into_iter();
-    all.map(|group| (group.links.iter().filter_map(position).collect(), group))
-        .map(|(own, group)| (group, own))
-        .collect()
+    let with_positions = |group: ReceiverGroup| {
+        let own = group.links.iter().filter_map(position).collect();
+        (group, own)
+    };
+    ReceiverGroup::all(request.links, setup.receivers.len(), true).into_iter().map(with_positions).collect()
 }
 
 #[typetag::serde]
@@ -171,7 +171,7 @@ impl Method for VirtualTransmitters {
                 setup.task.plural
             ));
         }
-        if !is_one_place(&setup.receivers) {
+        if !is_one_array(&setup.receivers) {
             return Err(format!(
                 "method: VirtualTransmitters supports one receiver, but the data have {}; train one model per receiver",
                 setup.receivers.len()
@@ -274,7 +274,7 @@ impl Initializer for MatchingPursuit {
             ));
         }
         let scene = &input.data.scene;
-        if !is_one_place(&scene.receivers) || !input.data.placed {
+        if !is_one_array(&scene.receivers) || !input.data.placed {
             return Err(Error::Config(
                 "initializer: MatchingPursuit needs one receiver and the positions of the transmitters".into(),
             ));

@@ -163,6 +163,15 @@ impl Rasterizer for ArrayResponse {
         }
     }
 
+    fn check_carriers(&self) -> Result<(), String> {
+        match self.wavefront {
+            Wavefront::Plane => Ok(()),
+            Wavefront::Spherical { .. } => {
+                Err("rasterizer: Spherical has one wavelength, but the data have several; use wavefront: Plane".into())
+            }
+        }
+    }
+
     fn check(&self) -> Result<(), String> {
         for (field, count) in [("rows", self.rows), ("columns", self.columns)] {
             if !(1..=LARGEST).contains(&count) {

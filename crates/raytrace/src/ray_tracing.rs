@@ -200,11 +200,18 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
 /// Index in the scene of each receiver of the data: by name, or the only one.
 fn receivers(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     let of_data = &data.scene.receivers;
+    let is_same = |a: f64, b: f64| (a / b - 1.0).abs() < SAME_FREQUENCY;
     if !scene.carriers_hz.is_empty() {
-        let find = |hz: Option<f64>| scene.carriers_hz.iter().position(|own| Some(*own) == hz);
+        let find = |hz: f64| scene.carriers_hz.iter().position(|own| is_same(*own, hz));
         let absent =
             || Error::Config("RayTracing: a carrier of the data is not in `carriers_hz` of the scene; add it".into());
-        return of_data.iter().map(|receiver| find(receiver.carrier_hz).ok_or_else(absent)).collect();
+        return of_data.iter().map(|receiver| receiver.carrier_hz.and_then(find).ok_or_else(absent)).collect();
+    }
+    if let Some(hz) = of_data.iter().filter_map(|own| own.carrier_hz).find(|hz| !is_same(*hz, scene.carrier_hz)) {
+        let own = scene.carrier_hz;
+        return Err(Error::Config(format!(
+            "RayTracing: the carrier of the data is {hz} Hz, and that of the scene {own} Hz; correct one of them"
+        )));
     }
     let find = |name: &str| scene.receivers().position(|receiver| receiver.name == name);
     let only = (of_data.len() == 1).then_some(0);

@@ -3,7 +3,7 @@
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, of_receivers, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task, evenly, ssim,
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Receiver, Result, Task, evenly, ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -246,7 +246,7 @@ impl Baseline for NearestCarrier {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.scene.receivers.len() > 1 && data.scene.receivers.iter().all(|own| own.carrier_hz.is_some()) {
+        if data.scene.receivers.len() > 1 && Receiver::are_carriers(&data.scene.receivers) {
             return Ok(());
         }
         let what = "has one carrier, but NearestCarrier needs several; use NearestNeighbours(k: 1)";

@@ -10,7 +10,6 @@ use pwrfgs_core::{
     Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, ObservationRequest, Parameters, PassStatistics,
     Real, StageTimes, WeightSpec, cached,
 };
-use pwrfgs_raster::{ArrayResponse, Wavefront};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -101,12 +100,8 @@ impl Splatting {
             ));
         }
         groups::check_receivers(&*self.deformation, setup)?;
-        let rasterizer: &dyn std::any::Any = &*self.rasterizer;
-        let array = rasterizer.downcast_ref::<ArrayResponse>();
-        if !setup.carriers().is_empty() && array.is_some_and(|array| array.wavefront != Wavefront::Plane) {
-            return Err(
-                "rasterizer: Spherical has one wavelength, but the data have several; use wavefront: Plane".into()
-            );
+        if !setup.carriers().is_empty() {
+            self.rasterizer.check_carriers()?;
         }
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(setup)?)
     }

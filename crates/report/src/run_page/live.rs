@@ -74,8 +74,10 @@ fn shows(model: &Ensemble) -> bool {
 /// Model file, whole or in 8 bits, if it is one model that the page can predict.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let ([only], None) = (run.model.members(), run.model.residuals()) else { return None };
-    let name = name_of(only.stages.deformation()?);
-    let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
+    let deformation = only.stages.deformation()?;
+    let name = name_of(deformation);
+    let is_known = |own: &&str| name.starts_with(*own) && !deformation.traits().reads_carrier;
+    let known = PREDICTED_IN_PAGE.iter().any(is_known);
     let setup = &only.stages.setup;
     let is_fixed = setup.receivers.len() == 1 && !setup.moves && setup.plane.camera.is_none();
     let drawn = is_fixed && run.data.task().has_pixels;
