@@ -204,6 +204,16 @@ fn batch_predictions_equal_single_predictions_after_reload() {
 }
 
 #[test]
+fn data_of_another_carrier_are_refused() {
+    let case = cases().into_iter().zip(models()).find(|((name, ..), _)| *name == "carriers");
+    let ((_, _, mut data, _), model) = case.unwrap();
+    pwrfgs::experiment::check_alike(&model.prepare(), &data).unwrap();
+    data.scene.receivers[1].carrier_hz = Some(9e9);
+    let message = pwrfgs::experiment::check_alike(&model.prepare(), &data).unwrap_err().to_string();
+    assert!(message.contains("9000000000 Hz in the data"), "{message}");
+}
+
+#[test]
 fn training_reduces_error_for_every_task() {
     for ((name, _, data, partition), model) in cases().into_iter().zip(models()) {
         let error = |predict: &dyn Predict| -> f64 {

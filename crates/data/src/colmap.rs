@@ -89,7 +89,8 @@ impl DataSource for Colmap {
         let list = model.join("images.txt");
         let views = read_images(&list)?;
         let shared = shared_camera(&list, &views, &model.join("cameras.txt"), &cameras)?;
-        let official = index::read(&root, &|word| find(&views, word))?;
+        let names = names(&views);
+        let official = index::read(&root, &|word| find(&names, &views[0].name, word))?;
         let points = match &self.points {
             Some(points) => points_of(base, Some(points))?,
             None => read_points3d(&model.join("points3D.txt"))?,
@@ -290,13 +291,24 @@ fn shared_camera(
     Ok(shared.expect("there is an image").1)
 }
 
-/// Position of a word of an index file in the images: the name, with or without extension.
-fn find(views: &[View], word: &str) -> Result<(u32, usize), String> {
-    let same = |view: &View| view.name == word || Path::new(&view.name).with_extension("") == Path::new(word);
-    let fault =
-        || format!("{} is no image of images.txt; write names such as {}", quoted(word), quoted(&views[0].name));
-    let k = views.iter().position(same).ok_or_else(fault)?;
-    Ok((k as u32 + 1, k))
+/// Positions of the images by their names and by their names without extension; `None` for a stem of several images.
+fn names(views: &[View]) -> BTreeMap<String, Option<usize>> {
+    let mut names = BTreeMap::new();
+    for (k, view) in views.iter().enumerate() {
+        let stem = Path::new(&view.name).with_extension("").to_string_lossy().into_owned();
+        names.entry(stem).and_modify(|known| *known = None).or_insert(Some(k));
+    }
+    names.extend(views.iter().enumerate().map(|(k, view)| (view.name.clone(), Some(k))));
+    names
+}
+
+/// Position of a word of an index file in the images: the name, with or without extension, such as `example`.
+fn find(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> Result<(u32, usize), String> {
+    match names.get(word) {
+        Some(Some(k)) => Ok((*k as u32 + 1, *k)),
+        Some(None) => Err(format!("{} names several images; write the extension too", quoted(word))),
+        None => Err(format!("{} is no image of images.txt; write names such as {}", quoted(word), quoted(example))),
+    }
 }
 
 /// Point cloud of the reconstruction; empty without the file.

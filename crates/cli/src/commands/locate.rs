@@ -10,9 +10,8 @@ use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::statistics::quantile;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
-use pwrfgs::experiment::{Observer as _, load as load_data, read_pipeline};
+use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, read_pipeline};
 use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, mean_and_median};
-use pwrfgs::model::Prepared;
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
@@ -104,7 +103,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let (data, partition) = RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
     let model = ensemble.prepare();
-    check_setup(&arguments.model, &model, &data)?;
+    check_alike(&model, &data)?;
     let locator = RunProgress::during(verbosity, |progress| {
         progress.on_stage("fingerprints", 0, 0);
         Locator::fit(&data, partition.known(), &model, &SHARES)
@@ -134,22 +133,6 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     } else {
         scores(&rows, &locator, &data, &partition)
     }
-}
-
-/// Rejects data whose observations differ from those of the model.
-fn check_setup(path: &Path, model: &Prepared<'_>, data: &Dataset) -> Result<()> {
-    let plane = model.plane();
-    if model.task() == data.task()
-        && (plane.width, plane.height) == (data.width, data.height)
-        && model.receivers().len() == data.scene.receivers.len()
-    {
-        return Ok(());
-    }
-    let what = format!(
-        "predicts other observations than {} has; give the data it was trained on with --set data.root=..",
-        data.title
-    );
-    Err(Error::input(path, what))
 }
 
 /// What was chosen, in one line.

@@ -53,10 +53,9 @@ impl Dataset {
         let (local, antennas) = (self.scene.pose(), self.scene.receivers[0].antennas.clone());
         let of_carrier = |hz: &f64| Receiver { antennas: antennas.clone(), ..Receiver::of_carrier(local, *hz) };
         let receivers: Vec<Receiver> = all.iter().map(of_carrier).collect();
-        let is_sorted = order.is_sorted();
-        let observations = if is_sorted { self.observations.clone() } else { self.observations.subset(&order)? };
         let official = self.official.as_ref().map(|(train, test)| (moved(train), moved(test)));
-        let columns = Self::of_links(self.title.clone(), receivers.clone(), vec![], &samples, observations)?;
+        let observations = if order.is_sorted() { self.observations } else { self.observations.subset(&order)? };
+        let columns = Self::of_links(self.title, receivers.clone(), vec![], &samples, observations)?;
         Ok(Self {
             scene: Scene { receivers, ..self.scene },
             elevation: self.elevation,

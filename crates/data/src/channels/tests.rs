@@ -75,6 +75,11 @@ fn reads_several_carriers_at_the_same_positions() {
     assert_eq!(setup.frequencies_of(0), [9e8 - 1e6, 9e8, 9e8 + 1e6]);
     assert_eq!(setup.frequencies_of(1), [1e9 - 1e6, 1e9, 1e9 + 1e6]);
     assert_eq!(setup.carriers(), [-1.0, 1.0]);
+    for (hz, words) in [(1e9, "occurs twice"), (1e6, "the lowest subcarrier would be at 0 Hz")] {
+        source.more_carriers[0].carrier_hz = hz;
+        let message = source.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
+        assert!(message.contains(words), "{message}");
+    }
     fs::write(
         folder.path().join("low.npy"),
         npy_header_as("<c8", &[1, 1, 1]).into_iter().chain([0; 8]).collect::<Vec<u8>>(),

@@ -58,11 +58,20 @@ fn reads_saved_data_back() {
     assert_eq!((&data.links, &data.scene.receivers), (&back.links, &back.scene.receivers));
     assert_eq!((&data.official, data.image(2)), (&back.official, back.image(2)));
 
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |data: &Dataset| save(data, &folder.path().join("refused")).unwrap_err().to_string();
+    let mut renamed = data.clone();
+    renamed.scene.receivers[1].name = "high".into();
+    assert!(refused(&renamed).contains("named such as 2400MHz"), "the reader would give another name");
+
     let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
     let samples = [(0, 0), (0, 1), (1, 1)].map(|(id, receiver)| Sample { id, tx: [f64::from(id), 2.0, 1.5], receiver });
     let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
     let data = Dataset::of_links("hall", vec![at("=n()", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
     same(&data, &again(&data));
+    let mut stated = data.clone();
+    stated.scene.receivers.iter_mut().for_each(|own| own.carrier_hz = Some(2.4e9));
+    assert!(refused(&stated).contains("powers at stated carriers"));
 
     let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..at("array", 1.0) };
     let samples: Vec<Sample> = (0..2).map(|i| Sample::new(i, [f64::from(i), 2.0, 1.5])).collect();
