@@ -191,8 +191,13 @@ fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout
     let one = receivers == 1 || layout == OutputLayout::Rssi;
     // Several receivers have a folder each; the first is shown.
     let root = if one { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
-    let count = recipe.samples * receivers;
-    let at = if receivers == 1 { String::new() } else { format!(" at {receivers} receivers") };
+    let carriers = scene.carriers_hz.len().max(1);
+    let count = recipe.samples * receivers * carriers;
+    let at = match (receivers, carriers) {
+        (1, 1) => String::new(),
+        (1, _) => format!(" at {carriers} carriers"),
+        _ => format!(" at {receivers} receivers"),
+    };
     let how = match layout {
         OutputLayout::DeepMimo => {
             let pair = if receivers == 1 { "" } else { ", pair=(0, 0, 1)" };
