@@ -14,13 +14,11 @@ mod descent;
 mod features;
 mod fingerprints;
 mod locator;
-mod nearest;
 mod region;
 
 pub use features::FingerprintFeatures;
-pub use fingerprints::Fingerprints;
+pub use fingerprints::{Fingerprints, NearestFingerprints};
 pub use locator::{Choice, Located, Locator};
-pub use nearest::NearestFingerprints;
 pub use region::{Region, RegionRule};
 
 /// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.

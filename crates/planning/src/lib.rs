@@ -6,24 +6,20 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-#[cfg(feature = "raytrace")]
-mod floor;
+mod ascent;
+mod coverage;
 mod learn;
-mod place;
-mod place_ascent;
-#[cfg(feature = "raytrace")]
-mod place_scene;
-mod place_subset;
 mod posterior;
+#[cfg(feature = "raytrace")]
+mod scene;
 mod survey;
 
-#[cfg(feature = "raytrace")]
-pub use floor::floor_grid;
+pub use ascent::{Ascent, AscentResult, ascend};
+pub use coverage::{
+    Subset, best_subset, combinations, coverage, coverage_of, greedy_subset, random_subsets, soft_coverage, strongest,
+};
 pub use learn::{kriging_scores, learn};
-pub use place::{coverage, soft_coverage, strongest};
-pub use place_ascent::{Ascent, AscentResult, ascend};
-#[cfg(feature = "raytrace")]
-pub use place_scene::SceneCoverage;
-pub use place_subset::{Subset, best_subset, combinations, coverage_of, greedy_subset, random_subsets};
 pub use posterior::Posterior;
+#[cfg(feature = "raytrace")]
+pub use scene::{SceneCoverage, floor_grid};
 pub use survey::{Survey, SurveyPlan, default_correlation};

@@ -5,8 +5,7 @@
 //! 3. Moves one receiver along one axis by a step, both ways, and halves the step if no move raises the smoothed coverage.
 //! 4. Scores the end of every start on all transmitters, and returns the best end.
 
-use crate::place::{coverage, soft_coverage};
-use crate::place_subset::combinations;
+use crate::coverage::{combinations, coverage, soft_coverage};
 use pwrfgs_core::{Result, rng};
 
 /// Settings of the ascent. Defaults trace about 90 positions per receiver to 48 transmitters.
