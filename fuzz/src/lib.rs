@@ -199,10 +199,14 @@ fn seeds(folder: &Path, target: &Target) -> Result<Vec<Vec<u8>>> {
     all.collect::<Result<Vec<_>>>()?.concat().iter().map(read).collect()
 }
 
-/// Creates a sweep folder with one finished run, and an interrupted run.
+/// Creates a sweep folder with one finished run, a run of powers, and an interrupted run.
 fn runs(folder: &Path) -> Result<()> {
+    let whole = |pipeline: &Pipeline, out| {
+        pwrfgs::run(pipeline, folder, &folder.join(out), &mut NoopObserver, &AtomicBool::new(false))
+    };
     let pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
-    pwrfgs::run(&pipeline, folder, &folder.join("sweep/a"), &mut NoopObserver, &AtomicBool::new(false))?;
+    whole(&pipeline, "sweep/a")?;
+    whole(&read_pipeline(&folder.join("powers.ron"), &[])?, "powers")?;
     let run = ListedRun { folder: "a".into(), labels: vec![("steps".into(), "4".into())], seed: 1 };
     Listing { name: "sweep".into(), runs: vec![run] }.write(&folder.join("sweep"))?;
     let stop = AtomicBool::new(false);

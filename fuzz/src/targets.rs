@@ -120,6 +120,8 @@ pub const TARGETS: &[Target] = &[
     program("positions.csv", Plain, PREDICT),
     program(MODEL, Tensors, PREDICT),
     program(MODEL, Tensors, &["export", MODEL, "--npz", "out.npz", "--ply", "out.ply", "-q"]),
+    program("observed.csv", Plain, &["locate", "powers/model.safetensors", "observed.csv", "-q"]),
+    program("observed.npy", Plain, &["locate", "sweep/a/model.safetensors", "observed.npy", "-q"]),
     program("p.ron", Plain, &["run", "p.ron", "--out", "ran", "-q"]),
     program("e.ron", Plain, &["sweep", "e.ron", "--dry-run", "-q"]),
     program("sweep/a/run.json", Plain, &["run", "p.ron", "--out", "sweep/a", "-q"]),
