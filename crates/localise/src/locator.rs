@@ -161,7 +161,9 @@ impl<'a> Locator<'a> {
                 "no validation samples, so nothing is chosen and there are no regions; train with validation samples, such as \
                  --set split.validation=0.1",
             ),
-            (None, _) => Some("fewer than 9 validation samples: no regions"),
+            (None, _) => {
+                Some("fewer than 9 validation samples: no regions; train with more, such as --set split.validation=0.3")
+            }
         }
     }
 

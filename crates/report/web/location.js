@@ -4,7 +4,7 @@
  */
 
 /** Sizes and colours of the diamond of the estimate: white with a dark rim, which is visible on every density. */
-const ESTIMATE_MARKS = [["estimate-rim", 31, [20, 20, 20]], ["estimate", 26, [255, 255, 255]]];
+const ESTIMATE_MARKS = [["estimate-rim", 25, [20, 20, 20]], ["estimate", 20, [255, 255, 255]]];
 /** Opacity of the highest density. */
 const HEAT_ALPHA = 215;
 /** Density below which a cell is not drawn, relative to the highest. */
@@ -19,7 +19,8 @@ export function drawLocation(room, found, { origin, rgb }) {
   const ink = [...room.ground.ink.map((v) => Math.round(255 * v)), 255];
   const flat = region?.outlines.map((outline) => outline.map((place) => [...local(place), truth[2]]));
   room.setLines("region", region ? { ...closedLines(flat, ink), onTop: true } : null);
-  room.setLines("error", found && { ...closedLines([[truth, estimate]], ink), onTop: true });
+  const foot = found && [estimate[0], estimate[1], truth[2]];
+  room.setLines("error", found && { ...closedLines([[truth, foot], [foot, estimate]], ink), onTop: true });
   for (const [name, size, colour] of ESTIMATE_MARKS) {
     const colours = new Uint8Array([...colour, 255]);
     room.setPoints(name, found && { positions: new Float32Array(estimate), colours, size, shape: "diamond", pickable: false, onTop: true });

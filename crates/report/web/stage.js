@@ -76,6 +76,11 @@ class StageSide {
   }
 
   drawGaussians(all, nextIds) {
+    if (this.stage.locates) {
+      this.room.setGaussians(null); // they would hide the density
+      this.room.setPoints("gaussians", null);
+      return;
+    }
     const means = all.get("means");
     const n = means.length / 3;
     const colours = this.stage.coloursOf(all, n, nextIds);
@@ -472,7 +477,8 @@ export class Stage {
     const parts = PART_NAMES.map((name, k) => mark(PART_COLOURS[k], name)).filter((_, k) => this.parts.includes(k));
     const all = by === "part" ? ["Transmitters:", ...parts.flat()] : [];
     if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test set:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
-    if (this.colouring === "fate" && this.snapshot !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
+    if (this.locates) all.push(" · Gaussians are hidden · Location: density of the transmitter over the floor,", ...mark(this.rgb(0), "low"), ...mark(this.rgb(255), "high"), "; outline: 90 % region; white diamond: estimate;", ...mark(ROOM_TRANSMITTER, "true position"));
+    else if (this.colouring === "fate" && this.snapshot !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
     else if (this.abouts.some((about) => about.gaussians)) all.push(` · Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
@@ -480,7 +486,6 @@ export class Stage {
       all.push(` · Squares: prediction at ${this.note.receivers[this.receiver].name} for a transmitter at this height (faint: extrapolation),`);
       all.push(...mark(this.rgb(0), `${low} ${unit}`), ...mark(this.rgb(255), `${high} ${unit}`));
     }
-    if (this.locates) all.push(" · Location: density of the transmitter over the floor,", ...mark(this.rgb(0), "low"), ...mark(this.rgb(255), "high"), "; outline: 90 % region; white diamond: estimate;", ...mark(ROOM_TRANSMITTER, "true position"));
     all.push(" · Receivers:", ...mark([213, 94, 0], "with boresight"));
     this.find("legend").replaceChildren(...all);
   }
@@ -533,7 +538,7 @@ export class Stage {
     this.mapped = this.mapEnds = null;
     this.sides.forEach((side) => side.room?.setPoints("map", null));
     this.removeLocated();
-    this.drawLegend();
+    this.reloadGaussians();
     this.settle();
   }
 
