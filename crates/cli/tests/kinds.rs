@@ -3,6 +3,7 @@
 #![cfg(all(feature = "report", feature = "viewer"))]
 
 use crate::common::{picture, refuse, stderr, stdout, succeed, write};
+use crate::view::Served;
 use pwrfgs::data::{base_station_yaml, npy_header_as, save};
 use pwrfgs_core::{Channels, Dataset, Image, Observations, Pose, Real, Receiver, Sample, Spectra, gains_of, recognise};
 use std::fmt::Write as _;
@@ -132,6 +133,18 @@ fn every_command_accepts_or_rejects_every_data_kind() {
                 None => _ = succeed(here, &arguments),
             }
         }
+    }
+    for (kind, words) in [
+        ("spectra", ""),
+        ("powers", ""),
+        ("channels", ""),
+        ("uplinks", "localisation"),
+        ("images", "the receiver moves"),
+    ] {
+        let served = Served::start(here, &[&format!("run/{kind}")]);
+        let answer = served.body(&format!("/{}/locate?link=0", served.parts().1), "");
+        let status = if words.is_empty() { "200" } else { "400" };
+        assert!(answer.contains(&format!(" {status} ")) && answer.contains(words), "{kind}: {answer:.600}");
     }
     // Without positions the bootstrap draws single samples.
     let drawn = |kind: &str| std::fs::read_to_string(here.join("run").join(kind).join("run.json")).unwrap();

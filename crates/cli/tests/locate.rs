@@ -9,7 +9,7 @@ use std::path::Path;
 const MODEL: &str = "run/model.safetensors";
 
 /// `hall` with validation samples for regions.
-fn hall_with_validation(here: &Path) {
+pub(crate) fn hall_with_validation(here: &Path) {
     hall(here);
     std::fs::remove_dir_all(here.join("run")).unwrap();
     let split = "split=Random(test: 0.25, validation: 0.3)";

@@ -3,6 +3,7 @@
 use crate::common::browser::Browser;
 use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, stderr, succeed, write};
 use crate::links::hall;
+use crate::locate::hall_with_validation;
 use crate::model_format::models;
 use pwrfgs::model::{compress, file};
 use pwrfgs_core::testing::skipped;
@@ -16,13 +17,13 @@ use std::time::{Duration, Instant};
 const NO_BROWSER: &str = "no Chromium found; the pages were not loaded";
 
 /// A page that is served until this value is gone.
-struct Served {
+pub(crate) struct Served {
     child: Child,
     address: String,
 }
 
 impl Served {
-    fn start(folder: &Path, arguments: &[&str]) -> Self {
+    pub(crate) fn start(folder: &Path, arguments: &[&str]) -> Self {
         let mut command = pwrfgs(folder);
         command.arg("view").args(arguments).stdout(Stdio::piped()).stderr(Stdio::null());
         let mut child = command.spawn().unwrap();
@@ -33,7 +34,7 @@ impl Served {
     }
 
     /// `127.0.0.1:port`, and the word.
-    fn parts(&self) -> (&str, &str) {
+    pub(crate) fn parts(&self) -> (&str, &str) {
         let rest = self.address.strip_prefix("http://").unwrap();
         let (host, token) = rest.split_once('/').unwrap();
         (host, token.trim_end_matches('/'))
@@ -46,6 +47,10 @@ impl Served {
 
     /// The whole answer.
     fn answer(&self, request: &[u8], ends: bool) -> String {
+        String::from_utf8_lossy(&self.bytes(request, ends)).into_owned()
+    }
+
+    fn bytes(&self, request: &[u8], ends: bool) -> Vec<u8> {
         let mut stream = TcpStream::connect(self.parts().0).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         _ = stream.write_all(request);
@@ -54,7 +59,21 @@ impl Served {
         }
         let mut answer = Vec::new();
         _ = stream.read_to_end(&mut answer);
-        String::from_utf8_lossy(&answer).into_owned()
+        answer
+    }
+
+    /// The note of an answer in arrays, and the values of the array `name`; none if there is no such array.
+    fn arrays(&self, path: &str, name: &str) -> (Value, Vec<f32>) {
+        let (host, token) = self.parts();
+        let request = format!("GET /{token}/{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+        let answer = self.bytes(request.as_bytes(), false);
+        let body = answer.windows(4).position(|four| four == b"\r\n\r\n").unwrap() + 4;
+        let data = 8 + u64::from_le_bytes(answer[body..body + 8].try_into().unwrap()) as usize;
+        let (header, data) = answer[body..].split_at(data);
+        let header: Value = serde_json::from_slice(&header[8..]).unwrap();
+        let end = |k: usize| header[name]["data_offsets"][k].as_u64().unwrap_or(0) as usize;
+        let values = data[end(0)..end(1)].as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
+        (serde_json::from_str(header["__metadata__"]["pwrfgs"].as_str().unwrap()).unwrap(), values)
     }
 
     fn get(&self, path: &str, headers: &str) -> String {
@@ -62,7 +81,7 @@ impl Served {
     }
 
     /// The head of an answer with what follows it.
-    fn body(&self, path: &str, headers: &str) -> String {
+    pub(crate) fn body(&self, path: &str, headers: &str) -> String {
         let (host, _) = self.parts();
         let request = format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n");
         self.answer(request.as_bytes(), false)
@@ -79,7 +98,7 @@ impl Drop for Served {
 /// Number of the first sample of a run in one of its sets, such as `test`.
 fn first_of(run: &Path, set: &str) -> usize {
     let samples = std::fs::read_to_string(run.join("samples.csv")).unwrap();
-    samples.lines().skip(1).position(|line| line.split(',').nth(4) == Some(set)).unwrap()
+    samples.lines().skip(1).position(|line| line.split(',').any(|field| field == set)).unwrap()
 }
 
 #[test]
@@ -325,6 +344,103 @@ fn report_works_offline_and_without_scripts() {
 }
 
 #[test]
+fn samples_are_located_as_by_the_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall_with_validation(here);
+    let run = here.join("run");
+    succeed(here, &["locate", "run/model.safetensors", "--out", "located", "--pictures", "0"]);
+    let served = Served::start(here, &["run"]);
+    let link = first_of(&run, "test");
+    let (note, density) = served.arrays(&format!("locate?link={link}"), "density");
+    let list = std::fs::read_to_string(here.join("located/locations.csv")).unwrap();
+    let row: Vec<&str> = list.lines().nth(1).unwrap().split(',').collect();
+    let region = &note["region"];
+    let flat =
+        [&numbers(&note["estimate"])[..], &[note["misfit"].as_f64().unwrap(), region["area_m2"].as_f64().unwrap()]];
+    for (own, cell) in flat.concat().iter().zip(&row[1..]) {
+        assert!((own - cell.parse::<f64>().unwrap()).abs() < 1e-3, "{note} {row:?}");
+    }
+    assert!((note["error_m"].as_f64().unwrap() - row[10].parse::<f64>().unwrap()).abs() < 1e-3, "{note} {row:?}");
+    assert_eq!(region["holds"], json!(row[11] == "yes"));
+    let highest = density.iter().copied().fold(0.0, f32::max);
+    assert!(density.iter().all(|v| *v >= 0.0) && highest > 0.5 && highest <= 1.0001, "highest density {highest}");
+    assert_eq!(region["outlines"].as_array().unwrap().len().to_string(), row[6]);
+    assert_eq!((&note["left_out"], &note["no_region"]), (&json!(false), &Value::Null));
+    // A training sample has the fingerprint of its position, which is left out.
+    let (own, _) = served.arrays(&format!("locate?link={}", first_of(&run, "train")), "density");
+    assert!(own["left_out"] == json!(true) && own["misfit"].as_f64().unwrap() > 0.0, "{own}");
+    let (_, token) = served.parts();
+    for (query, words) in [
+        ("", "query parameter `link`: no such link"),
+        ("?link=1000000", "query parameter `link`: no such link"),
+        ("?link=x", "query parameter `link`"),
+        ("?link=0&side=7", "query parameter `side`: no such side"),
+    ] {
+        let answer = served.body(&format!("/{token}/locate{query}"), "");
+        assert!(answer.contains(" 400 ") && answer.contains(words), "{query}: {answer}");
+    }
+    drop(served);
+    std::fs::rename(run.join("pipeline.ron"), here.join("other.ron")).unwrap();
+    let alone = Served::start(here, &["run/model.safetensors"]);
+    let answer = alone.body(&format!("/{}/locate?link=0", alone.parts().1), "");
+    assert!(answer.contains(" 400 ") && answer.contains("no data next to this model"), "{answer}");
+}
+
+#[test]
+fn page_locates_the_selected_sample() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    let without = Served::start(here, &["run", "NearestNeighbours(k: 1)"]);
+    let (note, density) = without.arrays("locate?link=0&side=1", "density");
+    let why = note["no_region"].as_str().unwrap();
+    assert!(
+        why.contains("fewer than 9 validation samples") && density.is_empty() && note["region"].is_null(),
+        "{note}"
+    );
+    let Some(page) = Browser::open(&without.address, [1300, 900]) else { return skipped(NO_BROWSER) };
+    let stage = "document.querySelector('main').stage";
+    let shown = "[...document.querySelectorAll('[data-located]')].map((own) => own.textContent)";
+    let starts = |page: &Browser| {
+        page.wait("document.querySelector('[data-ready]')");
+        page.eval("document.querySelector('[data-locate]').click()");
+        page.wait(&format!("{shown}.every((text) => text.startsWith('Located '))"));
+    };
+    starts(&page);
+    assert!(page.eval(shown).to_string().matches("fewer than 9 validation samples").count() == 2);
+    assert_eq!(page.console(), Vec::<String>::new());
+    let again = tempfile::tempdir().unwrap();
+    let here = again.path();
+    hall_with_validation(here);
+    let served = Served::start(here, &["run"]);
+    page.go(&served.address);
+    starts(&page);
+    let sentence = page.eval(shown).to_string();
+    assert!(sentence.contains(" m² in") || sentence.contains(" m², "), "{sentence}");
+    let names = format!("[...{stage}.sides[0].room.meshes.keys(), ...{stage}.sides[0].room.layers.keys()].join()");
+    let has = |name: &str| page.eval(&names).as_str().unwrap().split(',').any(|own| own == name);
+    assert!(has("density") && has("estimate") && !has("map"), "{}", page.eval(&names));
+    page.eval("document.querySelector('[data-step=\"1\"]').click()");
+    page.wait(&format!("{shown}[0].startsWith('Located ') && {shown}[0] !== {sentence}[0]"));
+    let distance = format!("{stage}.sides[0].room.looking.distance");
+    let before = page.eval(&distance).as_f64().unwrap();
+    page.eval("document.querySelector('[data-closer]').click()");
+    assert_ne!(page.eval(&distance).as_f64().unwrap(), before);
+    page.resize([390, 800]);
+    assert_eq!(page.eval("document.documentElement.scrollWidth <= 390"), json!(true), "a phone shows it whole");
+    page.eval(&format!("{stage}.moveTo({stage}.tx.map((v) => v + 0.1))"));
+    page.wait(&format!("{shown}[0].startsWith('Select a sample')"));
+    assert!(!has("density") && !has("estimate"));
+    page.eval("document.querySelector('[data-locate]').click()");
+    page.wait(&format!("{names}.includes('map') && document.querySelector('[data-located]').hidden"));
+    assert_eq!(page.console(), Vec::<String>::new());
+    page.go(&format!("file://{}", here.join("run/report.html").display()));
+    page.wait("document.querySelector('[data-ready]')");
+    assert_eq!(page.eval("document.querySelector('[data-of-locating]').hidden"), json!(true), "a report has no server");
+}
+
+#[test]
 fn viewer_follows_active_run() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
@@ -452,7 +568,7 @@ fn reports_models_that_cannot_be_viewed() {
 }
 
 #[test]
-#[ignore = "draws docs/images/view.png, walk-start.png and walk-end.png, of runs/quickstart"]
+#[ignore = "draws docs/images/view.png, walk-start.png, walk-end.png and locate-view.png, of runs/quickstart"]
 fn draws_images_of_documentation() {
     let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let served = Served::start(&checkout, &["runs/quickstart"]);
@@ -468,4 +584,15 @@ fn draws_images_of_documentation() {
         std::thread::sleep(Duration::from_secs(3));
         write(&checkout.join(format!("docs/images/{name}.png")), page.screenshot(false));
     }
+    page.resize([940, 500]);
+    page.eval(
+        "(() => { const { stage } = document.querySelector('main'); stage.seek(230); \
+         document.querySelector('[data-locate]').click(); })()",
+    );
+    page.wait("document.querySelector('[data-located]').textContent.startsWith('Located ')");
+    page.eval(
+        "document.querySelector('[data-closer]').click(); document.querySelector('[data-sides]').scrollIntoView()",
+    );
+    std::thread::sleep(Duration::from_secs(3));
+    write(&checkout.join("docs/images/locate-view.png"), page.screenshot(false));
 }

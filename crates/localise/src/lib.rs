@@ -18,7 +18,7 @@ mod region;
 
 pub use features::FingerprintFeatures;
 pub use fingerprints::{Fingerprints, NearestFingerprints};
-pub use locator::{Choice, Located, Locator};
+pub use locator::{Choice, Located, Locator, SHARES};
 pub use region::{Region, RegionRule};
 
 /// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.

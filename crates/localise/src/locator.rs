@@ -6,6 +6,8 @@ use crate::{FingerprintFeatures, Fingerprints, Region, RegionRule, mean_and_medi
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
 use rayon::prelude::*;
 
+/// Shares of the model in the fingerprints among which validation samples choose, in `locate` and in `view`.
+pub const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
 /// Sharpnesses to choose from.
 const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 /// Kernel widths to choose from, in units of the distance between neighbouring training positions.
@@ -39,7 +41,9 @@ pub struct Locator<'a> {
     /// Half the distance between neighbouring training positions, metres.
     spacing: f64,
     /// Area of [`Self::within`].
-    is_possible: Option<Box<dyn Fn([f64; 2]) -> bool + Sync + 'a>>,
+    is_possible: Option<Box<dyn Fn([f64; 2]) -> bool + Send + Sync + 'a>>,
+    /// Number of validation positions.
+    pub validation: usize,
     /// Settings.
     pub choice: Choice,
     /// Rule of the regions; `None` without validation samples.
@@ -114,8 +118,9 @@ impl<'a> Locator<'a> {
         let spacing = spacing(&fingerprints.positions);
         let rule = region_rule(&fingerprints.positions, &truths, &misfits, choice.scale, spacing);
         let receivers = data.scene.receivers.len();
+        let (is_possible, validation) = (None, truths.len());
         let mut locator =
-            Self { features, model, fingerprints, receivers, floor, spacing, is_possible: None, choice, rule };
+            Self { features, model, fingerprints, receivers, floor, spacing, is_possible, validation, choice, rule };
         locator.choose_descent(&truths, error);
         Ok(locator)
     }
@@ -124,7 +129,7 @@ impl<'a> Locator<'a> {
     ///
     /// # Errors
     /// No training position does.
-    pub fn within(mut self, is_possible: impl Fn([f64; 2]) -> bool + Sync + 'a) -> Result<Self> {
+    pub fn within(mut self, is_possible: impl Fn([f64; 2]) -> bool + Send + Sync + 'a) -> Result<Self> {
         self.fingerprints = self.fingerprints.filtered(|[x, y, _]| is_possible([x, y]));
         self.is_possible = Some(Box::new(is_possible));
         if self.fingerprints.is_empty() {
@@ -148,6 +153,20 @@ impl<'a> Locator<'a> {
         &self.fingerprints.positions
     }
 
+    /// Returns why there are no regions, with advice; `None` if there are regions.
+    pub fn missing_regions(&self) -> Option<&'static str> {
+        match (self.rule, self.validation) {
+            (Some(_), _) => None,
+            (None, 0) => Some(
+                "no validation samples, so nothing is chosen and there are no regions; train with validation samples, such as \
+                 --set split.validation=0.1",
+            ),
+            (None, _) => {
+                Some("fewer than 9 validation samples: no regions; train with more, such as --set split.validation=0.3")
+            }
+        }
+    }
+
     /// Returns what is known of `transmitters` of `data`, as [`Self::locate`] takes it.
     pub fn observations(&self, data: &Dataset, transmitters: &[usize]) -> Vec<Vec<f32>> {
         let all = Fingerprints::measured(&self.features, data, transmitters, self.floor);
@@ -157,10 +176,17 @@ impl<'a> Locator<'a> {
     /// Locates a transmitter from its features at all receivers, `[receivers, count]`; NaN for unknown values. Powers below
     /// [`Self::floor`] count as this: the receiver did not hear the transmitter.
     pub fn locate(&self, observation: &[f32]) -> Located {
+        self.locate_without(observation, None)
+    }
+
+    /// Locates as [`Self::locate`], without the training samples at the position `left_out`.
+    pub fn locate_without(&self, observation: &[f32], left_out: Option<[f64; 3]>) -> Located {
         let is_scalar = self.features.task().is_scalar;
         let heard = |v: &f32| if is_scalar && *v < self.floor { self.floor } else { *v };
         let observation = &observation.iter().map(heard).collect::<Vec<f32>>()[..];
-        let misfits = self.fingerprints.misfits(observation);
+        let mut misfits = self.fingerprints.misfits(observation);
+        let own = misfits.iter_mut().zip(&self.fingerprints.positions).filter(|(_, place)| left_out == Some(**place));
+        own.for_each(|(misfit, _)| *misfit = f32::INFINITY);
         let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
         let position = self.position(observation, &misfits);
         let density = self.rule.map(|rule| {

@@ -174,13 +174,14 @@ pub const STYLE: &str = include_str!("../web/stage.css");
 /// Style of a page that holds only the stage, in light and dark.
 pub const PAGE_STYLE: &str = include_str!("../web/page.css");
 /// JavaScript modules by name, each after the modules that it imports.
-pub const FILES: [(&str, &str); 10] = [
+pub const FILES: [(&str, &str); 11] = [
     ("tensors.js", include_str!("../web/tensors.js")),
     ("predict.js", include_str!("../web/predict.js")),
     ("ssim.js", include_str!("../web/ssim.js")),
     ("room.js", include_str!("../web/room.js")),
     ("spectrum.js", include_str!("../web/spectrum.js")),
     ("chart.js", include_str!("../web/chart.js")),
+    ("location.js", include_str!("../web/location.js")),
     ("source.js", include_str!("../web/source.js")),
     ("stage.js", include_str!("../web/stage.js")),
     ("tables.js", include_str!("../web/tables.js")),

@@ -59,8 +59,8 @@ precision highp float;
 uniform int shape; in vec4 shade; out vec4 pixel;
 void main() {
   vec2 p = 2.0 * gl_PointCoord - 1.0;
-  float r = shape == 1 ? max(abs(p.x), abs(p.y)) : length(p);
-  if (shape < 3 && r > 1.0 || shape == 2 && r < 0.6) discard;
+  float r = shape == 1 ? max(abs(p.x), abs(p.y)) : shape == 3 ? abs(p.x) + abs(p.y) : length(p);
+  if (shape >= 0 && r > 1.0 || shape >= 2 && r < 0.6) discard;
   pixel = shade;
 }`;
 
@@ -115,7 +115,7 @@ const ROOM_REST = 1500;
 const ROOM_LEAST = 1500;
 /** Distance within which the pointer grasps the transmitter, pixels. */
 const ROOM_GRASP = 22;
-const ROOM_TRANSMITTER = [204, 0, 119];
+export const ROOM_TRANSMITTER = [204, 0, 119];
 
 /** Room on a canvas. Throws if the browser has no WebGL2. */
 export class Room {
@@ -125,6 +125,7 @@ export class Room {
     if (!this.gl) throw new Error("WebGL2 is missing");
     this.layers = new Map();
     this.lines = new Map();
+    this.meshes = new Map();
     this.ground = { background: [1, 1, 1], ink: [0.1, 0.1, 0.1] };
     this.spread = 0.4;
     this.frames = 0;
@@ -149,7 +150,7 @@ export class Room {
     this.pointProgram = roomProgram(gl, ROOM_POINT_VERTEX, ROOM_POINT_FRAGMENT);
     this.ellipsoidProgram = roomProgram(gl, ROOM_ELLIPSOID_VERTEX, ROOM_ELLIPSOID_FRAGMENT);
     this.corners = roomBuffer(gl, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
-    for (const layer of [...this.layers.values(), ...this.lines.values(), this.triangles, this.gaussians]) {
+    for (const layer of [...this.layers.values(), ...this.lines.values(), ...this.meshes.values(), this.gaussians]) {
       if (layer) layer.buffers = null;
     }
   }
@@ -191,7 +192,8 @@ export class Room {
   }
 
   /**
-   * Sets a layer of points: `positions` [N, 3], `colours` [N, 4], `size` in pixels, `shape` "dot", "square" or "ring";
+   * Sets a layer of points: `positions` [N, 3], `colours` [N, 4], `size` in pixels, `shape` "dot", "square", "ring" or
+   * "diamond";
    * `onTop` disables hiding by nearer objects; or null.
    */
   setPoints(name, layer) {
@@ -215,11 +217,9 @@ export class Room {
     layer?.buffers?.forEach((buffer) => this.gl.deleteBuffer(buffer));
   }
 
-  /** Sets a transparent mesh: `positions` [T, 3, 3] and one `colour` from 0 to 1; or null. */
-  setTriangles(layer) {
-    this.free(this.triangles);
-    this.triangles = layer && { ...layer, buffers: null };
-    this.redraw();
+  /** Sets a transparent mesh: `positions` [T, 3, 3], and one `colour` from 0 to 1 or `colours` [T, 4]; or null. */
+  setTriangles(name, layer) {
+    this.replace(this.meshes, name, layer);
   }
 
   /** Sets the Gaussians: `means`, `scales` [N, 3], `quats` [N, 4] as w, x, y, z, `colours` [N, 4]; or null. */
@@ -346,13 +346,12 @@ export class Room {
     this.drawEllipsoids(camera, h);
     const lines = [...this.lines.values()].map((layer) => [layer, gl.LINES, 2, camera, 1]);
     const points = [...this.layers.values()].map((layer) => [layer, gl.POINTS, 1, camera, ratio]);
-    for (const drawn of [...lines, ...points].sort(([a], [b]) => Boolean(a.onTop) - Boolean(b.onTop))) this.drawLayer(...drawn);
-    if (this.triangles) {
-      gl.enable(gl.DEPTH_TEST);
-      gl.depthMask(false);
-      this.drawLayer(this.triangles, gl.TRIANGLES, 3, camera, 1);
-      gl.depthMask(true);
-    }
+    const opaque = [...lines, ...points];
+    opaque.filter(([layer]) => !layer.onTop).forEach((drawn) => this.drawLayer(...drawn));
+    gl.depthMask(false);
+    this.meshes.forEach((layer) => this.drawLayer(layer, gl.TRIANGLES, 3, camera, 1));
+    gl.depthMask(true);
+    opaque.filter(([layer]) => layer.onTop).forEach((drawn) => this.drawLayer(...drawn));
     this.frames += 1;
     this.lastFrameMs = performance.now() - begun;
   }
@@ -368,7 +367,7 @@ export class Room {
     else gl.enable(gl.DEPTH_TEST);
     gl.uniformMatrix4fv(gl.getUniformLocation(program, "camera"), false, camera.matrix);
     gl.uniform1f(gl.getUniformLocation(program, "size"), (layer.size ?? 1) * ratio);
-    const shape = mode === gl.POINTS ? ["dot", "square", "ring"].indexOf(layer.shape ?? "dot") : 3;
+    const shape = mode === gl.POINTS ? ["dot", "square", "ring", "diamond"].indexOf(layer.shape ?? "dot") : -1;
     gl.uniform1i(gl.getUniformLocation(program, "shape"), shape);
     roomAttribute(gl, 0, layer.buffers[0], 3, gl.FLOAT, 0);
     roomAttribute(gl, 1, layer.buffers[1], 4, gl.UNSIGNED_BYTE, 0);

@@ -37,6 +37,11 @@ export class ServerSource {
     return this.fetch("map", { side, z, receiver });
   }
 
+  /** Located position of a link's transmitter; the first answer of a side takes longest. */
+  locate(side, link) {
+    return this.fetch("locate", { side, link });
+  }
+
   curve(side) {
     return this.fetch("curve", { side });
   }

@@ -1,6 +1,7 @@
-import { Room } from "./room.js";
+import { ROOM_TRANSMITTER, Room } from "./room.js";
 import { SpectrumView, paletteOf, strongestPixel } from "./spectrum.js";
 import { drawChart, channelCurves, chartNumber } from "./chart.js";
+import { closerView, drawLocation, locationSentence } from "./location.js";
 import { ServerSource } from "./source.js";
 
 /** Colours of sets and of removed and kept Gaussians, for the colour-blind (Okabe and Ito). */
@@ -75,6 +76,11 @@ class StageSide {
   }
 
   drawGaussians(all, nextIds) {
+    if (this.stage.locates) {
+      this.room.setGaussians(null); // they would hide the density
+      this.room.setPoints("gaussians", null);
+      return;
+    }
     const means = all.get("means");
     const n = means.length / 3;
     const colours = this.stage.coloursOf(all, n, nextIds);
@@ -149,6 +155,7 @@ class StageSide {
   async showMap(z, receiver) {
     if (!this.room || this.stage.note.has_pixels || !this.stage.source.map || !this.about.by_position) return;
     const pack = await this.stage.source.map(this.place, z, receiver);
+    if (this.stage.locates) return; // the density is at the same height
     const [values, [rows, columns]] = [pack.get("map"), pack.shape("map")];
     const finite = values.filter(Number.isFinite);
     const [low, high] = [finite.reduce((a, b) => Math.min(a, b), Infinity), finite.reduce((a, b) => Math.max(a, b), -Infinity)];
@@ -164,6 +171,34 @@ class StageSide {
     this.room.setPoints("map", { ...cells, size: 7, shape: "square", pickable: false });
     this.stage.mapEnds = [low, high];
     this.stage.drawLegend();
+  }
+
+  /** Locates the sample of a link, or says what to do if there is none. */
+  async locate(link) {
+    const { stage } = this;
+    const sample = link === null ? "" : `sample ${stage.ids[link]}`;
+    const isFirst = !this.hasLocated && link !== null;
+    if (isFirst) this.sayLocated(`Locating ${sample}. The first sample takes seconds to minutes, because the model predicts all training positions.`);
+    const found = link === null ? null : await stage.source.locate(this.place, link).catch((error) => error.message);
+    if (!stage.locates || stage.link !== link) return;
+    const isLocated = Boolean(found?.note);
+    this.hasLocated ||= isLocated;
+    this.located = isLocated ? found : null;
+    this.drawLocated();
+    const number = (v) => chartNumber(Number(v.toPrecision(3)));
+    const hint = "Select a sample to locate it: click a dot, or use the buttons ‹ and ›.";
+    this.sayLocated(isLocated ? locationSentence(found.note, number) : found ?? hint);
+  }
+
+  /** Draws the located sample, or removes it. */
+  drawLocated() {
+    if (this.room) drawLocation(this.room, this.located, { origin: this.stage.note.origin, rgb: (at) => this.stage.rgb(at) });
+    this.stage.find("closer").disabled = !this.stage.sides.some((side) => side.located);
+  }
+
+  sayLocated(text) {
+    const own = this.find("located");
+    [own.textContent, own.hidden] = [text, !this.stage.locates];
   }
 
   /** Shows loss and N of a run in progress. */
@@ -293,6 +328,9 @@ export class Stage {
     on("samples", "change", () => this.drawSamples());
     on("surfaces", "change", () => this.drawSurfaces());
     on("reset", "click", () => this.resetView());
+    on("locate", "change", (own) => this.locateSamples(own.checked));
+    on("closer", "click", () => this.zoomToLocated());
+    this.find("of-locating").hidden = !this.source.locate;
     on("snapshot", "input", (own) => this.showSnapshot(own.valueAsNumber));
     this.offerColours();
     this.offerSnapshots();
@@ -406,7 +444,7 @@ export class Stage {
       const colours = new Uint8Array((positions.length / 3) * 4);
       for (let i = 0; i < colours.length; i += 4) colours.set([141, 148, 161, 150], i);
       const walls = this.find("surfaces").checked && this.known.has("surfaces") ? this.known.get("surfaces") : [];
-      room.setTriangles(walls.length ? { positions: walls, colour: [0.55, 0.58, 0.63, 0.16] } : null);
+      room.setTriangles("walls", walls.length ? { positions: walls, colour: [0.55, 0.58, 0.63, 0.16] } : null);
       room.setPoints("surface", positions.length ? { positions, colours, size: 2, shape: "dot", pickable: false } : null);
     }
   }
@@ -439,7 +477,8 @@ export class Stage {
     const parts = PART_NAMES.map((name, k) => mark(PART_COLOURS[k], name)).filter((_, k) => this.parts.includes(k));
     const all = by === "part" ? ["Transmitters:", ...parts.flat()] : [];
     if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test set:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
-    if (this.colouring === "fate" && this.snapshot !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
+    if (this.locates) all.push(" · Gaussians are hidden · Location: density of the transmitter over the floor,", ...mark(this.rgb(0), "low"), ...mark(this.rgb(255), "high"), "; outline: 90 % region; white diamond: estimate;", ...mark(ROOM_TRANSMITTER, "true position"));
+    else if (this.colouring === "fate" && this.snapshot !== null) all.push(" · Gaussians:", ...mark(GOES, "removed before the next snapshot"), ...mark(STAYS, "kept"));
     else if (this.abouts.some((about) => about.gaussians)) all.push(` · Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
@@ -493,6 +532,42 @@ export class Stage {
     this.sides.forEach((side) => side.room && (side.room.view = this.firstView));
   }
 
+  /** Starts or stops locating the selected samples. */
+  locateSamples(locates) {
+    this.locates = locates;
+    this.mapped = this.mapEnds = null;
+    this.sides.forEach((side) => side.room?.setPoints("map", null));
+    this.removeLocated();
+    this.reloadGaussians();
+    this.settle();
+  }
+
+  removeLocated() {
+    this.sought = undefined;
+    for (const side of this.sides.filter((own) => own.located || !this.locates)) {
+      side.located = null;
+      side.drawLocated();
+      side.sayLocated("");
+    }
+  }
+
+  /** Locates the selected sample on every side; requests of samples that were left are not shown. */
+  async locate() {
+    if (this.isLocating) return;
+    this.isLocating = true;
+    while (this.locates && this.sought !== this.link) {
+      this.sought = this.link;
+      await Promise.all(this.sides.map((side) => side.locate(this.sought)));
+      this.say(this.sides.map((side) => `${side.about.name}: ${side.find("located").textContent}`).join(". "));
+    }
+    this.isLocating = false;
+  }
+
+  zoomToLocated() {
+    const { note } = this.sides.find((side) => side.located).located;
+    this.sides.forEach((side) => side.room && (side.room.view = closerView(side.room.view, note, this.note.origin)));
+  }
+
   press(event, room) {
     const moves = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
     const looks = { "+": () => room.zoom(0.9), "-": () => room.zoom(1.1), "[": () => room.turn(-0.1, 0), "]": () => room.turn(0.1, 0) };
@@ -516,6 +591,7 @@ export class Stage {
 
   /** Moves the transmitter and updates predictions as fast as the source answers. */
   moved() {
+    if (this.locates && this.sought !== this.link) this.removeLocated();
     this.sides.forEach((side) => side.room?.setTransmitter(this.tx));
     this.world(this.tx).forEach((v, k) => (this.root.querySelector(`[data-tx="${k}"]`).value = v.toFixed(2)));
     this.find("height").value = this.world(this.tx)[2];
@@ -560,6 +636,7 @@ export class Stage {
     clearTimeout(this.resting);
     this.resting = setTimeout(async () => {
       this.say(this.sides.map((side) => `${side.about.name}: ${side.numbers.textContent}`).join(". "));
+      if (this.locates) return this.locate();
       const z = this.world(this.tx)[2];
       if (this.note.has_pixels || (z === this.mapped?.[0] && this.receiver === this.mapped?.[1])) return;
       this.mapped = [z, this.receiver];
@@ -630,7 +707,7 @@ export class Stage {
     if (news.changed) {
       this.known = await this.source.room();
       this.abouts = this.note.sides = this.known.note.sides;
-      this.sides.forEach((own, k) => (own.about = this.abouts[k]));
+      this.sides.forEach((own, k) => Object.assign(own, { about: this.abouts[k], hasLocated: false }));
       this.offerSnapshots();
       this.offerColours();
       await this.reloadGaussians();
@@ -652,6 +729,7 @@ export class Stage {
     };
     this.ink = style.getPropertyValue("--stage-ink").trim();
     this.sides.forEach((side) => side.room?.setTheme({ background: rgb("--stage-paper"), ink: rgb("--stage-ink") }));
+    this.sides.filter((side) => side.located).forEach((side) => side.drawLocated());
     if (this.drawn) this.refresh();
   }
 }

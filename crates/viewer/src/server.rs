@@ -47,7 +47,7 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
         .enable_time()
         .build()
         .map_err(|e| failed("start the server", &e))?;
-    LocalSet::new().block_on(&runtime, async {
+    let served = LocalSet::new().block_on(&runtime, async {
         let listener =
             TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.map_err(|e| failed("listen on 127.0.0.1", &e))?;
         let port = listener.local_addr().map_err(|e| failed("listen on 127.0.0.1", &e))?.port();
@@ -57,7 +57,9 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
         wait(state, stop).await;
         accepting.abort();
         Ok(())
-    })
+    });
+    runtime.shutdown_background(); // does not wait for a locator that is being fitted
+    served
 }
 
 /// Waits until `stop` is set or the last page is closed.

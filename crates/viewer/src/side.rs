@@ -7,6 +7,7 @@ use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, 
 use pwrfgs_experiment::record::read_series;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::{Facts, Observer, Scores, check_alike, load, read_pipeline};
+use pwrfgs_localise::{Locator, SHARES};
 use pwrfgs_model::{Ensemble, Prepared, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::Trainer;
@@ -14,7 +15,7 @@ use self_cell::self_cell;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant, SystemTime};
 use tokio::sync::broadcast;
 
@@ -105,6 +106,15 @@ impl Predictor {
     }
 }
 
+self_cell!(
+    /// Locator with the predictor of its fingerprints.
+    pub(crate) struct FittedLocator {
+        owner: Arc<Predictor>,
+        #[covariant]
+        dependent: Locator,
+    }
+);
+
 /// Data of a run, with their split and the scores per link.
 pub(crate) struct LoadedData {
     pub(crate) pipeline: Pipeline,
@@ -126,6 +136,8 @@ pub struct ViewPane {
     /// Corners of surfaces `[T,3,3]`, metres, world frame.
     pub(crate) surfaces: Vec<[[f64; 3]; 3]>,
     predictor: RwLock<Option<Arc<Predictor>>>,
+    /// Locator of one of the predictors, fitted by the first request.
+    locator: Mutex<Option<Arc<FittedLocator>>>,
 }
 
 impl ViewPane {
@@ -167,6 +179,7 @@ impl ViewPane {
             setup,
             surfaces: Vec::new(),
             predictor: RwLock::new(predictor.map(Arc::new)),
+            locator: Mutex::default(),
         })
     }
 
@@ -204,12 +217,31 @@ impl ViewPane {
             setup: beside.setup.clone(),
             surfaces: Vec::new(),
             predictor: RwLock::new(Some(Arc::new(Predictor::Baseline(fitted)))),
+            locator: Mutex::default(),
         })
     }
 
     /// Current predictor; none before the first checkpoint of a run.
     pub(crate) fn predictor(&self) -> Option<Arc<Predictor>> {
         self.predictor.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Locator of `predictor`. The first call fits it, which takes up to minutes; meanwhile other calls wait.
+    pub(crate) fn locator(&self, known: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
+        let mut own = self.locator.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(found) = own.as_ref().filter(|found| Arc::ptr_eq(found.borrow_owner(), &predictor)) {
+            return Ok(Arc::clone(found));
+        }
+        // Own threads: predictions of other requests would wait for those that they share.
+        let pool = rayon::ThreadPoolBuilder::new().build().map_err(|e| Error::Config(format!("no threads: {e}")))?;
+        let fitted = FittedLocator::try_new(predictor, |predictor| {
+            let (model, shares): (&dyn Predict, &[f32]) = match &**predictor {
+                Predictor::Model(ready) => (ready.borrow_dependent(), &SHARES),
+                Predictor::Baseline(baseline) => (baseline.borrow_dependent().as_ref(), &[1.0]),
+            };
+            pool.install(|| Locator::fit(&known.data, known.partition.known(), model, shares))
+        })?;
+        Ok(Arc::clone(own.insert(Arc::new(fitted))))
     }
 
     /// Reads the model or the checkpoint again; returns whether the run is finished.

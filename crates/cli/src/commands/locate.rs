@@ -11,7 +11,7 @@ use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::statistics::quantile;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
 use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, read_pipeline};
-use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, mean_and_median};
+use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
@@ -21,8 +21,6 @@ use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Shares of the model in the fingerprints, among which validation samples choose.
-const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
 /// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
 
@@ -108,7 +106,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         progress.on_stage("fingerprints", 0, 0);
         Locator::fit(&data, partition.known(), &model, &SHARES)
     })?;
-    verbosity.note(&summary(&locator, &data, &partition));
+    verbosity.note(&summary(&locator));
     let locator = match prior {
         Some(bounds) => {
             locator.within(move |place| bounds.holds(place)).map_err(|e| Error::Config(format!("--prior: {e}")))?
@@ -136,22 +134,19 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
 }
 
 /// What was chosen, in one line.
-fn summary(locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> String {
-    let choice = locator.choice;
-    let validation = data.transmitters_of(&partition.validation).len();
-    if validation == 0 {
-        return "warning: no validation samples, so nothing is chosen and there are no regions; train with validation samples, \
-                such as --set split.validation=0.1"
-            .into();
+fn summary(locator: &Locator<'_>) -> String {
+    let (choice, missing) = (locator.choice, locator.missing_regions());
+    if let Some(why) = missing.filter(|_| locator.validation == 0) {
+        return format!("warning: {why}");
     }
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
-    let region = if locator.rule.is_some() { "" } else { "; fewer than 9 validation samples: no regions" };
     format!(
-        "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{region}",
+        "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{}",
         grouped(locator.positions().len() as i64),
-        grouped(validation as i64),
+        grouped(locator.validation as i64),
         fixed(f64::from(choice.share) * 100.0, 0),
-        choice.sharpness
+        choice.sharpness,
+        missing.map_or_else(String::new, |why| format!("; {why}"))
     )
 }
 

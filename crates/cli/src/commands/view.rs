@@ -25,6 +25,7 @@ ON THE PAGE
   room         drag to rotate, scroll to zoom
   slider       selects a snapshot of the training, from the start over each prune step to the end;
                new snapshots of a run in progress appear
+  locate       shows where `pwrfgs locate` puts the selected sample, with its 90 % region
 Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
 in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 With --save, it writes a page that needs no server. Single models of spectra predict in it, in 8

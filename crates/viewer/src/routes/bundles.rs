@@ -31,6 +31,7 @@ pub(super) fn bundle(path: &str, parameters: &QueryParams, state: &ServerState) 
         "predict" => predict(side, parameters),
         "link" => link(side, parameters),
         "map" => map(side, parameters),
+        "locate" => locate(side, parameters),
         "curve" => Ok(curve(side)),
         _ => Err((StatusCode::NOT_FOUND, "not found".into())),
     }
@@ -223,12 +224,15 @@ fn nearest(known: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, 
     all.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+/// Data of a side, and the requested link.
+fn known_link<'a>(side: &'a ViewPane, parameters: &QueryParams) -> Result<(&'a LoadedData, usize), RequestError> {
     let known = known(side)?;
-    let i = parameters
-        .link
-        .filter(|i| *i < known.data.len())
-        .ok_or_else(|| wrong("query parameter `link`: no such link"))?;
+    let asked = parameters.link.filter(|i| *i < known.data.len());
+    Ok((known, asked.ok_or_else(|| wrong("query parameter `link`: no such link"))?))
+}
+
+fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+    let (known, i) = known_link(side, parameters)?;
     let image = known.data.image(i);
     let mut bundle = TensorBundle::new(json!({ "strongest": strongest(side, &image) }));
     if side.setup.task.is_scalar {
@@ -267,6 +271,36 @@ fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reques
     if let Some(training) = predictor.ensemble().and_then(|own| own.training_distances(&places)) {
         let beyond = (0..places.len()).map(|k| u8::from(training.is_beyond(k)));
         bundle.put_bytes("extrapolated", &[rows, columns], beyond.collect());
+    }
+    Ok(bundle)
+}
+
+/// Position of the transmitter of a link, located from its observations by all receivers, with the density over the floor.
+/// Metres, world frame. A training sample is compared without itself.
+fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+    let ((known, i), predictor) = (known_link(side, parameters)?, predictor(side)?);
+    if !predictor.by_position() {
+        return Err(wrong("localisation: this model takes other features than a transmitter position"));
+    }
+    let fitted = side.locator(known, predictor).map_err(|why| wrong(&why.to_string()))?;
+    let (locator, data) = (fitted.borrow_dependent(), &known.data);
+    let transmitter = data.links[i].transmitter;
+    let truth = data.transmitters[transmitter].position;
+    let is_known = data.transmitters_of(&known.partition.train).contains(&transmitter);
+    let observation = locator.observations(data, &[transmitter]).concat();
+    let located = locator.locate_without(&observation, is_known.then_some(truth));
+    let mut bundle = TensorBundle::new(json!({
+        "estimate": located.position, "truth": truth, "error_m": neighbours::distance(located.position, truth),
+        "misfit": located.misfit, "part": known.partition.set_of(i) as u8, "left_out": is_known,
+        "no_region": locator.missing_regions(),
+    }));
+    if let Some(region) = located.region() {
+        bundle.note["region"] = json!({
+            "first": region.first, "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
+            "holds": located.holds(truth),
+        });
+        let shape = [region.values.len() / region.columns, region.columns];
+        bundle.put("density", &shape, region.values.iter().map(|v| Real::from(*v)));
     }
     Ok(bundle)
 }
