@@ -114,7 +114,7 @@ impl Step {
             links: &self.batch.links,
             pixels: PixelSubset::All,
         };
-        let observed = method.forward(setup, &parameters, &request);
+        let observed = method.forward(setup, &parameters, &request, &None);
         let (numbers, mut sums) = (observed.numbers.clone(), MethodVjp::zeros(&parameters));
         if !alone {
             sums.conditions = vec![0.0; conditions.len()];

@@ -62,7 +62,7 @@ impl Room {
     fn numbers(&self, weights: &[Real], links: &[Link], pixels: PixelSubset<'_>) -> Vec<Real> {
         let cloud = GaussianCloud::zeros(0);
         let p = Parameters { cloud: &cloud, gate: None, existence: None, weights };
-        self.method.forward(&self.setup, &p, &self.request(links, pixels)).numbers
+        self.method.forward(&self.setup, &p, &self.request(links, pixels), &None).numbers
     }
 
     fn differentiates(&self, name: &str, pixels: PixelSubset<'_>) {
@@ -71,7 +71,7 @@ impl Room {
         let of_conditions = |x: &[Real], d: Option<&[Real]>| {
             let conditions = Conditions::new(self.method.traits().inputs, x);
             let request = ObservationRequest { conditions, links: &LINKS, pixels };
-            let observed = self.method.forward(&self.setup, &p, &request);
+            let observed = self.method.forward(&self.setup, &p, &request, &None);
             let Some(d) = d else { return observed.numbers };
             let mut sums = MethodVjp { conditions: vec![0.0; x.len()], ..MethodVjp::zeros(&p) };
             self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
@@ -92,7 +92,7 @@ impl Room {
             let weights = all(x);
             let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
             let (request, mut sums) = (self.request(&LINKS, pixels), MethodVjp::zeros(&p));
-            let observed = self.method.forward(&self.setup, &p, &request);
+            let observed = self.method.forward(&self.setup, &p, &request, &None);
             self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
             sums.weights.into_iter().step_by(stride).collect()
         };

@@ -213,7 +213,7 @@ pub(crate) fn untrained(
     let inputs = setup.inputs(method.traits().inputs, part.iter().map(|&i| data.query(i)));
     let request =
         ObservationRequest { conditions: inputs.conditions(), links: &inputs.links, pixels: PixelSubset::All };
-    method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request).numbers
+    method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request, &None).numbers
 }
 
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.

@@ -113,7 +113,13 @@ impl Method for VirtualTransmitters {
         Ok(())
     }
 
-    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        _: &Cache,
+    ) -> ForwardOutput {
         let antennas = array(&setup.receivers[0]);
         let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
         for (group, positions) in groups(setup, request) {

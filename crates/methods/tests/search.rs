@@ -2,10 +2,10 @@
 //! depend on the number of threads.
 
 use pwrfgs_core::{Method as _, Real, rng};
-use pwrfgs_methods::{MatchingPursuit, VirtualTransmitters};
 use pwrfgs_methods::virtual_transmitters::{
     ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of, solve_gains,
 };
+use pwrfgs_methods::{MatchingPursuit, VirtualTransmitters};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);

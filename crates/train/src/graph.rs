@@ -313,7 +313,7 @@ impl Graph {
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
         let (weights, d_weights, stats) =
             (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
-        let mut observed = stages.method.forward(&stages.setup, &open.parameters(&weights), &batch.request());
+        let mut observed = stages.method.forward(&stages.setup, &open.parameters(&weights), &batch.request(), &None);
         let numbers = std::mem::take(&mut observed.numbers);
         let vjp = move |d: Vec<Vec<Real>>| {
             let parameters = open.parameters(&weights);

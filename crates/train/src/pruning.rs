@@ -223,7 +223,7 @@ fn loss_of(scene: &PassContext<'_>, p: &Parameters<'_>, some: &[usize], batches:
     let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
     let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
         let size = (setup.plane.width, setup.plane.height);
-        let numbers = method.forward(setup, &parameters, &batch.request()).numbers;
+        let numbers = method.forward(setup, &parameters, &batch.request(), &None).numbers;
         scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.links.len() as Real
     };
     let links: usize = batches.iter().map(|(_, batch)| batch.links.len()).sum();

@@ -212,7 +212,13 @@ impl Method for Nerf2 {
         Ok(planned(|plan| self.network(setup, plan)).1.layout())
     }
 
-    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        _: &Cache,
+    ) -> ForwardOutput {
         let network = laid_out(p.weights, |plan| self.network(setup, plan));
         let emission = network.emission(p.weights, &request.conditions, self.unit_m);
         let groups = self.groups(setup, (&network, p.weights), request, &emission);

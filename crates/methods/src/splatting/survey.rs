@@ -34,13 +34,13 @@ impl Splatting {
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
         let blind = is_static && !question.any(reads_signals);
-        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions) };
+        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions, &None) };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
         for group in ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves())) {
             let view = &*Self::view(&views, &group, request.conditions);
             let (terms, batch) = group.terms(&deltas, n);
-            let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
+            let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !question.any(per_link) {
                 let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
                 sums.add(&rows, &self.weigh(view, batch.len(), signals, &geometry, needs));
@@ -49,7 +49,7 @@ impl Splatting {
             let jacobians =
                 if question.any(|s| *s == Statistic::Fisher) { self.jacobians(view, p, &geometry) } else { Vec::new() };
             for (b, link) in batch.zip(group.alone()) {
-                let drawing = self.draw(view, p.cloud, &terms, b..b + 1, p.into(), Some(&geometry));
+                let drawing = self.draw(view, p, &terms, b..b + 1, Some(&geometry));
                 sums.add(&rows, &self.see(question, view, &link, &drawing, &jacobians));
             }
         }

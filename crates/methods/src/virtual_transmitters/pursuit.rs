@@ -199,7 +199,9 @@ impl<'a> PursuitSearch<'a> {
         for _ in 0..2 {
             let noise = cost / self.rows.len() as f64;
             let signal = self.rows.signal(sources) / sources.terms() as f64;
-            ridge.fill(self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64);
+            ridge.fill(
+                self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64,
+            );
             match refine(&self.rows, sources, &ridge, walk) {
                 Some(new) => cost = new,
                 None => return,

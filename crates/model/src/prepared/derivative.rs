@@ -66,7 +66,8 @@ fn clamp_vjp(clamped: bool, values: &[Real], d: &mut [Real]) {
 impl Member<'_> {
     fn forward(&self, query: Query<'_>) -> ForwardOutput {
         let stages = &self.model.stages;
-        let run = || self.with_request(&[query], |p, request| stages.method.forward(&stages.setup, p, request));
+        let run =
+            || self.with_request(&[query], |p, request| stages.method.forward(&stages.setup, p, request, &self.ready));
         self.enter(run)
     }
 
