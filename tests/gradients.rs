@@ -64,7 +64,7 @@ impl Deformation for Terms {
         d: &Deltas,
         d_weights: &mut [Real],
         _: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [Real]>,
+        _: Option<&mut [[Real; 3]]>,
     ) {
         let all = [d.scales.as_flattened(), d.quats.as_flattened(), d.signals.as_flattened()].concat();
         d_weights.iter_mut().zip(all).for_each(|(sum, d)| *sum += d);
@@ -104,8 +104,8 @@ impl Step {
         .unwrap()
     }
 
-    /// Observations, and the derivative of Σ d·observations by the conditions and, if `alone`, without it.
-    fn by_conditions(&self, conditions: &[Real], d: Option<&[Real]>, alone: bool) -> (Vec<Real>, MethodVjp) {
+    /// Observations, and the derivative of Σ d·observations by the positions and, if `alone`, without it.
+    fn by_positions(&self, conditions: &[Real], d: Option<&[Real]>, alone: bool) -> (Vec<Real>, MethodVjp) {
         let Stages { method, setup } = &*self.stages;
         let (cloud, weights) = (&self.cloud, &self.weights);
         let parameters = Parameters { cloud, gate: None, existence: None, weights };
@@ -117,7 +117,7 @@ impl Step {
         let observed = method.forward(setup, &parameters, &request, &None);
         let (numbers, mut sums) = (observed.numbers.clone(), MethodVjp::zeros(&parameters));
         if !alone {
-            sums.conditions = vec![0.0; conditions.len()];
+            sums.positions = vec![[0.0; 3]; conditions.len() / 3];
         }
         if let Some(d) = d {
             method.vjp(setup, &parameters, &request, observed, d, &mut sums);
@@ -125,23 +125,23 @@ impl Step {
         (numbers, sums)
     }
 
-    /// Every network input of the transmitters, or every position of a moving receiver, against differences.
-    fn check_conditions(&self, name: &str) {
-        if !self.stages.method.traits().differentiates_inputs {
+    /// Every position of the transmitters, or of a moving receiver, against differences.
+    fn check_positions(&self, name: &str) {
+        if !self.stages.method.traits().differentiates_positions {
             return;
         }
         let vjp = |x: &[Real], d: &[Real]| {
-            let (sums, alone) = (self.by_conditions(x, Some(d), false).1, self.by_conditions(x, Some(d), true).1);
-            assert!(alone.conditions.is_empty() && alone.weights == sums.weights, "{name}");
-            sums.conditions
+            let (sums, alone) = (self.by_positions(x, Some(d), false).1, self.by_positions(x, Some(d), true).1);
+            assert!(alone.positions.is_empty() && alone.weights == sums.weights, "{name}");
+            sums.positions.into_flattened()
         };
-        let name = format!("{name}, by the conditions");
-        check_vjp(&name, &self.batch.conditions, |x| self.by_conditions(x, None, true).0, vjp, 1e-7, 1e-3);
+        let name = format!("{name}, by the positions");
+        check_vjp(&name, &self.batch.conditions, |x| self.by_positions(x, None, true).0, vjp, 1e-7, 1e-3);
     }
 
-    /// Every column but `left_out`, then some of the weights, against differences; then the conditions.
+    /// Every column but `left_out`, then some of the weights, against differences; then the positions.
     fn check(&self, name: &str, left_out: Option<&str>) {
-        self.check_conditions(name);
+        self.check_positions(name);
         let stride = self.weights.len().div_ceil(WEIGHTS).max(1);
         let pack = |cloud: &GaussianCloud, weights: &[Real]| -> Vec<Real> {
             let columns = cloud.columns().filter(|(name, ..)| Some(*name) != left_out);

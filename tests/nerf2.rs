@@ -68,18 +68,20 @@ impl Room {
     fn differentiates(&self, name: &str, pixels: PixelSubset<'_>) {
         let cloud = GaussianCloud::zeros(0);
         let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &self.weights };
-        let of_conditions = |x: &[Real], d: Option<&[Real]>| {
+        let of_positions = |x: &[Real], d: Option<&[Real]>| {
             let conditions = Conditions::new(self.method.traits().inputs, x);
             let request = ObservationRequest { conditions, links: &LINKS, pixels };
             let observed = self.method.forward(&self.setup, &p, &request, &None);
             let Some(d) = d else { return observed.numbers };
-            let mut sums = MethodVjp { conditions: vec![0.0; x.len()], ..MethodVjp::zeros(&p) };
+            let mut sums = MethodVjp { positions: vec![[0.0; 3]; x.len() / 3], ..MethodVjp::zeros(&p) };
             self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
-            sums.conditions
+            sums.positions.into_flattened()
         };
-        let vjp = |x: &[Real], d: &[Real]| of_conditions(x, Some(d));
-        // Frequencies up to 2⁹ rad per unit of length.
-        check_vjp(name, &self.conditions, |x| of_conditions(x, None), vjp, 1e-7, 2e-5);
+        if self.method.traits().differentiates_positions {
+            let vjp = |x: &[Real], d: &[Real]| of_positions(x, Some(d));
+            // Frequencies up to 2⁹ rad per unit of length.
+            check_vjp(name, &self.conditions, |x| of_positions(x, None), vjp, 1e-7, 2e-5);
+        }
         // Some of every layer.
         let stride = 7;
         let all = |x: &[Real]| {

@@ -197,14 +197,14 @@ pub struct MethodVjp {
     pub weights: Vec<Real>,
     /// Statistics for pruners and densification; zeros if the method draws no splats.
     pub stats: CloudStats,
-    /// Derivative with respect to the [conditions](ObservationRequest::conditions) `[T, inputs]`. Empty if not requested; to
-    /// request it from a method that [supports](MethodTraits::differentiates_inputs) it, set it to zeros. The position of a
-    /// moving receiver also changes the geometry, which this includes.
-    pub conditions: Vec<Real>,
+    /// Derivative with respect to the positions in the [conditions](ObservationRequest::conditions) `[T, 3]`. Empty if not
+    /// requested; to request it from a method that [supports](MethodTraits::differentiates_positions) it, set it to zeros.
+    /// The position of a moving receiver also changes the geometry, which this includes.
+    pub positions: Vec<[Real; 3]>,
 }
 
 impl MethodVjp {
-    /// Creates zeros for parameters of this size, without the conditions.
+    /// Creates zeros for parameters of this size, without the positions.
     pub fn zeros(parameters: &Parameters<'_>) -> Self {
         let n = parameters.cloud.len();
         Self {
@@ -213,7 +213,7 @@ impl MethodVjp {
             existence: vec![0.0; n],
             weights: vec![0.0; parameters.weights.len()],
             stats: CloudStats::zeros(n),
-            conditions: Vec::new(),
+            positions: Vec::new(),
         }
     }
 }
@@ -357,8 +357,8 @@ pub struct MethodTraits<'a> {
     /// Whether its spectra are scaled from 0 to 1 over the drawn pixels, so that the sampled pixels of a measured
     /// spectrum must be scaled in the same way.
     pub stretches: bool,
-    /// Whether [`Method::vjp`] supports the derivative by the [conditions](MethodVjp::conditions).
-    pub differentiates_inputs: bool,
+    /// Whether [`Method::vjp`] supports the derivative by the [positions](MethodVjp::positions).
+    pub differentiates_positions: bool,
 }
 
 impl MethodTraits<'_> {
@@ -382,7 +382,7 @@ impl Default for MethodTraits<'_> {
             supports_existence_gate: false,
             blends: false,
             stretches: false,
-            differentiates_inputs: false,
+            differentiates_positions: false,
         }
     }
 }

@@ -65,13 +65,13 @@ impl ReceiverGroup {
         pose: &Pose,
         request: &ObservationRequest<'_>,
         d: impl Iterator<Item = Real>,
-        d_positions: &mut [Real],
+        d_positions: &mut [[Real; 3]],
     ) {
-        let (txs, d_txs) = (request.conditions.positions(), d_positions.as_chunks_mut::<3>().0);
+        let txs = request.conditions.positions();
         for (row, d) in self.rows.iter().zip(d) {
             let way = Vec3::from_array(txs[*row]) - pose.origin();
             let d_way = way.normalize_or_zero() * d;
-            d_txs[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
+            d_positions[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
         }
     }
 
@@ -167,7 +167,7 @@ pub(crate) fn vjp(
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
     if !own.deltas.is_empty() {
         let d_network = &mut sums.weights[..inputs.weights.len()];
-        let d_txs = Some(sums.conditions.as_mut_slice()).filter(|d_txs| !d_txs.is_empty());
+        let d_txs = Some(sums.positions.as_mut_slice()).filter(|d_txs| !d_txs.is_empty());
         deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means), d_txs);
     }
     for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {

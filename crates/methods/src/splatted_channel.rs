@@ -149,13 +149,13 @@ impl Method for SplattedChannel {
         // `Points` are virtual transmitters in the viewer; these are Gaussians with their initial scales and rotations.
         let deformation = Some(&self.deformation);
         let (appearance, own) = (Appearance::Ellipsoids, self.deformation.traits());
-        let differentiates_inputs = own.differentiates_inputs;
+        let differentiates_positions = own.differentiates_positions;
         MethodTraits {
             task,
             inputs: own.inputs,
             appearance,
             deformation,
-            differentiates_inputs,
+            differentiates_positions,
             ..MethodTraits::default()
         }
     }

@@ -91,7 +91,7 @@ impl Method for VirtualTransmitters {
     fn traits(&self) -> MethodTraits<'_> {
         let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
         let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
-        MethodTraits { task: Some(Task::Channel), columns, differentiates_inputs: true, ..MethodTraits::default() }
+        MethodTraits { task: Some(Task::Channel), columns, differentiates_positions: true, ..MethodTraits::default() }
     }
 
     /// The cloud is independent of the transmitter.
@@ -146,7 +146,7 @@ impl Method for VirtualTransmitters {
             let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
-            let at_once = if sums.conditions.is_empty() { positions.len() } else { 1 };
+            let at_once = if sums.positions.is_empty() { positions.len() } else { 1 };
             let of_each = at_once * antennas.len() * frequencies.len();
             let parts = positions.chunks(at_once.max(1)).zip(own.chunks(of_each.max(1))).zip(&group.links);
             for ((positions, d), link) in parts {
@@ -156,8 +156,7 @@ impl Method for VirtualTransmitters {
                     sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
                 }
                 sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
-                let first = 3 * request.links[*link].transmitter;
-                if let Some(d_position) = sums.conditions.get_mut(first..first + 3) {
+                if let Some(d_position) = sums.positions.get_mut(request.links[*link].transmitter) {
                     found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }

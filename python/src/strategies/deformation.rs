@@ -110,7 +110,7 @@ impl Deformation for Strategy {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [Real]>,
+        _: Option<&mut [[Real; 3]]>,
     ) {
         self.with(|py, own| {
             let [weights, means, txs] = self.arguments(py, inputs)?;

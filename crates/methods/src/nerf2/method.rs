@@ -173,7 +173,7 @@ impl Method for Nerf2 {
             inputs: if self.features == 0 { 3 } else { self.features },
             appearance: Appearance::Nothing,
             supports_pixel_subset: true,
-            differentiates_inputs: true,
+            differentiates_positions: self.features == 0,
             ..MethodTraits::default()
         }
     }
@@ -280,8 +280,8 @@ impl Method for Nerf2 {
         add_in_order(&mut sums.weights, &parts.iter().map(|part| part.weights.as_slice()).collect::<Vec<_>>());
         let mut d_emission = vec![0.0; emission.len()];
         add_in_order(&mut d_emission, &parts.iter().map(|part| part.emission.as_slice()).collect::<Vec<_>>());
-        let MethodVjp { weights: d_weights, conditions: d_conditions, .. } = sums;
-        network.emission_vjp(p.weights, &request.conditions, self.unit_m, &d_emission, (d_weights, d_conditions));
+        let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
+        network.emission_vjp(p.weights, &request.conditions, self.unit_m, &d_emission, (d_weights, d_positions));
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {

@@ -178,7 +178,7 @@ impl Method for Splatting {
             supports_existence_gate: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
-            differentiates_inputs: self.deformation.traits().differentiates_inputs,
+            differentiates_positions: self.deformation.traits().differentiates_positions,
             ..MethodTraits::default()
         }
     }
@@ -250,10 +250,10 @@ impl Method for Splatting {
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
             let distances = group.distances(&view.pose, request);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            let is_requested = !sums.conditions.is_empty();
+            let is_requested = !sums.positions.is_empty();
             if let (Some([_, exponent]), true) = (laws.of(group.receiver), is_requested) {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(&view.pose, request, d_distances, &mut sums.conditions);
+                group.distances_vjp(&view.pose, request, d_distances, &mut sums.positions);
             }
             // A spectrum depends on the Gaussians relative to the receiver: its derivative by the position of a moving
             // receiver, whose links have a geometry each, is that by a common move of all Gaussians the other way.
@@ -263,7 +263,7 @@ impl Method for Splatting {
                 self.draw_vjp(view, drawing, p, terms, &d_blended, own)
             });
             if let Some(before) = before {
-                let (after, d_position) = (sum_of(&own.cloud.means), &mut sums.conditions[3 * group.row()..][..3]);
+                let (after, d_position) = (sum_of(&own.cloud.means), &mut sums.positions[group.row()]);
                 d_position.iter_mut().zip(before).zip(after).for_each(|((sum, before), after)| *sum += before - after);
             }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
