@@ -4,8 +4,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    ColumnSpec, Conditions, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters,
-    PassStatistics, PixelSubset, Receiver, Statistic, Task, rng,
+    ColumnSpec, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters, PassStatistics,
+    PixelSubset, Receiver, Statistic, Task, rng,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -44,8 +44,8 @@ impl Sight {
 
     fn request(&self) -> ObservationRequest<'_> {
         ObservationRequest {
-            conditions: Conditions::new(3, &self.batch.conditions),
-            links: &self.batch.links,
+            conditions: self.batch.inputs.conditions(),
+            links: &self.batch.inputs.links,
             pixels: PixelSubset::All,
         }
     }
@@ -70,7 +70,7 @@ impl Sight {
     }
 
     fn deltas(&self, splatting: &Splatting) -> Deltas {
-        let conditions = Conditions::new(3, &self.batch.conditions);
+        let conditions = self.batch.inputs.conditions();
         let pose = self.stages.setup.pose();
         splatting
             .deformation
