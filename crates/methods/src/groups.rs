@@ -239,15 +239,14 @@ pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &Measurement
     if setup.moves && setup.plane.angles.is_none() && setup.plane.camera.is_none() {
         return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
     }
-    if setup.moves && deformation.traits().reads_receiver {
-        return Err(
-            "the deformation depends on the receiver position, but the receiver moves; use Factored() or Mlp()".into(),
-        );
-    }
-    if setup.receivers.len() > 1 && deformation.traits().reads_receiver {
+    let receivers = match (setup.moves, setup.receivers.len()) {
+        (true, _) => "the receiver moves".into(),
+        (false, count @ 2..) => format!("the data have {count} receivers"),
+        _ => return Ok(()),
+    };
+    if deformation.traits().reads_receiver {
         return Err(format!(
-            "the deformation depends on the receiver position, but the data have {} receivers; use Factored() or Mlp()",
-            setup.receivers.len()
+            "the deformation depends on the receiver position, but {receivers}; use Factored() or Mlp()"
         ));
     }
     Ok(())

@@ -44,8 +44,7 @@ pub struct SplattedChannel {
 
 impl Default for SplattedChannel {
     fn default() -> Self {
-        let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
-        Self { deformation: deformation.into() }
+        Self { deformation: Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>) }
     }
 }
 

@@ -48,13 +48,10 @@ pub struct Splatting {
 
 impl Default for Splatting {
     fn default() -> Self {
-        let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
-        let projector: Box<dyn Projector> = Box::new(Mercator::default());
-        let rasterizer: Box<dyn Rasterizer> = Box::new(AlphaBlending::default());
         Self {
-            deformation: deformation.into(),
-            projector: projector.into(),
-            rasterizer: rasterizer.into(),
+            deformation: Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>),
+            projector: Plugin::from(Box::new(Mercator::default()) as Box<dyn Projector>),
+            rasterizer: Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>),
             calibration: Calibration::default(),
             readout: Readout::default(),
         }
