@@ -43,11 +43,7 @@ impl Sight {
     }
 
     fn request(&self) -> ObservationRequest<'_> {
-        ObservationRequest {
-            conditions: self.batch.inputs.conditions(),
-            links: &self.batch.inputs.links,
-            pixels: PixelSubset::All,
-        }
+        self.batch.inputs.request(PixelSubset::All)
     }
 
     fn survey(&self, statistics: &[Statistic]) -> PassStatistics {

@@ -124,6 +124,11 @@ impl LinkInputs {
     pub fn conditions(&self) -> Conditions<'_> {
         Conditions::new(self.width, &self.values).turned(&self.orientations).at_carriers(&self.carriers)
     }
+
+    /// Returns the request for these values of all links.
+    pub fn request<'a>(&'a self, pixels: PixelSubset<'a>) -> ObservationRequest<'a> {
+        ObservationRequest { conditions: self.conditions(), links: &self.links, pixels }
+    }
 }
 
 /// Learned parameters in the form that a method reads.

@@ -211,9 +211,8 @@ pub(crate) fn untrained(
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
     let inputs = setup.inputs(method.traits().inputs, part.iter().map(|&i| data.query(i)));
-    let request =
-        ObservationRequest { conditions: inputs.conditions(), links: &inputs.links, pixels: PixelSubset::All };
-    method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request, &None).numbers
+    let parameters = Parameters { cloud, gate: None, existence: None, weights };
+    method.forward(setup, &parameters, &inputs.request(PixelSubset::All), &None).numbers
 }
 
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.

@@ -14,7 +14,6 @@ pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
 pub use links::{ChannelInputs, VirtualSources};
 pub use pursuit::{PursuitOptions, pursue, snr_of};
-pub use solve::solve_gains;
 
 use crate::groups::ReceiverGroup;
 use crate::readout::magnitudes;

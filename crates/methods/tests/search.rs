@@ -2,9 +2,7 @@
 //! depend on the number of threads.
 
 use pwrfgs_core::{Method as _, Real, rng};
-use pwrfgs_methods::virtual_transmitters::{
-    ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of, solve_gains,
-};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of};
 use pwrfgs_methods::{MatchingPursuit, VirtualTransmitters};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
@@ -111,26 +109,6 @@ fn finds_direction_dependent_gains() {
     let ((flat, _), (directed, found)) = (score(0), score(2));
     assert!(directed > 30.0 && directed > flat + 10.0, "{directed} dB, and {flat} dB without directions");
     assert!(truth.positions.iter().all(|v| nearest(&found, *v) < 0.02), "{found:?}");
-}
-
-#[test]
-#[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn gains_at_given_positions_are_exact() {
-    let (positions, truth) = (places(30), truth([IDENTITY; 4]));
-    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
-    let h = field(&truth.to_cloud(), None, &links);
-    let mut found = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
-    assert!(solve_gains(&links, &h, &mut found, &[0.0; 4]));
-    for (a, b) in found.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
-        assert!((a - b).abs() < 1e-4, "{found:?}");
-    }
-    let mut twice = truth.select(&[0, 0]);
-    assert!(
-        !solve_gains(&links, &h, &mut twice, &[0.0; 2]) || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0
-    );
-    let mut small = truth.clone();
-    assert!(solve_gains(&links, &h, &mut small, &[1e9; 4]));
-    assert!(small.gains.iter().flatten().all(|s| s.abs() < 1e-3), "a ridge shrinks");
 }
 
 #[test]

@@ -72,11 +72,7 @@ impl Batch {
 
     /// Borrows the links for a method.
     pub(crate) fn request(&self) -> ObservationRequest<'_> {
-        ObservationRequest {
-            conditions: self.inputs.conditions(),
-            links: &self.inputs.links,
-            pixels: self.places.pixels(),
-        }
+        self.inputs.request(self.places.pixels())
     }
 }
 
