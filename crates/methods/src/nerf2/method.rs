@@ -159,13 +159,6 @@ fn bands(setup: &MeasurementSetup) -> usize {
     setup.frequencies_hz.len().max(1)
 }
 
-/// Returns the memory of the stored activations of a chunk, bytes.
-fn bytes_of(network: &Nerf2Network, samples: usize, rays: usize, passes: usize) -> usize {
-    let of_sample =
-        (network.trunk.depth() + 2) * network.width() + passes * (3 * network.width() / 2 + network.outputs);
-    rays * samples * of_sample * size_of::<Real>()
-}
-
 #[typetag::serde]
 impl Method for Nerf2 {
     fn traits(&self) -> MethodTraits<'_> {
@@ -188,8 +181,8 @@ impl Method for Nerf2 {
         };
         Cost {
             pixels,
-            bytes: bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64,
-            links_at_once: (KEPT / bytes_of(&network, self.samples, 1, 1)).max(1),
+            bytes: network.bytes(self.samples, rays, passes).min(KEPT) as u64,
+            links_at_once: (KEPT / network.bytes(self.samples, 1, 1)).max(1),
             ..Cost::default()
         }
     }
@@ -226,7 +219,7 @@ impl Method for Nerf2 {
         let mut items = Vec::new();
         for (g, group) in groups.iter().enumerate() {
             for rays in group.walk.chunks() {
-                let bytes = bytes_of(&network, self.samples, rays.len(), group.links.passes());
+                let bytes = network.bytes(self.samples, rays.len(), group.links.passes());
                 let keep = bytes <= room;
                 room -= if keep { bytes } else { 0 };
                 items.push((g, rays, keep));

@@ -95,6 +95,12 @@ impl Nerf2Network {
         emission
     }
 
+    /// Returns the memory of the stored activations of a chunk, bytes.
+    pub(crate) fn bytes(&self, samples: usize, rays: usize, passes: usize) -> usize {
+        let of_sample = (self.trunk.depth() + 2) * self.width() + passes * (3 * self.width() / 2 + self.outputs);
+        rays * samples * of_sample * size_of::<Real>()
+    }
+
     /// Backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_positions` unless it is empty.
     pub(crate) fn emission_vjp(
         &self,
