@@ -68,7 +68,7 @@ fn step(
         let mut sums = MethodVjp::zeros(p);
         for (links, places) in request.links.chunks(most).zip(places.chunks(most)) {
             let part = ObservationRequest { links, pixels: PixelSubset::Own(places), ..*request };
-            let observed = method.forward(setup, p, &part);
+            let observed = method.forward(setup, p, &part, &None);
             let d = observed.numbers.clone();
             method.vjp(setup, p, &part, observed, &d, &mut sums);
         }

@@ -200,7 +200,7 @@ impl Deformation for Python {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         if let Ok(own) = self.as_deformation() {
             own.vjp(inputs, d, d_weights, d_means, d_txs);

@@ -6,7 +6,7 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link,
+    Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, LinkInputs,
     MeasurementSetup, MethodVjp, ObservationRequest, Parameters, PixelSubset, Receiver, Task, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
@@ -64,7 +64,7 @@ impl Deformation for Terms {
         d: &Deltas,
         d_weights: &mut [Real],
         _: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [Real]>,
+        _: Option<&mut [[Real; 3]]>,
     ) {
         let all = [d.scales.as_flattened(), d.quats.as_flattened(), d.signals.as_flattened()].concat();
         d_weights.iter_mut().zip(all).for_each(|(sum, d)| *sum += d);
@@ -104,20 +104,20 @@ impl Step {
         .unwrap()
     }
 
-    /// Observations, and the derivative of Σ d·observations by the conditions and, if `alone`, without it.
-    fn by_conditions(&self, conditions: &[Real], d: Option<&[Real]>, alone: bool) -> (Vec<Real>, MethodVjp) {
+    /// Observations, and the derivative of Σ d·observations by the positions and, if `alone`, without it.
+    fn by_positions(&self, conditions: &[Real], d: Option<&[Real]>, alone: bool) -> (Vec<Real>, MethodVjp) {
         let Stages { method, setup } = &*self.stages;
         let (cloud, weights) = (&self.cloud, &self.weights);
         let parameters = Parameters { cloud, gate: None, existence: None, weights };
         let request = ObservationRequest {
-            conditions: Conditions::new(self.batch.width, conditions).turned(&self.batch.orientations),
-            links: &self.batch.links,
+            conditions: Conditions::new(self.batch.inputs.width, conditions).turned(&self.batch.inputs.orientations),
+            links: &self.batch.inputs.links,
             pixels: PixelSubset::All,
         };
-        let observed = method.forward(setup, &parameters, &request);
+        let observed = method.forward(setup, &parameters, &request, &None);
         let (numbers, mut sums) = (observed.numbers.clone(), MethodVjp::zeros(&parameters));
         if !alone {
-            sums.conditions = vec![0.0; conditions.len()];
+            sums.positions = vec![[0.0; 3]; conditions.len() / 3];
         }
         if let Some(d) = d {
             method.vjp(setup, &parameters, &request, observed, d, &mut sums);
@@ -125,23 +125,23 @@ impl Step {
         (numbers, sums)
     }
 
-    /// Every network input of the transmitters, or every position of a moving receiver, against differences.
-    fn check_conditions(&self, name: &str) {
-        if !self.stages.method.traits().differentiates_inputs {
+    /// Every position of the transmitters, or of a moving receiver, against differences.
+    fn check_positions(&self, name: &str) {
+        if !self.stages.method.traits().differentiates_positions {
             return;
         }
         let vjp = |x: &[Real], d: &[Real]| {
-            let (sums, alone) = (self.by_conditions(x, Some(d), false).1, self.by_conditions(x, Some(d), true).1);
-            assert!(alone.conditions.is_empty() && alone.weights == sums.weights, "{name}");
-            sums.conditions
+            let (sums, alone) = (self.by_positions(x, Some(d), false).1, self.by_positions(x, Some(d), true).1);
+            assert!(alone.positions.is_empty() && alone.weights == sums.weights, "{name}");
+            sums.positions.into_flattened()
         };
-        let name = format!("{name}, by the conditions");
-        check_vjp(&name, &self.batch.conditions, |x| self.by_conditions(x, None, true).0, vjp, 1e-7, 1e-3);
+        let name = format!("{name}, by the positions");
+        check_vjp(&name, &self.batch.inputs.values, |x| self.by_positions(x, None, true).0, vjp, 1e-7, 1e-3);
     }
 
-    /// Every column but `left_out`, then some of the weights, against differences; then the conditions.
+    /// Every column but `left_out`, then some of the weights, against differences; then the positions.
     fn check(&self, name: &str, left_out: Option<&str>) {
-        self.check_conditions(name);
+        self.check_positions(name);
         let stride = self.weights.len().div_ceil(WEIGHTS).max(1);
         let pack = |cloud: &GaussianCloud, weights: &[Real]| -> Vec<Real> {
             let columns = cloud.columns().filter(|(name, ..)| Some(*name) != left_out);
@@ -236,7 +236,8 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
     let numbers = LINKS.len() * stages.setup.numbers();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
-    step.batch = Batch { conditions, width, links: LINKS.to_vec(), truths, ..Batch::default() };
+    let inputs = LinkInputs { values: conditions, width, links: LINKS.to_vec(), ..LinkInputs::default() };
+    step.batch = Batch { inputs, truths, ..Batch::default() };
     step.stages = Arc::new(stages);
     step.objective = objective;
     step
@@ -287,9 +288,9 @@ fn spectra_at_moving_receiver_differentiate() {
     let poses = receivers().into_iter().map(|receiver| receiver.pose).chain([Pose::IDENTITY]);
     let mut stages = (*step.stages).clone();
     stages.setup = MeasurementSetup { receivers: receivers()[..1].to_vec(), moves: true, ..stages.setup };
-    step.batch.conditions = poses.clone().flat_map(|pose| pose.position.map(|v| v as Real)).collect();
-    step.batch.orientations = poses.map(|pose| pose.orientation).collect();
-    step.batch.links = vec![link(0, 0), link(1, 0), link(2, 0)];
+    step.batch.inputs.values = poses.clone().flat_map(|pose| pose.position.map(|v| v as Real)).collect();
+    step.batch.inputs.orientations = poses.map(|pose| pose.orientation).collect();
+    step.batch.inputs.links = vec![link(0, 0), link(1, 0), link(2, 0)];
     step.batch.truths.truncate(3 * stages.setup.numbers());
     step.stages = Arc::new(stages);
     step.check("spectra at a moving receiver", None);
@@ -334,7 +335,7 @@ fn virtual_transmitters_differentiate() {
         stages.method = plugin(&format!("VirtualTransmitters(order: {order})"));
         stages.setup.receivers.truncate(1);
         step.weights = Vec::new();
-        step.batch.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+        step.batch.inputs.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
         step.batch.truths.truncate(3 * stages.setup.numbers());
         step.cloud.complete(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);

@@ -108,10 +108,10 @@ fn deformations_return_declared_shapes() {
                 assert_eq!(deformation.forward(&inputs, &prepared), deltas, "{name}, prepared");
             }
             let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
-            let mut d_txs = deformation.traits().differentiates_inputs.then(|| vec![0.0; 3 * txs.len()]);
+            let mut d_txs = deformation.traits().differentiates_positions.then(|| vec![[0.0; 3]; txs.len()]);
             deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means), d_txs.as_deref_mut());
             assert!(finite(&d_weights) && finite(d_means.as_flattened()), "{name}");
-            assert!(d_txs.is_none_or(|d_txs| finite(&d_txs)), "{name}");
+            assert!(d_txs.is_none_or(|d_txs| finite(d_txs.as_flattened())), "{name}");
         }
     }
 }

@@ -62,24 +62,26 @@ impl Room {
     fn numbers(&self, weights: &[Real], links: &[Link], pixels: PixelSubset<'_>) -> Vec<Real> {
         let cloud = GaussianCloud::zeros(0);
         let p = Parameters { cloud: &cloud, gate: None, existence: None, weights };
-        self.method.forward(&self.setup, &p, &self.request(links, pixels)).numbers
+        self.method.forward(&self.setup, &p, &self.request(links, pixels), &None).numbers
     }
 
     fn differentiates(&self, name: &str, pixels: PixelSubset<'_>) {
         let cloud = GaussianCloud::zeros(0);
         let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &self.weights };
-        let of_conditions = |x: &[Real], d: Option<&[Real]>| {
+        let of_positions = |x: &[Real], d: Option<&[Real]>| {
             let conditions = Conditions::new(self.method.traits().inputs, x);
             let request = ObservationRequest { conditions, links: &LINKS, pixels };
-            let observed = self.method.forward(&self.setup, &p, &request);
+            let observed = self.method.forward(&self.setup, &p, &request, &None);
             let Some(d) = d else { return observed.numbers };
-            let mut sums = MethodVjp { conditions: vec![0.0; x.len()], ..MethodVjp::zeros(&p) };
+            let mut sums = MethodVjp { positions: vec![[0.0; 3]; x.len() / 3], ..MethodVjp::zeros(&p) };
             self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
-            sums.conditions
+            sums.positions.into_flattened()
         };
-        let vjp = |x: &[Real], d: &[Real]| of_conditions(x, Some(d));
-        // Frequencies up to 2⁹ rad per unit of length.
-        check_vjp(name, &self.conditions, |x| of_conditions(x, None), vjp, 1e-7, 2e-5);
+        if self.method.traits().differentiates_positions {
+            let vjp = |x: &[Real], d: &[Real]| of_positions(x, Some(d));
+            // Frequencies up to 2⁹ rad per unit of length.
+            check_vjp(name, &self.conditions, |x| of_positions(x, None), vjp, 1e-7, 2e-5);
+        }
         // Some of every layer.
         let stride = 7;
         let all = |x: &[Real]| {
@@ -92,7 +94,7 @@ impl Room {
             let weights = all(x);
             let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
             let (request, mut sums) = (self.request(&LINKS, pixels), MethodVjp::zeros(&p));
-            let observed = self.method.forward(&self.setup, &p, &request);
+            let observed = self.method.forward(&self.setup, &p, &request, &None);
             self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
             sums.weights.into_iter().step_by(stride).collect()
         };

@@ -8,9 +8,9 @@
 #[path = "common/npy.rs"]
 mod npy;
 
-use crate::common::{MOMENT, plugin};
+use crate::common::{MOMENT, batch_at, plugin};
 use npy::Reference;
-use pwrfgs::core::{Conditions, DeformationInputs, ExtraColumn, Mat3, MeasurementSetup, Origin, Vec3};
+use pwrfgs::core::{DeformationInputs, ExtraColumn, Mat3, MeasurementSetup, Origin, Vec3};
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, ViewTransform};
@@ -125,7 +125,7 @@ impl Start {
             opacity_logits: reference.array("in_opacity_logit"),
             extra: mask.map(column).into_iter().collect(),
         };
-        let batch = Batch::of_positions(&reference.rows("in_tx"), reference.array("in_gt"));
+        let batch = batch_at(&reference.rows("in_tx"), reference.array("in_gt"));
         Self { stages: Arc::new(stages), cloud, weights, batch, pruners }
     }
 
@@ -146,7 +146,7 @@ impl Start {
             .and_then(|p| p.gate(&TracedCloud::new(&self.cloud), &MOMENT))
             .map(|g| g.factor().as_vec());
         let activation = splatting.activation();
-        let txs = Conditions::new(self.batch.width, &self.batch.conditions);
+        let txs = self.batch.inputs.conditions();
         let deltas = deformation.forward(&DeformationInputs::new(&self.weights, &self.cloud.means, txs, pose), &None);
         let geometry = activation.geometry(&self.cloud, &deltas, 0, gate.as_deref());
         let splats = projector.project(&geometry, pose, plane);

@@ -44,7 +44,7 @@ fn narrow_and_wide() -> GaussianCloud {
 
 fn draw(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud) -> (MeasurementSetup, ForwardOutput) {
     let setup = MeasurementSetup { plane: plane.clone(), ..stages.setup.clone() };
-    let observed = stages.method.forward(&setup, &parameters(cloud), &request());
+    let observed = stages.method.forward(&setup, &parameters(cloud), &request(), &None);
     (setup, observed)
 }
 
@@ -209,7 +209,7 @@ fn power(elevation_deg: Real, sky_deg: u32) -> Real {
         ..GaussianCloud::default()
     };
     let parameters = Parameters { weights: &[0.0, 0.0], ..parameters(&cloud) };
-    base.method.forward(&setup, &parameters, &request()).numbers[0]
+    base.method.forward(&setup, &parameters, &request(), &None).numbers[0]
 }
 
 #[test]

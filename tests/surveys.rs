@@ -4,10 +4,10 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    ColumnSpec, Conditions, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters,
-    PassStatistics, PixelSubset, Receiver, Statistic, Task, rng,
+    ColumnSpec, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters, PassStatistics,
+    PixelSubset, Receiver, Statistic, Task, rng,
 };
-use pwrfgs::methods::{Gates, Readout, Splatting};
+use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{Batch, RenderingLoss, loss_and_gradients};
@@ -43,31 +43,30 @@ impl Sight {
     }
 
     fn request(&self) -> ObservationRequest<'_> {
-        ObservationRequest {
-            conditions: Conditions::new(3, &self.batch.conditions),
-            links: &self.batch.links,
-            pixels: PixelSubset::All,
-        }
+        self.batch.inputs.request(PixelSubset::All)
     }
 
     fn survey(&self, statistics: &[Statistic]) -> PassStatistics {
         let Stages { method, setup } = &*self.stages;
-        let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights: &self.weights };
         let needs = Needs::of(statistics, 0);
-        let mut found = method.survey(setup, &parameters, &self.request(), &self.batch.truths, &needs);
+        let mut found = method.survey(setup, &self.parameters(), &self.request(), &self.batch.truths, &needs);
         found.finish();
         found
+    }
+
+    fn parameters(&self) -> Parameters<'_> {
+        Parameters { cloud: &self.cloud, gate: None, existence: None, weights: &self.weights }
     }
 
     /// Observations with a factor on each Gaussian's part, links one after another.
     fn observed(&self, cloud: &GaussianCloud, existence: &[Real]) -> Vec<Real> {
         let Stages { method, setup } = &*self.stages;
         let parameters = Parameters { cloud, gate: None, existence: Some(existence), weights: &self.weights };
-        method.forward(setup, &parameters, &self.request()).numbers
+        method.forward(setup, &parameters, &self.request(), &None).numbers
     }
 
     fn deltas(&self, splatting: &Splatting) -> Deltas {
-        let conditions = Conditions::new(3, &self.batch.conditions);
+        let conditions = self.batch.inputs.conditions();
         let pose = self.stages.setup.pose();
         splatting
             .deformation
@@ -79,7 +78,7 @@ impl Sight {
         let splatting = self.stages.settings::<Splatting>().unwrap();
         let view = &splatting.views(&self.stages.setup)[0];
         let deltas = self.deltas(splatting);
-        let splats = splatting.geometry(view, &self.cloud, &deltas, b, Gates::default()).splats;
+        let splats = splatting.geometry(view, &self.parameters(), &deltas, b).splats;
         let signals: Vec<Real> = (0..N * N).map(|k| Real::from(u8::from(k / N == k % N))).collect();
         let pixels = splatting.rasterizer.forward(&splats, &signals, N, &view.plane).pixels;
         pixels.chunks_exact(view.plane.width * view.plane.height).map(<[Real]>::to_vec).collect()

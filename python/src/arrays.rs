@@ -6,7 +6,7 @@ use numpy::{
     Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
 };
 use numpy::{PyArrayDescrMethods as _, dtype};
-use pwrfgs_core::{Real, Task, gains_of};
+use pwrfgs_core::{Elevation, Real, Task, gains_of, rows_of};
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -35,14 +35,10 @@ pub(crate) fn input_array<'py, T: Element>(
     let fits = have.len() == shape.len() && have.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
     if !fits {
         let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
-        let message = format!("{what} has shape {}, expected [{}]", shown(have), want.join(", "));
+        let message = format!("{what} has shape {have:?}, expected [{}]", want.join(", "));
         return Err(wrong(py, &message));
     }
     array.try_readonly().map_err(|e| wrong(py, &format!("{what}: {e}")))
-}
-
-fn shown(shape: &[usize]) -> String {
-    format!("{shape:?}")
 }
 
 /// Converts through NumPy, which rejects non-numbers.
@@ -113,6 +109,38 @@ pub(crate) fn numbers<T: Element + Copy>(
     array.as_slice().map(<[T]>::to_vec).map_err(|e| wrong(value.py(), &e.to_string()))
 }
 
+/// Reads complex numbers as pairs of real numbers.
+pub(crate) fn pairs(what: &str, value: &Bound<'_, PyAny>, shape: &[Option<usize>]) -> PyResult<Vec<[Real; 2]>> {
+    Ok(numbers::<Gain>(what, value, shape)?.iter().map(|gain| [gain.re, gain.im]).collect())
+}
+
+/// Reads observations of `task` `[lead.., axes of one]` as rows, the inverse of [`observations`].
+pub(crate) fn observation_rows(
+    what: &str,
+    value: &Bound<'_, PyAny>,
+    task: Task,
+    size: (usize, usize),
+    lead: &[usize],
+) -> PyResult<Vec<Real>> {
+    let shape: Vec<Option<usize>> = lead.iter().copied().chain(task.shape(size)).map(Some).collect();
+    if task.is_complex {
+        return pairs(what, value, &shape).map(|gains| rows_of(&gains, size.0));
+    }
+    numbers(what, value, &shape)
+}
+
+/// Elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
+pub(crate) fn elevation_of(py: Python<'_>, [first, last]: [f64; 2]) -> PyResult<Elevation> {
+    let elevation = Elevation { first, last };
+    elevation.fault().map_or(Ok(elevation), |fault| Err(wrong(py, &format!("elevation_deg {fault}"))))
+}
+
+/// Creates an array with one axis.
+pub(crate) fn vector<T: Element>(py: Python<'_>, values: Vec<T>) -> PyResult<Bound<'_, PyArrayDyn<T>>> {
+    let count = values.len();
+    array(py, values, &[count])
+}
+
 /// Creates an array of this shape.
 ///
 /// # Errors
@@ -148,12 +176,8 @@ pub(crate) fn observations<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let shape = [lead, &task.shape(size)].concat();
     if task.is_complex {
-        return array(py, complex(&gains_of(&rows, size.0.max(1))), &shape).map(Bound::into_any);
+        let gains = gains_of(&rows, size.0.max(1)).into_iter().map(|[re, im]| Gain::new(re, im)).collect();
+        return array(py, gains, &shape).map(Bound::into_any);
     }
     array(py, rows, &shape).map(Bound::into_any)
-}
-
-/// Converts pairs of real numbers to complex numbers.
-fn complex(pairs: &[[Real; 2]]) -> Vec<Gain> {
-    pairs.iter().map(|[re, im]| Gain::new(*re, *im)).collect()
 }

@@ -3,7 +3,9 @@
 mod inputs;
 mod rows;
 
-use crate::arrays::{array, numbers, observations, places, room};
+pub(crate) use rows::indices;
+
+use crate::arrays::{array, elevation_of, numbers, observations, places, room, vector};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
@@ -150,10 +152,7 @@ impl Dataset {
                 return Err(wrong(py, &format!("{name}: only valid for {kind}; remove it")));
             }
         }
-        let elevation = elevation_deg.map_or(Elevation::UPPER, |[first, last]| Elevation { first, last });
-        if let Some(fault) = elevation.fault() {
-            return Err(wrong(py, &format!("elevation_deg {fault}")));
-        }
+        let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| elevation_of(py, angles))?;
         if let Some(spectra) = observations.spectra() {
             let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
             if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
@@ -275,13 +274,13 @@ impl Dataset {
     /// Transmitter id of each link, [L].
     #[getter]
     fn ids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<u32>>> {
-        array(py, self.data.samples().map(|s| s.id).collect(), &[self.data.len()])
+        vector(py, self.data.samples().map(|s| s.id).collect())
     }
 
     /// Receiver index of each link, [L], into `receivers`.
     #[getter]
     fn receiver<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<i64>>> {
-        array(py, self.data.samples().map(|s| s.receiver as i64).collect(), &[self.data.len()])
+        vector(py, self.data.samples().map(|s| s.receiver as i64).collect())
     }
 
     /// The receivers.
@@ -316,9 +315,7 @@ impl Dataset {
     #[getter]
     fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         let Some(channels) = self.data.observations.channels() else { return Ok(None) };
-        let all = channels.frequencies_hz.clone();
-        let count = all.len();
-        array(py, all, &[count]).map(Some)
+        vector(py, channels.frequencies_hz.clone()).map(Some)
     }
 
     /// Observations of these links: a spectrum [H, W], a power or a channel [A, F] each.
@@ -376,7 +373,7 @@ impl Dataset {
 
 /// Converts a partition to the named tuple `Split`.
 fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
-    let list = |part: &[usize]| array(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>(), &[part.len()]);
+    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
     let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
     py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
@@ -385,7 +382,7 @@ fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyA
 pub(crate) fn angles<'py>(py: Python<'py>, plane: &pwrfgs_core::ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
     let Some((azimuth, elevation)) = plane.angles else { return Ok(None) };
     let degrees = |axis: pwrfgs_core::AngleAxis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();
-    let rows = array::<f64>(py, degrees(elevation, plane.height), &[plane.height])?;
-    let columns = array::<f64>(py, degrees(azimuth, plane.width), &[plane.width])?;
+    let rows = vector::<f64>(py, degrees(elevation, plane.height))?;
+    let columns = vector::<f64>(py, degrees(azimuth, plane.width))?;
     PyTuple::new(py, [rows, columns]).map(Some)
 }

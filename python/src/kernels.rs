@@ -1,9 +1,9 @@
 //! `project` and `rasterize`: differentiable kernels for custom methods.
 
-use crate::arrays::{array, axes, input_array, numbers, room};
+use crate::arrays::{array, axes, elevation_of, input_array, numbers, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyUntypedArrayMethods as _;
-use pwrfgs_core::{Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
+use pwrfgs_core::{ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
 /// Forward pass of the rasterizer, kept for the backward pass.
@@ -49,11 +49,7 @@ impl View {
         }
         let projector = plugin::<dyn Projector>(py, &text_of("Projector", projector, None)?)?;
         let rasterizer = plugin::<dyn Rasterizer>(py, &text_of("Rasterizer", rasterizer, None)?)?;
-        let elevation = Elevation { first: elevation[0], last: elevation[1] };
-        if let Some(fault) = elevation.fault() {
-            return Err(wrong(py, &format!("elevation_deg {fault}")));
-        }
-        let plane = projector.plane_of(width, height, elevation);
+        let plane = projector.plane_of(width, height, elevation_of(py, elevation)?);
         let plane = plane.map_err(|why| wrong(py, &format!("the projector {why}")))?;
         rasterizer.check_plane(&plane).map_err(|why| wrong(py, &why))?;
         Ok(Self { projector, rasterizer, pose: pose_of(pose)?, plane })

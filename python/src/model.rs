@@ -3,7 +3,7 @@
 pub(crate) mod made;
 mod observed;
 
-use crate::arrays::{Gain, array, axes, numbers, place};
+use crate::arrays::{Gain, array, axes, numbers, place, vector};
 use crate::border::{free, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
@@ -315,9 +315,7 @@ impl Model {
     /// Subcarrier frequencies [F], Hz; empty unless the model predicts channels.
     #[getter]
     fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let all = self.stages().setup.frequencies_hz.clone();
-        let count = all.len();
-        array(py, all, &[count])
+        vector(py, self.stages().setup.frequencies_hz.clone())
     }
 
     /// Angles of the rows and columns of a spectrum, degrees: (elevations [H], azimuths [W]); None for other

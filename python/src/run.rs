@@ -17,81 +17,65 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::SyncSender;
 
-/// Event of a run.
-enum Event {
-    Stage(String, usize, usize),
-    Start { title: String, samples: [usize; 3], done: u64, steps: u64 },
-    Step(StepReport),
-    Validation { step: u64, values: [f64; 3] },
-    Message(String),
-}
+/// Event of a run: its name, and what adds its fields to a dict.
+type Event = (&'static str, Box<dyn FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send>);
 
 /// Observer that sends events to a channel.
 struct EventSender(SyncSender<Event>);
 
 impl EventSender {
-    fn send(&self, event: Event) {
-        _ = self.0.send(event); // a closed channel means that the listener was interrupted
+    fn send(&self, what: &'static str, fields: impl FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send + 'static) {
+        _ = self.0.send((what, Box::new(fields))); // a closed channel means that the listener was interrupted
     }
 }
 
 impl Observer for EventSender {
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
-        self.send(Event::Stage(name.to_owned(), done, total));
+        let name = name.to_owned();
+        self.send("stage", move |dict| {
+            dict.set_item("name", name)?;
+            dict.set_item("done", done)?;
+            dict.set_item("total", total)
+        });
     }
 
     fn on_start(&mut self, start: &Start<'_>) {
         let Start { title, samples, done, steps, .. } = *start;
-        self.send(Event::Start { title: title.to_owned(), samples, done, steps });
+        let title = title.to_owned();
+        self.send("start", move |dict| {
+            dict.set_item("data", title)?;
+            dict.set_item("samples", samples.to_vec())?;
+            dict.set_item("done", done)?;
+            dict.set_item("steps", steps)
+        });
     }
 
     fn on_step(&mut self, report: &StepReport) {
-        self.send(Event::Step(StepReport { pruned: None, ..report.clone() }));
+        let report = StepReport { pruned: None, ..report.clone() };
+        self.send("step", move |dict| step(dict, &report));
     }
 
     fn on_validation(&mut self, validation: &Validation) {
-        self.send(Event::Validation { step: validation.step, values: validation.values });
+        let (step, [mean, median, other]) = (validation.step, validation.values);
+        self.send("validation", move |dict| {
+            dict.set_item("step", step)?;
+            dict.set_item("mean", mean)?;
+            dict.set_item("median", median)?;
+            dict.set_item("other", other)
+        });
     }
 
     fn on_message(&mut self, message: &str) {
-        self.send(Event::Message(message.to_owned()));
+        let text = message.to_owned();
+        self.send("message", move |dict| dict.set_item("text", text));
     }
 }
 
 /// Converts an event to a dict with the key `what`.
-fn event_dict<'py>(py: Python<'py>, event: Event) -> PyResult<Bound<'py, PyDict>> {
+fn event_dict<'py>(py: Python<'py>, (what, fields): Event) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
-    match event {
-        Event::Stage(name, done, total) => {
-            dict.set_item("what", "stage")?;
-            dict.set_item("name", name)?;
-            dict.set_item("done", done)?;
-            dict.set_item("total", total)?;
-        }
-        Event::Start { title, samples, done, steps } => {
-            dict.set_item("what", "start")?;
-            dict.set_item("data", title)?;
-            dict.set_item("samples", samples.to_vec())?;
-            dict.set_item("done", done)?;
-            dict.set_item("steps", steps)?;
-        }
-        Event::Step(report) => {
-            dict.set_item("what", "step")?;
-            step(&dict, &report)?;
-        }
-        Event::Validation { step, values } => {
-            dict.set_item("what", "validation")?;
-            dict.set_item("step", step)?;
-            dict.set_item("mean", values[0])?;
-            dict.set_item("median", values[1])?;
-            dict.set_item("other", values[2])?;
-        }
-        Event::Message(text) => {
-            dict.set_item("what", "message")?;
-            dict.set_item("text", text)?;
-        }
-    }
-    Ok(dict)
+    dict.set_item("what", what)?;
+    fields(&dict).map(|()| dict)
 }
 
 /// Adds the fields of a step.

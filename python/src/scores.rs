@@ -1,6 +1,6 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{Gain, array, axes, input_array, observations, places};
+use crate::arrays::{Gain, axes, input_array, observations, places, vector};
 use crate::border::{free, plugin, text_of, waited, wrong};
 use crate::data::Dataset;
 use numpy::PyUntypedArrayMethods as _;
@@ -102,10 +102,7 @@ fn measurements(py: Python<'_>, found: Vec<pwrfgs_core::Measurement>) -> PyResul
     let all = PyList::empty(py);
     for one in found {
         match one.values {
-            Values::PerSample(values) => {
-                let count = values.len();
-                all.append((one.key, one.unit, array(py, values, &[count])?))?;
-            }
+            Values::PerSample(values) => all.append((one.key, one.unit, vector(py, values)?))?,
             Values::Whole(value) => all.append((one.key, one.unit, value))?,
             Values::NotApplicable(why) => return Err(wrong(py, &format!("{}: {why}", one.key))),
         }

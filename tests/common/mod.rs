@@ -2,7 +2,8 @@
 
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::{
-    ExtraColumn, GaussianCloud, Mat3, MeasurementSetup, Origin, Phase, Plugin, Pose, Real, StepContext, registered, rng,
+    ExtraColumn, GaussianCloud, Link, LinkInputs, Mat3, MeasurementSetup, Origin, Phase, Plugin, Pose, Real,
+    StepContext, registered, rng,
 };
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -83,7 +84,14 @@ pub(crate) fn batch(count: usize, stages: &Stages) -> Batch {
     let random = &mut rng::stream(7, "test batch", 0);
     let pixels = stages.plane.width * stages.plane.height;
     let txs: Vec<[Real; 3]> = (0..count).map(|_| [(); 3].map(|()| rng::normal(random))).collect();
-    Batch::of_positions(&txs, (0..count * pixels).map(|_| rng::uniform(random)).collect())
+    batch_at(&txs, (0..count * pixels).map(|_| rng::uniform(random)).collect())
+}
+
+/// Transmitters at `txs` that the first receiver receives.
+pub(crate) fn batch_at(txs: &[[Real; 3]], truths: Vec<Real>) -> Batch {
+    let links = (0..txs.len()).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+    let inputs = LinkInputs { values: txs.as_flattened().to_vec(), width: 3, links, ..LinkInputs::default() };
+    Batch { inputs, truths, ..Batch::default() }
 }
 
 /// A pipeline from its fields.

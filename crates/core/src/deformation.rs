@@ -29,16 +29,16 @@ pub trait Deformation:
         None
     }
 
-    /// Adds to `d_weights` (length of `weights`), and to `d_means` and the cotangents `d_txs` `[B, inputs]` of the
-    /// transmitter inputs if given, for the cotangents `d` of the output. `d_txs` is given only to a deformation that
-    /// [differentiates](DeformationTraits::differentiates_inputs) its inputs.
+    /// Adds to `d_weights` (length of `weights`), and to `d_means` and the cotangents `d_txs` `[B, 3]` of the transmitter
+    /// positions if given, for the cotangents `d` of the output. `d_txs` is given only to a deformation that
+    /// [differentiates](DeformationTraits::differentiates_positions) them.
     fn vjp(
         &self,
         inputs: &DeformationInputs<'_>,
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     );
 
     /// Returns the part of the signals that is linear in the transmitter inputs, for an initialisation in closed form;
@@ -81,8 +81,8 @@ pub struct DeformationTraits {
     /// Number of values per Gaussian, independent of the number of transmitters, that [`Deformation::forward`] and its
     /// derivative store in addition to the terms. Used for memory estimates; 0 if they work in small chunks.
     pub kept_per_gaussian: usize,
-    /// Whether [`Deformation::vjp`] supports the derivative by the inputs of the transmitters.
-    pub differentiates_inputs: bool,
+    /// Whether [`Deformation::vjp`] supports the derivative by the positions of the transmitters.
+    pub differentiates_positions: bool,
 }
 
 impl Default for DeformationTraits {
@@ -96,7 +96,7 @@ impl Default for DeformationTraits {
             reads_receiver: false,
             couples_gaussians: false,
             kept_per_gaussian: 0,
-            differentiates_inputs: false,
+            differentiates_positions: false,
         }
     }
 }

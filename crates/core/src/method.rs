@@ -124,6 +124,11 @@ impl LinkInputs {
     pub fn conditions(&self) -> Conditions<'_> {
         Conditions::new(self.width, &self.values).turned(&self.orientations).at_carriers(&self.carriers)
     }
+
+    /// Returns the request for these values of all links.
+    pub fn request<'a>(&'a self, pixels: PixelSubset<'a>) -> ObservationRequest<'a> {
+        ObservationRequest { conditions: self.conditions(), links: &self.links, pixels }
+    }
 }
 
 /// Learned parameters in the form that a method reads.
@@ -197,14 +202,14 @@ pub struct MethodVjp {
     pub weights: Vec<Real>,
     /// Statistics for pruners and densification; zeros if the method draws no splats.
     pub stats: CloudStats,
-    /// Derivative with respect to the [conditions](ObservationRequest::conditions) `[T, inputs]`. Empty if not requested; to
-    /// request it from a method that [supports](MethodTraits::differentiates_inputs) it, set it to zeros. The position of a
-    /// moving receiver also changes the geometry, which this includes.
-    pub conditions: Vec<Real>,
+    /// Derivative with respect to the positions in the [conditions](ObservationRequest::conditions) `[T, 3]`. Empty if not
+    /// requested; to request it from a method that [supports](MethodTraits::differentiates_positions) it, set it to zeros.
+    /// The position of a moving receiver also changes the geometry, which this includes.
+    pub positions: Vec<[Real; 3]>,
 }
 
 impl MethodVjp {
-    /// Creates zeros for parameters of this size, without the conditions.
+    /// Creates zeros for parameters of this size, without the positions.
     pub fn zeros(parameters: &Parameters<'_>) -> Self {
         let n = parameters.cloud.len();
         Self {
@@ -213,7 +218,7 @@ impl MethodVjp {
             existence: vec![0.0; n],
             weights: vec![0.0; parameters.weights.len()],
             stats: CloudStats::zeros(n),
-            conditions: Vec::new(),
+            positions: Vec::new(),
         }
     }
 }
@@ -249,12 +254,14 @@ pub trait Method:
         (0..cloud.len()).filter(|&i| gate.is_none_or(|gate| gate[i] != 0.0)).collect()
     }
 
-    /// Returns the observations of the requested links.
+    /// Returns the observations of the requested links. `prepared` is the result of [`Self::prepare`] for the same
+    /// parameters, or `None`; both give bit-identical results.
     fn forward(
         &self,
         setup: &MeasurementSetup,
         parameters: &Parameters<'_>,
         request: &ObservationRequest<'_>,
+        prepared: &Cache,
     ) -> ForwardOutput;
 
     /// Adds to `sums`, given the cotangents `d` of [`ForwardOutput::numbers`].
@@ -297,9 +304,8 @@ pub trait Method:
         request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
-        let _ = prepared;
         let start = std::time::Instant::now();
-        let numbers = self.forward(setup, parameters, request).numbers;
+        let numbers = self.forward(setup, parameters, request, prepared).numbers;
         (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
     }
 
@@ -356,8 +362,8 @@ pub struct MethodTraits<'a> {
     /// Whether its spectra are scaled from 0 to 1 over the drawn pixels, so that the sampled pixels of a measured
     /// spectrum must be scaled in the same way.
     pub stretches: bool,
-    /// Whether [`Method::vjp`] supports the derivative by the [conditions](MethodVjp::conditions).
-    pub differentiates_inputs: bool,
+    /// Whether [`Method::vjp`] supports the derivative by the [positions](MethodVjp::positions).
+    pub differentiates_positions: bool,
 }
 
 impl MethodTraits<'_> {
@@ -381,7 +387,7 @@ impl Default for MethodTraits<'_> {
             supports_existence_gate: false,
             blends: false,
             stretches: false,
-            differentiates_inputs: false,
+            differentiates_positions: false,
         }
     }
 }

@@ -5,6 +5,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::unwrap_used, clippy::disallowed_methods)] // a table for developers
 
 use pwrfgs_core::{Real, testing::shared};
+use pwrfgs_methods::MatchingPursuit;
 use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue, snr_of};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -42,8 +43,8 @@ fn main() {
         let links = |p| ChannelInputs { positions: p, antennas: &[[0.0; 3]], frequencies: &frequencies };
         let (before, after) = band.positions.split_at(train);
         let (h, h_after) = band.channel.split_at(train);
-        let default = PursuitOptions::default();
-        let options = PursuitOptions {
+        let default = MatchingPursuit::default();
+        let settings = MatchingPursuit {
             reach: set("REACH", default.reach),
             step: set("STEP", default.step),
             most: set("MOST", default.most as f64) as usize,
@@ -51,18 +52,21 @@ fn main() {
             hold_out: set("HOLD", default.hold_out as f64) as usize,
             ridge: set("RIDGE", default.ridge),
             images: set("IMAGES", 1.0) > 0.0,
-            peaks: set("PEAKS", default.peaks as f64) as usize,
             rounds: set("ROUNDS", default.rounds as f64) as usize,
-            steps: set("STEPS", default.steps as f64) as usize,
-            beyond_doubt: set("DOUBT", default.beyond_doubt),
-            order: set("ORDER", 0.0) as usize,
-            seed: set("SEED", 0.0) as u64,
             ..default
         };
+        let defaults = PursuitOptions::default();
+        let options = PursuitOptions {
+            settings,
+            peaks: set("PEAKS", defaults.peaks as f64) as usize,
+            order: set("ORDER", 0.0) as usize,
+            seed: set("SEED", 0.0) as u64,
+            ..defaults
+        };
         let start = Instant::now();
-        let mut report_progress = |p: &pwrfgs_methods::virtual_transmitters::SearchProgress| {
+        let mut report_progress = |sources| {
             if verbose {
-                eprintln!("{:6.1} s {p:?}", start.elapsed().as_secs_f64());
+                eprintln!("{:6.1} s {sources} sources", start.elapsed().as_secs_f64());
             }
         };
         let found = pursue(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();

@@ -65,13 +65,13 @@ impl ReceiverGroup {
         pose: &Pose,
         request: &ObservationRequest<'_>,
         d: impl Iterator<Item = Real>,
-        d_positions: &mut [Real],
+        d_positions: &mut [[Real; 3]],
     ) {
-        let (txs, d_txs) = (request.conditions.positions(), d_positions.as_chunks_mut::<3>().0);
+        let txs = request.conditions.positions();
         for (row, d) in self.rows.iter().zip(d) {
             let way = Vec3::from_array(txs[*row]) - pose.origin();
             let d_way = way.normalize_or_zero() * d;
-            d_txs[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
+            d_positions[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
         }
     }
 
@@ -167,7 +167,7 @@ pub(crate) fn vjp(
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
     if !own.deltas.is_empty() {
         let d_network = &mut sums.weights[..inputs.weights.len()];
-        let d_txs = Some(sums.conditions.as_mut_slice()).filter(|d_txs| !d_txs.is_empty());
+        let d_txs = Some(sums.positions.as_mut_slice()).filter(|d_txs| !d_txs.is_empty());
         deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means), d_txs);
     }
     for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
@@ -211,9 +211,8 @@ pub(crate) fn untrained(
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
     let inputs = setup.inputs(method.traits().inputs, part.iter().map(|&i| data.query(i)));
-    let request =
-        ObservationRequest { conditions: inputs.conditions(), links: &inputs.links, pixels: PixelSubset::All };
-    method.forward(setup, &Parameters { cloud, gate: None, existence: None, weights }, &request).numbers
+    let parameters = Parameters { cloud, gate: None, existence: None, weights };
+    method.forward(setup, &parameters, &inputs.request(PixelSubset::All), &None).numbers
 }
 
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.
@@ -239,15 +238,14 @@ pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &Measurement
     if setup.moves && setup.plane.angles.is_none() && setup.plane.camera.is_none() {
         return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
     }
-    if setup.moves && deformation.traits().reads_receiver {
-        return Err(
-            "the deformation depends on the receiver position, but the receiver moves; use Factored() or Mlp()".into(),
-        );
-    }
-    if setup.receivers.len() > 1 && deformation.traits().reads_receiver {
+    let receivers = match (setup.moves, setup.receivers.len()) {
+        (true, _) => "the receiver moves".into(),
+        (false, count @ 2..) => format!("the data have {count} receivers"),
+        _ => return Ok(()),
+    };
+    if deformation.traits().reads_receiver {
         return Err(format!(
-            "the deformation depends on the receiver position, but the data have {} receivers; use Factored() or Mlp()",
-            setup.receivers.len()
+            "the deformation depends on the receiver position, but {receivers}; use Factored() or Mlp()"
         ));
     }
     Ok(())

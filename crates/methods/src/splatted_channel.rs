@@ -44,8 +44,7 @@ pub struct SplattedChannel {
 
 impl Default for SplattedChannel {
     fn default() -> Self {
-        let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
-        Self { deformation: deformation.into() }
+        Self { deformation: Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>) }
     }
 }
 
@@ -53,14 +52,14 @@ impl Default for SplattedChannel {
 struct Ready {
     deformation: Cache,
     /// Waves per receiver.
-    waves: Vec<Waves>,
+    waves: Vec<Arc<Waves>>,
 }
 
 /// Results of the forward pass for the backward pass.
 struct ForwardCache {
     deltas: Deltas,
     /// Per group: its links, its waves, and signals `[N, links, 2]`.
-    received: Vec<(ReceiverGroup, Waves, Vec<Real>)>,
+    received: Vec<(ReceiverGroup, Arc<Waves>, Vec<Real>)>,
 }
 
 /// Maximum number of links from which the level is initialised.
@@ -80,19 +79,36 @@ impl SplattedChannel {
         Activation { calibration: Calibration::Physical, replaces_signals, channels: 2 }
     }
 
-    /// Returns the channels `[links, numbers]` of a group, from the level of its receiver and signals `[N, links, 2]`.
-    fn sum(
+    /// Observes the links, with the state for the backward pass.
+    fn observe(
         &self,
+        setup: &MeasurementSetup,
         p: &Parameters<'_>,
-        deltas: &Deltas,
-        group: &ReceiverGroup,
-        (waves, level): (&Waves, Real),
-    ) -> (Vec<Real>, Vec<Real>) {
-        let (terms, batch) = group.terms(deltas, p.cloud.len());
-        let signals = self.activation().signals(p.cloud, &terms, batch);
-        let mut numbers = waves.sum(&signals, group.links.len());
-        numbers.iter_mut().for_each(|v| *v *= level);
-        (numbers, signals)
+        request: &ObservationRequest<'_>,
+        prepared: &Cache,
+    ) -> (ForwardOutput, StageTimes) {
+        let start = Instant::now();
+        let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
+        let (network, offsets) = parts(setup, p.weights);
+        let pose = setup.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
+        let deltas = self.deformation.forward(&inputs, ready.map_or(&None, |ready| &ready.deformation));
+        let network = start.elapsed().as_secs_f64();
+        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
+        let mut received = Vec::new();
+        for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
+            let fresh = || Arc::new(Waves::new(setup, group.receiver, p.cloud, p.gate));
+            let waves = ready.map_or_else(fresh, |ready| Arc::clone(&ready.waves[group.receiver]));
+            let (terms, batch) = group.terms(&deltas, p.cloud.len());
+            let signals = self.activation().signals(p.cloud, &terms, batch);
+            let (mut own, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.receiver));
+            own.iter_mut().for_each(|v| *v *= level);
+            group.scatter(&own, setup.numbers(), &mut numbers);
+            received.push((group, waves, signals));
+        }
+        let blending = start.elapsed().as_secs_f64() - network;
+        let cache: Cache = Some(Arc::new(ForwardCache { deltas, received }));
+        (ForwardOutput { numbers, cache }, StageTimes { network, blending, ..StageTimes::default() })
     }
 
     /// Initialises the levels so that predicted channels are as strong as the measured ones, in any unit.
@@ -132,13 +148,13 @@ impl Method for SplattedChannel {
         // `Points` are virtual transmitters in the viewer; these are Gaussians with their initial scales and rotations.
         let deformation = Some(&self.deformation);
         let (appearance, own) = (Appearance::Ellipsoids, self.deformation.traits());
-        let differentiates_inputs = own.differentiates_inputs;
+        let differentiates_positions = own.differentiates_positions;
         MethodTraits {
             task,
             inputs: own.inputs,
             appearance,
             deformation,
-            differentiates_inputs,
+            differentiates_positions,
             ..MethodTraits::default()
         }
     }
@@ -165,20 +181,14 @@ impl Method for SplattedChannel {
         groups::rows(&*self.deformation, cloud, gate)
     }
 
-    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
-        let (network, offsets) = parts(setup, p.weights);
-        let pose = setup.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
-        let deltas = self.deformation.forward(&inputs, &None);
-        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
-        let mut received = Vec::new();
-        for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
-            let waves = Waves::new(setup, group.receiver, p.cloud, p.gate);
-            let (own, signals) = self.sum(p, &deltas, &group, (&waves, level(offsets, group.receiver)));
-            group.scatter(&own, setup.numbers(), &mut numbers);
-            received.push((group, waves, signals));
-        }
-        ForwardOutput { numbers, cache: Some(Arc::new(ForwardCache { deltas, received })) }
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        prepared: &Cache,
+    ) -> ForwardOutput {
+        self.observe(setup, p, request, prepared).0
     }
 
     fn vjp(
@@ -218,7 +228,8 @@ impl Method for SplattedChannel {
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let deformation = self.deformation.prepare(parts(setup, p.weights).0, &p.cloud.means, &setup.pose());
-        let waves = (0..setup.receivers.len()).map(|receiver| Waves::new(setup, receiver, p.cloud, p.gate)).collect();
+        let waves = |receiver| Arc::new(Waves::new(setup, receiver, p.cloud, p.gate));
+        let waves = (0..setup.receivers.len()).map(waves).collect();
         Some(Arc::new(Ready { deformation, waves }))
     }
 
@@ -229,20 +240,8 @@ impl Method for SplattedChannel {
         request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
-        let start = Instant::now();
-        let Ready { deformation, waves } = cached(prepared);
-        let (network, offsets) = parts(setup, p.weights);
-        let pose = setup.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
-        let deltas = self.deformation.forward(&inputs, deformation);
-        let network = start.elapsed().as_secs_f64();
-        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
-        for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
-            let (own, _) = self.sum(p, &deltas, &group, (&waves[group.receiver], level(offsets, group.receiver)));
-            group.scatter(&own, setup.numbers(), &mut numbers);
-        }
-        let blending = start.elapsed().as_secs_f64() - network;
-        (numbers, StageTimes { network, blending, ..StageTimes::default() })
+        let (observed, times) = self.observe(setup, p, request, prepared);
+        (observed.numbers, times)
     }
 
     fn start(

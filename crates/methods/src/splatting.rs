@@ -11,11 +11,11 @@ mod received;
 mod survey;
 
 use crate::groups::ReceiverGroup;
-use crate::{Activation, ActivationVjp, Calibration, Readout, groups};
+use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, Deltas, Elevation, GaussianCloud, ImagePlane, JsonSchema, MeasurementSetup,
-    Parameters, Pose, Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
+    Cache, Conditions, Deformation, Deltas, Elevation, ImagePlane, JsonSchema, MeasurementSetup, Parameters, Pose,
+    Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task,
 };
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
@@ -48,13 +48,10 @@ pub struct Splatting {
 
 impl Default for Splatting {
     fn default() -> Self {
-        let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
-        let projector: Box<dyn Projector> = Box::new(Mercator::default());
-        let rasterizer: Box<dyn Rasterizer> = Box::new(AlphaBlending::default());
         Self {
-            deformation: deformation.into(),
-            projector: projector.into(),
-            rasterizer: rasterizer.into(),
+            deformation: Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>),
+            projector: Plugin::from(Box::new(Mercator::default()) as Box<dyn Projector>),
+            rasterizer: Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>),
             calibration: Calibration::default(),
             readout: Readout::default(),
         }
@@ -68,27 +65,6 @@ pub struct ReceiverView {
     pub pose: Pose,
     /// Image plane of the sky.
     pub plane: ImagePlane,
-}
-
-/// Factors of the pruners on Gaussians, `[N]` each; `None` if all are 1.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Gates<'a> {
-    /// Factors on opacity and scale.
-    pub whole: Option<&'a [Real]>,
-    /// Factors on the blending weight only (existence).
-    pub existence: Option<&'a [Real]>,
-}
-
-impl<'a> From<Option<&'a [Real]>> for Gates<'a> {
-    fn from(whole: Option<&'a [Real]>) -> Self {
-        Self { whole, existence: None }
-    }
-}
-
-impl<'a> From<&Parameters<'a>> for Gates<'a> {
-    fn from(p: &Parameters<'a>) -> Self {
-        Self { whole: p.gate, existence: p.existence }
-    }
 }
 
 /// Gaussians in space and on the image, without their signals.
@@ -109,7 +85,7 @@ pub struct Geometry {
 
 /// Blended signals of transmitters with a common geometry, and the state for the backward pass.
 #[derive(Debug)]
-pub struct BlendedSignals {
+struct BlendedSignals {
     /// Range of transmitters in the batch.
     pub batch: Range<usize>,
     /// Geometry of the splats.
@@ -150,7 +126,7 @@ pub fn check_together(
 ///
 /// # Errors
 /// The message names the suitable readout.
-pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
+fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
     let own = readout.task();
     if own == task {
         return Ok(());
@@ -208,42 +184,14 @@ impl Splatting {
         !moves && !self.deformation.traits().varies_geometry
     }
 
-    /// Returns the rows of `cloud` that may be visible for any output of the network: gate open, opacity above the
-    /// limit of the rasterizer, inside the view of the projector. Only these rows pass through the network; all rows if
-    /// the network couples them.
-    pub fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        let open = groups::rows(&*self.deformation, cloud, gate);
-        if self.deformation.traits().couples_gaussians {
-            return open;
-        }
-        let mut visible = vec![setup.moves; cloud.len()];
-        for ReceiverView { pose, plane } in self.views(setup) {
-            let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
-            visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
-        }
-        let min_drawn_opacity = self.rasterizer.min_drawn_opacity();
-        let drawn = |i: &usize| {
-            let gate = gate.map_or(1.0, |g| g[*i]);
-            visible[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= min_drawn_opacity
-        };
-        open.into_iter().filter(drawn).collect()
-    }
-
     /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view.
-    pub fn geometry(
-        &self,
-        view: &ReceiverView,
-        cloud: &GaussianCloud,
-        deltas: &Deltas,
-        b: usize,
-        gates: Gates<'_>,
-    ) -> Geometry {
+    pub fn geometry(&self, view: &ReceiverView, p: &Parameters<'_>, deltas: &Deltas, b: usize) -> Geometry {
         let start = Instant::now();
-        let primitives = self.activation().geometry(cloud, deltas, b, gates.whole);
+        let primitives = self.activation().geometry(p.cloud, deltas, b, p.gate);
         let whole = view.plane.whole();
         let mut splats = self.projector.project(&primitives, &view.pose, &whole).sampled(&view.plane);
         let mut unveiled = Vec::new();
-        match gates.existence {
+        match p.existence {
             Some(existence) if self.rasterizer.blends() => splats.existence = existence.to_vec(),
             Some(existence) => {
                 unveiled.clone_from(&splats.opacities);
@@ -257,20 +205,19 @@ impl Splatting {
         Geometry { primitives, splats, unveiled, cache, seconds }
     }
 
-    /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `still` is that geometry if
-    /// it is available.
-    pub fn draw(
+    /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `shared_geometry` is that
+    /// geometry if it is available.
+    fn draw(
         &self,
         view: &ReceiverView,
-        cloud: &GaussianCloud,
+        p: &Parameters<'_>,
         deltas: &Deltas,
         batch: Range<usize>,
-        gates: Gates<'_>,
         shared_geometry: Option<&Arc<Geometry>>,
     ) -> BlendedSignals {
-        let fresh = || Arc::new(self.geometry(view, cloud, deltas, batch.start, gates));
+        let fresh = || Arc::new(self.geometry(view, p, deltas, batch.start));
         let geometry = shared_geometry.cloned().unwrap_or_else(fresh);
-        let signals = self.activation().signals(cloud, deltas, batch.clone());
+        let signals = self.activation().signals(p.cloud, deltas, batch.clone());
         let (channels, Geometry { splats, cache, .. }) = (self.readout.channels() * batch.len(), &*geometry);
         let render = self.rasterizer.forward_prepared(splats, &signals, channels, &view.plane, cache);
         BlendedSignals { batch, geometry, signals, render }
@@ -278,14 +225,12 @@ impl Splatting {
 
     /// Derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and returns those of
     /// the splats.
-    #[allow(clippy::too_many_arguments)] // what `draw` has, what it gave, and the two ends of the derivative
-    pub fn draw_vjp(
+    fn draw_vjp(
         &self,
         view: &ReceiverView,
         drawing: &BlendedSignals,
-        cloud: &GaussianCloud,
+        p: &Parameters<'_>,
         deltas: &Deltas,
-        gates: Gates<'_>,
         d_pixels: &[Real],
         sums: &mut ActivationVjp,
     ) -> RenderVjp {
@@ -293,14 +238,14 @@ impl Splatting {
         let (activation, splats) = (self.activation(), &geometry.splats);
         let channels = activation.channels * batch.len();
         let mut d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
-        if let Some(existence) = gates.existence.filter(|_| !geometry.unveiled.is_empty()) {
+        if let Some(existence) = p.existence.filter(|_| !geometry.unveiled.is_empty()) {
             d.splats.existence = d.splats.opacities.iter().zip(&geometry.unveiled).map(|(d, o)| d * o).collect();
             d.splats.opacities.iter_mut().zip(existence).for_each(|(d, m)| *d *= m);
         }
         let d_primitives = self.project_vjp(view, geometry, &d.splats);
-        activation.geometry_vjp(cloud, deltas, batch.start, gates.whole, &d_primitives, sums);
+        activation.geometry_vjp(p.cloud, deltas, batch.start, p.gate, &d_primitives, sums);
         sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
-        activation.signals_vjp(cloud, deltas, batch.clone(), &d.signals, sums);
+        activation.signals_vjp(p.cloud, deltas, batch.clone(), &d.signals, sums);
         d
     }
 

@@ -5,7 +5,6 @@ mod equations;
 mod field;
 mod harmonics;
 mod links;
-mod options;
 mod pursuit;
 mod solve;
 mod sweep;
@@ -14,11 +13,10 @@ mod turn;
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
 pub use links::{ChannelInputs, VirtualSources};
-pub use options::{PursuitOptions, SearchProgress};
-pub use pursuit::{pursue, snr_of};
-pub use solve::solve_gains;
+pub use pursuit::{PursuitOptions, pursue, snr_of};
 
 use crate::groups::ReceiverGroup;
+use crate::readout::magnitudes;
 use crate::{Activation, Calibration};
 use harmonics::{HIGHEST, terms};
 use pwrfgs_core::rng::{self, Rng};
@@ -92,7 +90,7 @@ impl Method for VirtualTransmitters {
     fn traits(&self) -> MethodTraits<'_> {
         let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
         let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
-        MethodTraits { task: Some(Task::Channel), columns, differentiates_inputs: true, ..MethodTraits::default() }
+        MethodTraits { task: Some(Task::Channel), columns, differentiates_positions: true, ..MethodTraits::default() }
     }
 
     /// The cloud is independent of the transmitter.
@@ -103,15 +101,24 @@ impl Method for VirtualTransmitters {
         Activated {
             primitives: activation.geometry(p.cloud, &none, 0, None),
             signals: signals.as_flattened().to_vec(),
-            strengths: Some(signals.iter().map(|[a, b]| (a * a + b * b).sqrt()).collect()),
+            strengths: Some(magnitudes(signals.as_flattened())),
         }
     }
 
     fn check(&self) -> Result<(), String> {
-        PursuitOptions { order: self.order, ..PursuitOptions::default() }.check()
+        if self.order > HIGHEST {
+            return Err(format!("`order` is {}; give 0 to {HIGHEST}, such as 2", self.order));
+        }
+        Ok(())
     }
 
-    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        _: &Cache,
+    ) -> ForwardOutput {
         let antennas = array(&setup.receivers[0]);
         let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
         for (group, positions) in groups(setup, request) {
@@ -138,7 +145,7 @@ impl Method for VirtualTransmitters {
             let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
-            let at_once = if sums.conditions.is_empty() { positions.len() } else { 1 };
+            let at_once = if sums.positions.is_empty() { positions.len() } else { 1 };
             let of_each = at_once * antennas.len() * frequencies.len();
             let parts = positions.chunks(at_once.max(1)).zip(own.chunks(of_each.max(1))).zip(&group.links);
             for ((positions, d), link) in parts {
@@ -148,8 +155,7 @@ impl Method for VirtualTransmitters {
                     sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
                 }
                 sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
-                let first = 3 * request.links[*link].transmitter;
-                if let Some(d_position) = sums.conditions.get_mut(first..first + 3) {
+                if let Some(d_position) = sums.positions.get_mut(request.links[*link].transmitter) {
                     found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }
@@ -224,30 +230,22 @@ pub struct MatchingPursuit {
 
 impl Default for MatchingPursuit {
     fn default() -> Self {
-        let PursuitOptions { most, reach, step, patience, hold_out, rounds, ridge, images, .. } =
-            PursuitOptions::default();
-        Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: 1 }
-    }
-}
-
-impl MatchingPursuit {
-    fn options(&self, order: usize, seed: u64) -> PursuitOptions {
-        let Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: _ } = *self;
-        PursuitOptions {
-            reach,
-            step,
-            most,
-            patience,
-            hold_out,
-            ridge,
-            rounds,
-            images,
-            order,
-            seed,
-            ..PursuitOptions::default()
+        Self {
+            most: 64,
+            reach: 2.0,
+            step: 0.25,
+            patience: 8,
+            hold_out: 5,
+            rounds: 2,
+            ridge: 1.0,
+            images: true,
+            searches: 1,
         }
     }
 }
+
+/// Maximum number of virtual transmitters per search.
+const MOST: usize = 1_000;
 
 #[typetag::serde]
 impl Initializer for MatchingPursuit {
@@ -295,9 +293,8 @@ impl Initializer for MatchingPursuit {
         (input.progress)(0, total);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
-            let options = PursuitOptions { node, ..self.options(order, seed) };
-            let report_progress =
-                &mut |found_so_far: &SearchProgress| (input.progress)(search * self.most + found_so_far.sources, total);
+            let options = PursuitOptions { settings: self.clone(), node, order, seed, ..PursuitOptions::default() };
+            let report_progress = &mut |sources| (input.progress)(search * self.most + sources, total);
             let found = pursue(&links, &channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
@@ -316,6 +313,21 @@ impl Initializer for MatchingPursuit {
         if !(1..=100).contains(&self.searches) {
             return Err(format!("`searches` is {}; give 1 to 100", self.searches));
         }
-        self.options(0, 0).check()
+        if !(0.0..=100.0).contains(&self.reach) {
+            return Err(format!("`reach` is {}; give 0 to 100, such as 2", self.reach));
+        }
+        if !(0.01..=1.0).contains(&self.step) {
+            return Err(format!("`step` is {}; give 0.01 to 1 wavelength, such as 0.25", self.step));
+        }
+        if !(self.ridge >= 0.0 && self.ridge.is_finite()) {
+            return Err(format!("`ridge` is {}; give 0 or more, such as 1", self.ridge));
+        }
+        if !(1..=MOST).contains(&self.most) {
+            return Err(format!("`most` is {}; give 1 to {MOST}, such as 32", self.most));
+        }
+        if self.patience == 0 {
+            return Err("`patience` is 0; give 1 or more, such as 8".into());
+        }
+        Ok(())
     }
 }

@@ -1,10 +1,9 @@
 //! Tests that the search finds the sources of a channel: positions, gains, rotated arrays; and that the result does not
 //! depend on the number of threads.
 
-use pwrfgs_core::{Real, rng};
-use pwrfgs_methods::virtual_transmitters::{
-    ChannelInputs, PursuitOptions, SearchProgress, VirtualSources, field, pursue, snr_of, solve_gains,
-};
+use pwrfgs_core::{Method as _, Real, rng};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of};
+use pwrfgs_methods::{MatchingPursuit, VirtualTransmitters};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
@@ -26,17 +25,12 @@ fn truth(quats: [[f64; 4]; 4]) -> VirtualSources {
     out
 }
 
+fn settings() -> MatchingPursuit {
+    MatchingPursuit { reach: 0.8, step: 0.35, most: 8, patience: 2, rounds: 0, ..MatchingPursuit::default() }
+}
+
 fn options() -> PursuitOptions {
-    PursuitOptions {
-        reach: 0.8,
-        step: 0.35,
-        rows: [256, 1024],
-        most: 8,
-        patience: 2,
-        peaks: 32,
-        rounds: 0,
-        ..PursuitOptions::default()
-    }
+    PursuitOptions { settings: settings(), rows: [256, 1024], peaks: 32, ..PursuitOptions::default() }
 }
 
 fn nearest(found: &VirtualSources, v: [f64; 3]) -> f64 {
@@ -51,9 +45,9 @@ fn finds_virtual_transmitters_of_room() {
     let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let (mut reports, stop) = (0, AtomicBool::new(false));
-    let mut report_progress = |p: &SearchProgress| {
+    let mut report_progress = |sources| {
         reports += 1;
-        stop.store(p.sources >= 6, Relaxed);
+        stop.store(sources >= 6, Relaxed);
     };
     let found = pursue(&links, &h, &options(), &stop, &mut report_progress).unwrap();
     assert!(reports >= 4);
@@ -63,7 +57,8 @@ fn finds_virtual_transmitters_of_room() {
     assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 30.0);
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| pursue(&links, &h, &PursuitOptions { most: 2, ..options() }, &NEVER, &mut |_| ()).unwrap())
+        let two = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, ..options() };
+        pool.install(|| pursue(&links, &h, &two, &NEVER, &mut |_| ()).unwrap())
     };
     assert_eq!(once(1), once(3), "the same bits on any number of threads");
 }
@@ -81,7 +76,7 @@ fn finds_rotation_of_mirrored_array() {
     let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &[0.4e9, 0.43e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let stop = AtomicBool::new(false);
-    let found = pursue(&links, &h, &options(), &stop, &mut |p| stop.store(p.sources >= 5, Relaxed)).unwrap();
+    let found = pursue(&links, &h, &options(), &stop, &mut |sources| stop.store(sources >= 5, Relaxed)).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
@@ -107,7 +102,7 @@ fn finds_direction_dependent_gains() {
     let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let score = |order: usize| {
-        let options = PursuitOptions { order, most: 2, ..options() };
+        let options = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, order, ..options() };
         let found = pursue(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
         (snr_of(&field(&found.to_cloud(), None, &links), &h), found)
     };
@@ -118,30 +113,11 @@ fn finds_direction_dependent_gains() {
 
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn gains_at_given_positions_are_exact() {
-    let (positions, truth) = (places(30), truth([IDENTITY; 4]));
-    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
-    let h = field(&truth.to_cloud(), None, &links);
-    let mut found = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
-    assert!(solve_gains(&links, &h, &mut found, &[0.0; 4]));
-    for (a, b) in found.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
-        assert!((a - b).abs() < 1e-4, "{found:?}");
-    }
-    let mut twice = truth.select(&[0, 0]);
-    assert!(
-        !solve_gains(&links, &h, &mut twice, &[0.0; 2]) || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0
-    );
-    let mut small = truth.clone();
-    assert!(solve_gains(&links, &h, &mut small, &[1e9; 4]));
-    assert!(small.gains.iter().flatten().all(|s| s.abs() < 1e-3), "a ridge shrinks");
-}
-
-#[test]
-#[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn reports_unsupported_search_input() {
     let positions = places(3);
     let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
-    let none = &mut |_: &SearchProgress| ();
+    let none = &mut |_| ();
+    let changed = |settings| PursuitOptions { settings, ..options() };
     let h = [[1.0, 0.0]; 3];
     for (links, h, options, word) in [
         (links, &h[..2], options(), "2 complex numbers for 3 links"),
@@ -149,12 +125,12 @@ fn reports_unsupported_search_input() {
         (links, &[[Real::NAN, 0.0]; 3][..], options(), "finite"),
         (ChannelInputs { frequencies: &[5.0], ..links }, &h[..], options(), "5 Hz"),
         (ChannelInputs { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
-        (links, &h[..], PursuitOptions { step: 0.0, ..options() }, "`step`"),
-        (links, &h[..], PursuitOptions { reach: -1.0, ..options() }, "`reach`"),
-        (links, &h[..], PursuitOptions { order: 4, ..options() }, "`order`"),
+        (links, &h[..], changed(MatchingPursuit { step: 0.0, ..settings() }), "`step`"),
+        (links, &h[..], changed(MatchingPursuit { reach: -1.0, ..settings() }), "`reach`"),
     ] {
         let why = pursue(&links, h, &options, &NEVER, none).unwrap_err();
         assert!(why.contains(word), "{why}");
     }
+    assert!(VirtualTransmitters { order: 4 }.check().unwrap_err().contains("`order`"));
     assert!(pursue(&links, &h, &options(), &NEVER, none).is_ok(), "three links are enough not to panic");
 }

@@ -1,5 +1,6 @@
 //! Prediction time, stage by stage.
 
+use crate::measurement;
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, StageTimes, Values};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -64,13 +65,7 @@ impl Metric for Latency {
             }
             Some(times) => Values::Whole(1e3 * median(times.iter().map(seconds).collect())),
         };
-        let measurement = |stage: Stage| Measurement {
-            key: stage.0.to_owned(),
-            unit: "ms".to_owned(),
-            goal: Goal::Lower,
-            values: values(stage),
-        };
-        Ok(STAGES.map(measurement).into())
+        Ok(STAGES.map(|stage| measurement(stage.0, "ms", Goal::Lower, values(stage))).into())
     }
 
     fn scope(&self) -> Scope {

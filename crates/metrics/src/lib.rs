@@ -54,7 +54,11 @@ fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
 
 /// Returns one measurement in the form of [`pwrfgs_core::Metric::evaluate`].
 fn one(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
-    vec![Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values }]
+    vec![measurement(key, unit, goal, values)]
+}
+
+fn measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Measurement {
+    Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values }
 }
 
 /// Returns the reason why a metric of the model does not apply to a baseline.

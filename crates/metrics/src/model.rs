@@ -1,6 +1,6 @@
 //! Metrics of the model: distance from the point cloud, eq. (16), number of Gaussians N, and size in bytes.
 
-use crate::{no_gaussians, not_a_model, one};
+use crate::{measurement, no_gaussians, not_a_model, one};
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
@@ -95,15 +95,15 @@ pub struct ModelSize {}
 impl Metric for ModelSize {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let bytes = evaluation.model.map(|m| (m.gaussian_bytes, m.file_bytes));
-        let measurement = |key: &str, bytes: Option<usize>| {
+        let of = |key, bytes: Option<usize>| {
             let values = match bytes {
                 None => not_a_model(),
                 Some(0) => no_gaussians(),
                 Some(bytes) => Values::Whole(bytes as f64),
             };
-            Measurement { key: key.to_owned(), unit: "B".to_owned(), goal: Goal::Lower, values }
+            measurement(key, "B", Goal::Lower, values)
         };
-        Ok(vec![measurement("gaussian_bytes", bytes.map(|b| b.0)), measurement("model_bytes", bytes.map(|b| b.1))])
+        Ok(vec![of("gaussian_bytes", bytes.map(|b| b.0)), of("model_bytes", bytes.map(|b| b.1))])
     }
 
     fn scope(&self) -> Scope {

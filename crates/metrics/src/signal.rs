@@ -1,6 +1,6 @@
 //! Metrics of received power and channels.
 
-use crate::{not_for, one, paired, per_sample};
+use crate::{measurement, not_for, one, paired, per_sample};
 use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 
@@ -91,8 +91,7 @@ impl Energies {
 #[typetag::serde]
 impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let measured =
-            |key: &str, values| Measurement { key: key.to_owned(), unit: "dB".to_owned(), goal: Goal::Higher, values };
+        let measured = |key, values| measurement(key, "dB", Goal::Higher, values);
         if let Some(values) = not_for(self, evaluation) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }

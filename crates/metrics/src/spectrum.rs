@@ -6,6 +6,19 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
+/// Task and scope of a metric of spectra: one value per sample.
+macro_rules! of_spectra {
+    () => {
+        fn supports(&self, task: Task) -> bool {
+            task.has_pixels
+        }
+
+        fn scope(&self) -> Scope {
+            Scope::Sample
+        }
+    };
+}
+
 /// Structural similarity of predicted and measured spectrum; 1 if they are equal.
 ///
 /// Key `ssim`. Uniform 7x7 windows, data range 1, sample covariance, mean over the image without its border of 3 px:
@@ -31,13 +44,7 @@ impl Metric for Ssim {
         Ok(one("ssim", "", Goal::Higher, values))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.has_pixels
-    }
-
-    fn scope(&self) -> Scope {
-        Scope::Sample
-    }
+    of_spectra!();
 }
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
@@ -64,13 +71,7 @@ impl Metric for L1 {
         Ok(one("l1", "", Goal::Lower, values))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.has_pixels
-    }
-
-    fn scope(&self) -> Scope {
-        Scope::Sample
-    }
+    of_spectra!();
 }
 
 /// Lower limit of the mean squared error; below the 8-bit rounding of measured spectra (about 1.3e-6).
@@ -102,13 +103,7 @@ impl Metric for Psnr {
         Ok(one("psnr", "dB", Goal::Higher, values))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.has_pixels
-    }
-
-    fn scope(&self) -> Scope {
-        Scope::Sample
-    }
+    of_spectra!();
 }
 
 /// Great-circle angle between the strongest directions of prediction and measurement, degrees.
@@ -142,13 +137,7 @@ impl Metric for DirectionError {
         Ok(one("direction_error", "deg", Goal::Lower, values))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.has_pixels
-    }
-
-    fn scope(&self) -> Scope {
-        Scope::Sample
-    }
+    of_spectra!();
 }
 
 /// Returns the unit vector of the strongest pixel.
@@ -202,13 +191,7 @@ impl Metric for RateRatio {
         Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.has_pixels
-    }
-
-    fn scope(&self) -> Scope {
-        Scope::Sample
-    }
+    of_spectra!();
 
     fn check(&self) -> Result<(), String> {
         if !(-100.0..=100.0).contains(&self.snr_db) {

@@ -50,39 +50,40 @@ impl Npz {
             let shape = if width == 1 { vec![n] } else { vec![n, width] };
             if name == "means" && !origin.is_zero() {
                 let places: Vec<[f64; 3]> = model.cloud.means.iter().map(|mean| origin.world(*mean)).collect();
-                self.put(name, &shape, places.as_flattened())?;
-                self.put("origin", &[3], &origin.0)?;
+                self.put(name, &shape, doubles(places.as_flattened()))?;
+                self.put("origin", &[3], doubles(&origin.0))?;
             } else {
-                self.put(name, &shape, values)?;
+                self.put(name, &shape, reals(values))?;
             }
         }
         let mut rest = model.weights.as_slice();
         for spec in model.stages.layout().weights {
             let (own, tail) = rest.split_at(spec.len());
-            self.put(&format!("network.{}", spec.name), &spec.shape, own)?;
+            self.put(&format!("network.{}", spec.name), &spec.shape, reals(own))?;
             rest = tail;
         }
         for (spec, values) in model.stages.layout().constants {
-            self.put(&format!("constants.{}", spec.name), &spec.shape, &values)?;
+            self.put(&format!("constants.{}", spec.name), &spec.shape, reals(&values))?;
         }
         let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
-        self.put("pose.position", &[3], &pose.position)?;
-        self.put("pose.orientation", &[4], &pose.orientation)?;
+        self.put("pose.position", &[3], doubles(&pose.position))?;
+        self.put("pose.orientation", &[4], doubles(&pose.orientation))?;
         if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {
             self.links(model)?;
         }
-        self.put("plane.size", &[2], &[plane.width as u64, plane.height as u64])?;
-        self.put("plane.wraps", &[], &[plane.wraps])?;
+        self.put("plane.size", &[2], counts(&[plane.width, plane.height]))?;
+        self.put("plane.wraps", &[], ("|b1", vec![u8::from(plane.wraps)]))?;
         let Some((azimuth, elevation)) = plane.angles else { return Ok(()) };
-        self.put("plane.azimuth_deg", &[2], &[azimuth.first, azimuth.step])?;
-        self.put("plane.elevation_deg", &[2], &[elevation.first, elevation.step])
+        self.put("plane.azimuth_deg", &[2], doubles(&[azimuth.first, azimuth.step]))?;
+        self.put("plane.elevation_deg", &[2], doubles(&[elevation.first, elevation.step]))
     }
 
     /// Adds the links: observations and receivers. Names are stored as letters, since arrays cannot hold text of
     /// variable length.
     fn links(&mut self, model: &Model) -> io::Result<()> {
         let setup = &model.stages.setup;
-        let text = |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], text.as_bytes());
+        let text =
+            |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], ("|u1", text.as_bytes().to_vec()));
         text(self, "kind", setup.task.name)?;
         let names = setup.receivers.iter().map(|receiver| receiver.name.as_str()).collect::<Vec<_>>().join("\n");
         text(self, "receivers.names", &names)?;
@@ -91,71 +92,54 @@ impl Npz {
             poses.iter().flat_map(|pose| pose.position).collect(),
             poses.iter().flat_map(|pose| pose.orientation).collect(),
         ];
-        self.put("receivers.positions", &[poses.len(), 3], &positions)?;
-        self.put("receivers.orientations", &[poses.len(), 4], &orientations)?;
-        let antennas: Vec<u64> = setup.receivers.iter().map(|receiver| receiver.antennas.len() as u64).collect();
+        self.put("receivers.positions", &[poses.len(), 3], doubles(&positions))?;
+        self.put("receivers.orientations", &[poses.len(), 4], doubles(&orientations))?;
+        let antennas: Vec<usize> = setup.receivers.iter().map(|receiver| receiver.antennas.len()).collect();
         let places: Vec<[f64; 3]> =
             setup.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
-        self.put("receivers.antenna_counts", &[antennas.len()], &antennas)?;
-        self.put("receivers.antennas", &[places.len(), 3], places.as_flattened())?;
+        self.put("receivers.antenna_counts", &[antennas.len()], counts(&antennas))?;
+        self.put("receivers.antennas", &[places.len(), 3], doubles(places.as_flattened()))?;
         if setup.frequencies_hz.is_empty() {
             return Ok(());
         }
-        self.put("frequencies_hz", &[setup.frequencies_hz.len()], &setup.frequencies_hz)
+        self.put("frequencies_hz", &[setup.frequencies_hz.len()], doubles(&setup.frequencies_hz))
     }
 
     /// Adds the Gaussians for a transmitter.
     fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
         let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
         let n = p.len();
-        if model.stages.origin.is_zero() {
-            self.put("tx.position", &[3], &tx.map(|v| v as Real))?;
-        } else {
-            self.put("tx.position", &[3], &tx)?;
-        }
-        self.put("tx.scales", &[n, 3], p.scales.as_flattened())?;
-        self.put("tx.quats", &[n, 4], p.quats.as_flattened())?;
-        self.put("tx.opacities", &[n], &p.opacities)?;
-        self.put("tx.signals", &[n, signals.len() / n.max(1)], &signals)
+        let is_local = model.stages.origin.is_zero();
+        self.put("tx.position", &[3], if is_local { reals(&tx.map(|v| v as Real)) } else { doubles(&tx) })?;
+        self.put("tx.scales", &[n, 3], reals(p.scales.as_flattened()))?;
+        self.put("tx.quats", &[n, 4], reals(p.quats.as_flattened()))?;
+        self.put("tx.opacities", &[n], reals(&p.opacities))?;
+        self.put("tx.signals", &[n, signals.len() / n.max(1)], reals(&signals))
     }
 
-    fn put<T: Element>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
+    /// Adds an array, given the NumPy name of its type and its bytes.
+    fn put(&mut self, name: &str, shape: &[usize], (descr, bytes): (&str, Vec<u8>)) -> io::Result<()> {
         // Stored without compression, as `numpy.savez` does, and with a fixed date (the earliest of the format), so
         // that bytes are reproducible.
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
         let name = format!("{}{name}", self.prefix);
         self.archive.start_file(format!("{name}.npy"), options)?;
-        let mut bytes = npy_header_as(T::DESCR, shape);
-        values.iter().for_each(|value| value.write(&mut bytes));
+        self.archive.write_all(&npy_header_as(descr, shape))?;
         self.archive.write_all(&bytes)
     }
 }
 
-/// Number type of an array.
-trait Element: Copy {
-    /// NumPy name of the type.
-    const DESCR: &'static str;
-    fn write(self, bytes: &mut Vec<u8>);
+fn reals(values: &[Real]) -> (&'static str, Vec<u8>) {
+    let descr = if size_of::<Real>() == 8 { "<f8" } else { "<f4" };
+    (descr, values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 
-macro_rules! elements {
-    ($($number:ty: $descr:literal, $value:ident => $bytes:expr;)*) => {$(
-        impl Element for $number {
-            const DESCR: &'static str = $descr;
-            fn write(self, bytes: &mut Vec<u8>) {
-                let $value = self;
-                bytes.extend($bytes);
-            }
-        }
-    )*};
+fn doubles(values: &[f64]) -> (&'static str, Vec<u8>) {
+    ("<f8", values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 
-elements! {
-    f32: "<f4", v => v.to_le_bytes();
-    f64: "<f8", v => v.to_le_bytes();
-    u64: "<u8", v => v.to_le_bytes();
-    u8: "|u1", v => [v];
-    bool: "|b1", v => [u8::from(v)];
+fn counts(values: &[usize]) -> (&'static str, Vec<u8>) {
+    ("<u8", values.iter().flat_map(|v| (*v as u64).to_le_bytes()).collect())
 }
 
 /// Properties in the order that viewers expect, all of them `float`. Normals are part of the layout, and 0.

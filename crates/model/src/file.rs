@@ -124,7 +124,7 @@ pub fn size(ensemble: &Ensemble) -> usize {
 }
 
 pub(crate) fn tensors(model: &Model) -> Tensors {
-    let mut file = Tensors::new(json(&note(model)));
+    let mut file = Tensors::new(&note(model));
     put_model(&mut file, "", model);
     file
 }
@@ -143,7 +143,7 @@ fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
     let members = named().map(|(name, model)| MemberNote { name: name.clone(), model: note(model) }).collect();
     let residuals = ensemble.residuals().map(ResidualsNote::of);
     let version = if residuals.is_some() { RESIDUALS_VERSION } else { ENSEMBLE_VERSION };
-    let mut file = Tensors::new(json(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version, members, residuals }));
+    let mut file = Tensors::new(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version, members, residuals });
     if let Some(residuals) = ensemble.residuals() {
         residuals.put(&mut file);
     }
@@ -156,10 +156,6 @@ fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
 /// Returns the prefix of the tensor names of a member.
 fn prefix(place: usize) -> String {
     format!("members.{place}.")
-}
-
-fn json(note: &impl Serialize) -> String {
-    serde_json::to_string(note).expect("plain data")
 }
 
 fn note(model: &Model) -> Note {

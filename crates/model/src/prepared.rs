@@ -264,9 +264,8 @@ impl<'a> Member<'a> {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
         let inputs = stages.setup.inputs(inputs, queries.iter().copied());
-        let (conditions, links) = (inputs.conditions(), &inputs.links);
-        let request = ObservationRequest { conditions, links, pixels: PixelSubset::All };
-        run(&Parameters { cloud: &self.cloud, gate: None, existence: None, weights }, &request)
+        let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights };
+        run(&parameters, &inputs.request(PixelSubset::All))
     }
 }
 

@@ -115,9 +115,7 @@ impl ResidualValues {
             }
         }
     }
-}
 
-impl ResidualValues {
     /// Σ d·residual of link `i`.
     fn dot(&self, i: usize, d: &[Real]) -> f64 {
         let (n, wide) = (d.len(), |v: Real, d: &Real| v as f64 * *d as f64);

@@ -77,7 +77,7 @@ impl Snapshot {
     pub fn write(&self, path: &Path) -> Result<()> {
         let n = self.means.len();
         let note = Note { format: FORMAT.into(), version: VERSION, step: self.step, gaussians: n, origin: self.origin };
-        let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
+        let mut file = Tensors::new(&note);
         file.put("means", vec![n, 3], self.means.as_flattened().to_vec());
         file.put("opacities", vec![n], self.opacities.clone());
         let gaussian_ids: Vec<Real> = self.gaussian_ids.iter().map(|id| *id as Real).collect();

@@ -2,6 +2,7 @@
 
 use pwrfgs_core::{Real, files::digest};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
 /// The only metadata key: a second one would make the order of bytes depend on a hash.
@@ -21,9 +22,9 @@ pub struct Tensors {
 }
 
 impl Tensors {
-    /// Creates an empty file; `note` is JSON text.
-    pub fn new(note: String) -> Self {
-        Self { note, ..Self::default() }
+    /// Creates an empty file; `note` is plain data.
+    pub fn new(note: &impl Serialize) -> Self {
+        Self { note: serde_json::to_string(note).expect("plain data"), ..Self::default() }
     }
 
     /// Adds a tensor; `values` fill `shape` row by row.

@@ -195,6 +195,24 @@ pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     }
 }
 
+/// Computes |lrelu(z)| with slope 0.01.
+#[inline]
+pub fn amplitude(z: Real) -> Real {
+    if z < 0.0 { -0.01 * z } else { z }
+}
+
+/// Returns the derivative of [`amplitude`]; 0 at 0.
+#[inline]
+pub fn amplitude_slope(z: Real) -> Real {
+    if z > 0.0 {
+        1.0
+    } else if z < 0.0 {
+        -0.01
+    } else {
+        0.0
+    }
+}
+
 /// Sums in 16 fixed lanes: one order of additions on every machine, and vectorised.
 #[inline(always)]
 fn lane_sum(values: &[Real]) -> Real {

@@ -9,7 +9,7 @@
 //! precision would exceed 3e-5 after nine doublings. In double precision, for coordinates up to 40 m, the largest error
 //! found is 1.2e-12 at L = 10 and 2e-10 at L = 16, below the rounding of the result to `f32`.
 
-use crate::dense::{self, StoreMode};
+use crate::dense;
 use crate::linear::{Linear, WIDEST};
 use pwrfgs_core::{Conditions, JsonSchema, Real, WeightSpec, rng};
 use serde::{Deserialize, Serialize};
@@ -166,6 +166,11 @@ impl Encoding {
         }
     }
 
+    /// Returns whether it reads features in place of a position.
+    pub(super) fn reads_features(&self) -> bool {
+        matches!(self, Self::Features { .. } | Self::PseudoPosition { .. })
+    }
+
     pub(super) fn check(&self, field: &str) -> Result<(), String> {
         match *self {
             Self::Octaves(frequencies) => check_frequencies(field, frequencies),
@@ -186,10 +191,8 @@ impl Encoding {
                     "{field}: wavelengths of {longest_m} to {shortest_m} m; give the longest, then a shorter one above 0"
                 ))
             }
+            Self::PseudoPosition { octaves, .. } if octaves > MOST_FREQUENCIES => check_frequencies(field, octaves),
             Self::Features { width, gain } | Self::PseudoPosition { width, gain, .. } => {
-                if let Self::PseudoPosition { octaves, .. } = *self {
-                    check_frequencies(field, octaves)?;
-                }
                 if !(1..=WIDEST).contains(&width) || !gain.is_finite() || gain == 0.0 {
                     return Err(format!("{field}: give a width from 1 to {WIDEST} and a gain that is not 0"));
                 }
@@ -215,7 +218,7 @@ impl Encoding {
                 let vector = |i: usize| {
                     let direction = [(); 3].map(|()| f64::from(rng::normal(&mut random)));
                     let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
-                    direction.map(|v| v / norm * length(i, count) * reach)
+                    direction.map(|v| v / norm * ((i as f64 + 0.5) / count as f64) * reach)
                 };
                 Encoder::Waves((0..count).map(vector).collect(), 1.0)
             }
@@ -230,11 +233,6 @@ impl Encoding {
             Self::PseudoPosition { octaves, .. } => Encoder::Octaves(octaves),
         }
     }
-}
-
-/// Returns the length of wave vector `i` of `count`, relative to the reach.
-fn length(i: usize, count: usize) -> f64 {
-    (i as f64 + 0.5) / count as f64
 }
 
 /// Encoding with its constants computed.
@@ -325,21 +323,18 @@ impl Pseudo {
     }
 
     pub(super) fn positions(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<[Real; 3]> {
-        let rows = txs.len();
-        let mut y = vec![0.0; 3 * rows];
-        self.layer.whole().apply(weights, &self.inputs(txs), &mut y, StoreMode::Set);
-        dense::add_bias(&mut y, self.layer.bias(weights));
+        let (rows, mut y) = (txs.len(), Vec::new());
+        self.layer.apply(weights, &self.inputs(txs), &mut y);
         (0..rows).map(|r| std::array::from_fn(|k| 2.0 * y[k * rows + r].tanh())).collect()
     }
 
-    /// Adds to `d_weights`, and to the cotangents of the features if given, from the encoding γ and its cotangent.
+    /// Adds to `d_weights`, from the encoding γ and its cotangent.
     pub(super) fn vjp(
         &self,
         weights: &[Real],
         txs: Conditions<'_>,
         (gamma, d_gamma): (&[Real], &[Real]),
         d_weights: &mut [Real],
-        d_txs: Option<&mut [Real]>,
     ) {
         let (rows, positions) = (txs.len(), self.positions(weights, txs));
         let mut d_positions = vec![[0.0; 3]; rows];
@@ -348,9 +343,6 @@ impl Pseudo {
         let d_y: Vec<Real> = (0..3 * rows).map(|i| slope(i / rows, i % rows)).collect();
         dense::add_bias_vjp(&d_y, self.layer.bias_mut(d_weights));
         self.layer.whole().weight_vjp(d_weights, &self.inputs(txs), &d_y);
-        if let Some(d_txs) = d_txs {
-            self.layer.whole().features_vjp(weights, &d_y, self.gain, d_txs);
-        }
     }
 }
 

@@ -102,7 +102,7 @@ impl Deformation for Factored {
             inputs: self.tx_encoding.inputs(),
             reads_carrier: self.carrier != 0.0,
             kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // waves and their derivatives
-            differentiates_inputs: true,
+            differentiates_positions: !self.tx_encoding.reads_features(),
             ..DeformationTraits::default()
         }
     }
@@ -132,7 +132,7 @@ impl Deformation for Factored {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_means, d_txs);
     }
@@ -156,19 +156,18 @@ impl Deformation for Factored {
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, None)?;
         check_carrier(self.carrier)?;
-        if self.carrier != 0.0
-            && matches!(self.tx_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. })
-        {
+        let reads_features = self.tx_encoding.reads_features();
+        if self.carrier != 0.0 && reads_features {
             return Err("carrier: it needs transmitter positions, but tx_encoding reads features; remove it".into());
         }
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
-        if matches!(self.position_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {
+        if self.position_encoding.reads_features() {
             return Err("position_encoding: Gaussians have no features; give Waves(..) or Octaves(4)".into());
         }
         if let Some(near) = &self.near {
             near.check()?;
-            if matches!(self.tx_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {
+            if reads_features {
                 return Err("near: it needs transmitter positions, but tx_encoding reads features; remove it".into());
             }
         }

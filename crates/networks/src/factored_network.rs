@@ -100,18 +100,16 @@ impl FactoredLayers {
             None => self.tx_encoding.encode_all(txs, &mut layers[0][..encoded]),
         }
         if let Some(white) = &self.white {
-            let mut x = vec![0.0; layers[0].len()];
-            white.whole().apply(weights, &layers[0], &mut x, StoreMode::Set);
-            dense::add_bias(&mut x, white.bias(weights));
+            let mut x = Vec::new();
+            white.apply(weights, &layers[0], &mut x);
             layers[0] = x;
         }
         if let Some(factor) = self.carrier {
             (0..txs.len()).for_each(|b| layers[0][encoded + b] = factor * txs.carrier(b));
         }
         for (l, layer) in self.stack.iter().enumerate() {
-            let mut h = vec![0.0; txs.len() * layer.outputs];
-            layer.whole().apply(weights, &layers[l], &mut h, StoreMode::Set);
-            dense::bias_relu(&mut h, layer.bias(weights));
+            let mut h = Vec::new();
+            layer.apply_relu(weights, &layers[l], &mut h);
             layers.push(h);
         }
         if self.direct > 0 {
@@ -187,7 +185,7 @@ impl FactoredLayers {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         if means.is_empty() || txs.is_empty() {
@@ -199,10 +197,10 @@ impl FactoredLayers {
             groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
         let mixed: Vec<WaveMixture> = layers.par_iter().map(|own| self.mixed(weights, own)).collect();
         let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
-        let mut d_inputs = d_txs.map(|d_txs| d_txs.chunks_mut(GROUP * txs.width()));
-        let parts: Vec<Option<&mut [Real]>> =
-            groups.iter().map(|_| d_inputs.as_mut().and_then(Iterator::next)).collect();
-        let group = |(k, d_txs): (usize, Option<&mut [Real]>)| {
+        let mut d_txs = d_txs.map(|d_txs| d_txs.chunks_mut(GROUP));
+        let parts: Vec<Option<&mut [[Real; 3]]>> =
+            groups.iter().map(|_| d_txs.as_mut().and_then(Iterator::next)).collect();
+        let group = |(k, d_txs): (usize, Option<&mut [[Real; 3]]>)| {
             self.group_vjp(weights, txs.rows(groups[k].clone()), &layers[k], &d_mixed[k], d_txs)
         };
         let sums: Vec<Vec<Real>> = parts.into_par_iter().enumerate().map(group).collect();
@@ -284,14 +282,14 @@ impl FactoredLayers {
         }
     }
 
-    /// Returns the derivatives of the weights from some transmitters; adds those of their inputs to `d_txs` if given.
+    /// Returns the derivatives of the weights from some transmitters; adds those of their positions to `d_txs` if given.
     fn group_vjp(
         &self,
         weights: &[Real],
         txs: Conditions<'_>,
         layers: &[Vec<Real>],
         d: &WaveMixture,
-        mut d_txs: Option<&mut [Real]>,
+        mut d_txs: Option<&mut [[Real; 3]]>,
     ) -> Vec<Real> {
         let (batch, width, waves) = (txs.len(), self.features, self.branch.inputs);
         let mut d_weights = vec![0.0; weights.len()];
@@ -314,7 +312,7 @@ impl FactoredLayers {
             if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
                 near.vjp(c, correlations, &d.waves[c], &mut d_weights);
                 if let Some(d_txs) = &mut d_txs {
-                    near.position_vjp(weights, c, txs, correlations, &d.waves[c], d_txs.as_chunks_mut().0);
+                    near.position_vjp(weights, c, txs, correlations, &d.waves[c], d_txs);
                 }
             }
         }
@@ -331,8 +329,8 @@ impl FactoredLayers {
                 let encoded = layers[0].len() - if self.carrier.is_some() { batch } else { 0 };
                 let own = (&layers[0][..encoded], &d_gamma[..encoded]);
                 match (&self.pseudo, &mut d_txs) {
-                    (Some(pseudo), d_txs) => pseudo.vjp(weights, txs, own, &mut d_weights, d_txs.as_deref_mut()),
-                    (None, Some(d_txs)) => self.tx_encoding.encode_vjp(own, d_txs.as_chunks_mut().0),
+                    (Some(pseudo), _) => pseudo.vjp(weights, txs, own, &mut d_weights),
+                    (None, Some(d_txs)) => self.tx_encoding.encode_vjp(own, d_txs),
                     (None, None) => {}
                 }
             }
@@ -347,9 +345,6 @@ impl FactoredLayers {
             self.tx_encoding.encode_all(txs, &mut raw);
             dense::add_bias_vjp(&d_own, white.bias_mut(&mut d_weights));
             white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
-            if let (Some(d_txs), Encoder::Features(_, gain)) = (d_txs, &self.tx_encoding) {
-                white.whole().features_vjp(weights, &d_own, *gain as Real, d_txs);
-            }
         }
         d_weights
     }

@@ -58,7 +58,7 @@ pub struct Fixed {}
 #[typetag::serde]
 impl Deformation for Fixed {
     fn traits(&self) -> DeformationTraits {
-        DeformationTraits { differentiates_inputs: true, ..DeformationTraits::default() }
+        DeformationTraits { differentiates_positions: true, ..DeformationTraits::default() }
     }
 
     fn forward(&self, _: &DeformationInputs<'_>, _: &Cache) -> Deltas {
@@ -71,7 +71,7 @@ impl Deformation for Fixed {
         _: &Deltas,
         _: &mut [Real],
         _: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [Real]>,
+        _: Option<&mut [[Real; 3]]>,
     ) {
     }
 }

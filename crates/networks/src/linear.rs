@@ -1,7 +1,7 @@
 //! `Linear`: one layer inside the flat weight vector, and its products with chunks. `LayoutBuilder`: the layout of the layers in
 //! that vector. Chunks distribute the work over threads.
 
-use crate::dense::{Matrix, MatrixMut, StoreMode, product};
+use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use pwrfgs_core::{Layout, Real, WeightSpec};
 use std::ops::Range;
 
@@ -61,6 +61,34 @@ impl Linear {
     pub fn whole(&self) -> LayerPart {
         self.part(0..self.inputs)
     }
+
+    /// Computes y = W·x + b of a chunk.
+    pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
+        y.resize(x.len() / self.inputs * self.outputs, 0.0);
+        self.whole().apply(weights, x, y, StoreMode::Set);
+        dense::add_bias(y, self.bias(weights));
+    }
+
+    /// Computes y = relu(W·x + b) of a chunk.
+    pub fn apply_relu(&self, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
+        y.resize(x.len() / self.inputs * self.outputs, 0.0);
+        self.whole().apply(weights, x, y, StoreMode::Set);
+        dense::bias_relu(y, self.bias(weights));
+    }
+
+    /// Backward pass of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
+    pub fn apply_vjp(
+        &self,
+        weights: &[Real],
+        (x, d_y): (&[Real], &[Real]),
+        d_weights: &mut [Real],
+        (d_x, store): (&mut Vec<Real>, StoreMode),
+    ) {
+        self.whole().weight_vjp(d_weights, x, d_y);
+        dense::add_bias_vjp(d_y, self.bias_mut(d_weights));
+        d_x.resize(x.len(), 0.0);
+        self.whole().input_vjp(weights, d_y, d_x, store);
+    }
 }
 
 /// Some columns of W of a layer, acting on chunks: x `[columns, R]`, y `[outputs, R]`.
@@ -93,18 +121,6 @@ impl LayerPart {
         let rows = d_y.len() / outputs;
         let w = self.layer.weight(weights).columns(self.columns.clone());
         product(MatrixMut::new(d_x, features, rows), store, w.t(), Matrix::new(d_y, outputs, rows));
-    }
-}
-
-impl LayerPart {
-    /// Adds the derivative through W·(gain·x) to features `d_x` `[R, columns]`, row by row.
-    pub fn features_vjp(&self, weights: &[Real], d_y: &[Real], gain: Real, d_x: &mut [Real]) {
-        let (features, mut own) = (self.columns.len(), vec![0.0; d_x.len()]);
-        self.input_vjp(weights, d_y, &mut own, StoreMode::Set);
-        let rows = own.len() / features;
-        for (k, own) in own.chunks_exact(rows).enumerate() {
-            own.iter().enumerate().for_each(|(r, d)| d_x[r * features + k] += gain * d);
-        }
     }
 }
 

@@ -107,7 +107,7 @@ impl Deformation for Mlp {
         DeformationTraits {
             varies_geometry: self.outputs == Outputs::All,
             reads_carrier: self.carrier != 0.0,
-            differentiates_inputs: true,
+            differentiates_positions: true,
             ..DeformationTraits::default()
         }
     }
@@ -127,7 +127,7 @@ impl Deformation for Mlp {
         d: &Deltas,
         d_weights: &mut [Real],
         _: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
         laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_txs);
@@ -230,9 +230,7 @@ impl MlpLayers {
         self.trunk.forward(weights, shared, &side.folded, slots);
         let h = &slots[self.trunk.last(2)];
         let rows = h.len() / self.trunk.width;
-        out.resize(self.heads.outputs * rows, 0.0);
-        self.heads.whole().apply(weights, h, out, StoreMode::Set);
-        dense::add_bias(out, self.heads.bias(weights));
+        self.heads.apply(weights, h, out);
         match self.outputs {
             Outputs::All => {
                 Deltas { quats: gather(out, 0, rows), scales: gather(out, 4, rows), signals: gather(out, 7, rows) }
@@ -246,7 +244,7 @@ impl MlpLayers {
         inputs: &DeformationInputs<'_>,
         d: &Deltas,
         d_weights: &mut [Real],
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.branch.sides(weights, &self.trunk, txs);
@@ -298,10 +296,8 @@ impl MlpLayers {
                 }
                 Outputs::Signals => scatter(d.signals.get(here), out, 0, rows),
             }
-            self.heads.whole().weight_vjp(&mut sum.weights, &slots[self.trunk.depth() - 1], out);
-            dense::add_bias_vjp(out, self.heads.bias_mut(&mut sum.weights));
-            d_h.resize(width * rows, 0.0);
-            self.heads.whole().input_vjp(weights, out, d_h, StoreMode::Set);
+            let h = &slots[self.trunk.depth() - 1];
+            self.heads.apply_vjp(weights, (h, out), &mut sum.weights, (d_h, StoreMode::Set));
             let into =
                 TrunkGradient { weights: &mut sum.weights, shared: &mut d_shared, folded: sum.folded.of_tx(b, width) };
             self.trunk.backward(weights, slots, d_h, spare, into);

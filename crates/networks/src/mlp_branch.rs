@@ -35,15 +35,9 @@ impl TxBranch {
         let mut gamma = vec![0.0; encoding::width(self.frequencies)];
         encode([tx].into_iter(), self.frequencies, &mut gamma);
         gamma.extend(self.carrier.map(|factor| factor * carrier));
-        let apply = |layer: &Linear, x: &[Real]| {
-            let mut y = vec![0.0; layer.outputs];
-            layer.whole().apply(weights, x, &mut y, StoreMode::Set);
-            y
-        };
-        let mut hidden = apply(&self.layers[0], &gamma);
-        dense::bias_relu(&mut hidden, self.layers[0].bias(weights));
-        let mut features = apply(&self.layers[1], &hidden);
-        dense::add_bias(&mut features, self.layers[1].bias(weights));
+        let (mut hidden, mut features) = (Vec::new(), Vec::new());
+        self.layers[0].apply_relu(weights, &gamma, &mut hidden);
+        self.layers[1].apply(weights, &hidden, &mut features);
         let folded = trunk.fold(weights, &features);
         TxSide { gamma, hidden, features, folded }
     }
@@ -60,7 +54,7 @@ impl TxBranch {
         sides: &[TxSide],
         d_folded: &Joints,
         d_weights: &mut [Real],
-        d_txs: Option<&mut [Real]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         let batch = sides.len();
         let stack = |of: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(of).copied().collect() };
@@ -82,7 +76,7 @@ impl TxBranch {
         let mut d_gamma = vec![0.0; gamma.len()];
         product(MatrixMut::new(&mut d_gamma, batch, first.inputs), StoreMode::Set, d_z, first.weight(weights));
         let own = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
-        let each = own.zip(d_txs.as_chunks_mut().0.chunks_mut(1));
+        let each = own.zip(d_txs.chunks_mut(1));
         let encoded = encoding::width(self.frequencies); // the carrier may follow
         each.for_each(|((gamma, d), d_tx)| encode_vjp(&gamma[..encoded], &d[..encoded], self.frequencies, d_tx));
     }

@@ -34,7 +34,7 @@ fn cotangent(like: &Deltas) -> Deltas {
     deltas_like(like, &values)
 }
 
-/// Compares with central differences along every weight, along every input of the transmitters, and along every centre if
+/// Compares with central differences along every weight, and along every position of the transmitters and every centre if
 /// the deformation differentiates them.
 fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: usize, along_means: bool) {
     deformation.check().unwrap();
@@ -45,14 +45,20 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     let fixed = deformation.layout().fixed();
     let (means, txs) = (points(n, "means"), conditions(batch, "txs"));
     let carriers: Vec<Real> = txs.chunks_exact(width).map(|tx| tx[0]).collect();
-    let moved = if along_means { means.as_flattened() } else { &[] };
-    let x = [weights.as_slice(), &txs, moved].concat();
+    let along_txs = deformation.traits().differentiates_positions;
+    assert_eq!(along_txs, width == 3, "{name}");
+    let (sent, moved) = (if along_txs { &txs[..] } else { &[] }, if along_means { means.as_flattened() } else { &[] });
+    let x = [weights.as_slice(), sent, moved].concat();
     let split = |x: &[Real]| {
         let (w, rest) = x.split_at(weights.len());
-        let (txs, m) = rest.split_at(txs.len());
+        let (sent, m) = rest.split_at(sent.len());
         let mut w = w.to_vec();
         fixed.iter().for_each(|range| w[range.clone()].copy_from_slice(&weights[range.clone()]));
-        (w, txs.to_vec(), if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() })
+        (
+            w,
+            if along_txs { sent } else { &txs }.to_vec(),
+            if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() },
+        )
     };
     let f = |x: &[Real]| {
         let (w, txs, means) = split(x);
@@ -64,13 +70,15 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
         let inputs = DeformationInputs::new(&w, &means, Conditions::new(width, &txs).at_carriers(&carriers), &POSE);
         let d = deltas_like(&deformation.forward(&inputs, &None), d);
         // Starts from ones to show that derivatives are added.
-        let (mut d_weights, mut d_txs, mut d_means) = (vec![1.0; w.len()], vec![1.0; txs.len()], vec![[1.0; 3]; n]);
-        deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means), Some(&mut d_txs));
+        let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
+        let mut d_txs = vec![[1.0; 3]; if along_txs { batch } else { 0 }];
+        let of_txs = along_txs.then_some(&mut d_txs[..]);
+        deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means), of_txs);
         // Derivatives that are not requested change no other.
         let (mut alone, mut alone_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
         deformation.vjp(&inputs, &d, &mut alone, along_means.then_some(&mut alone_means), None);
         assert!(alone == d_weights && alone_means == d_means, "{name}");
-        d_weights.extend(d_txs);
+        d_weights.extend(d_txs.as_flattened());
         if along_means {
             d_weights.extend_from_slice(d_means.as_flattened());
         }
@@ -212,9 +220,9 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
         let inputs = DeformationInputs::new(&weights, &means, &txs, &POSE);
         let deltas = deformation.forward(&inputs, &None);
         let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
-        let mut d_txs = vec![0.0; 3 * batch];
+        let mut d_txs = vec![[0.0; 3]; batch];
         deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means), Some(&mut d_txs));
-        d_weights.extend(d_txs);
+        d_weights.extend(d_txs.as_flattened());
         d_weights.extend_from_slice(d_means.as_flattened());
         (deltas, d_weights)
     })

@@ -89,7 +89,7 @@ impl Deformation for Wrfgs {
         DeformationTraits {
             replaces_signals: true,
             couples_gaussians,
-            differentiates_inputs: true,
+            differentiates_positions: true,
             ..DeformationTraits::default()
         }
     }
@@ -122,8 +122,8 @@ impl Deformation for Wrfgs {
         inputs: &DeformationInputs<'_>,
         d: &Deltas,
         d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        mut d_means: Option<&mut [[Real; 3]]>,
+        d_txs: Option<&mut [[Real; 3]]>,
     ) {
         if d.signals.is_empty() {
             return;
@@ -132,13 +132,9 @@ impl Deformation for Wrfgs {
         assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
-        let Some(d_means) = d_means else {
-            network.vjp(inputs, &d_products, d_weights, None, d_txs);
-            return;
-        };
-        let along_gain = network.vjp(inputs, &d_products, d_weights, Some(&mut *d_means), d_txs);
+        let along_gain = network.vjp(inputs, &d_products, d_weights, d_means.as_deref_mut(), d_txs);
         let norm = Self::norm(inputs.means, inputs.pose);
-        if self.gain.is_none() && norm > 0.0 {
+        if let Some(d_means) = d_means.filter(|_| self.gain.is_none() && norm > 0.0) {
             // g·∂L/∂g is available; with g = 40·F, ∂g/∂X = g·(X - r)/F².
             let scale = along_gain / (norm * norm);
             for (d, x) in d_means.iter_mut().zip(inputs.means) {

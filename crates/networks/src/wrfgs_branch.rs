@@ -38,24 +38,6 @@ pub(super) struct BranchScratch {
     d_offset: Vec<[Real; 3]>, // cotangents of X - p
 }
 
-/// Computes |lrelu(z)| with slope 0.01.
-#[inline]
-pub(super) fn amplitude(z: Real) -> Real {
-    if z < 0.0 { -0.01 * z } else { z }
-}
-
-/// Returns the derivative of [`amplitude`]; 0 at 0.
-#[inline]
-pub(super) fn amplitude_slope(z: Real) -> Real {
-    if z > 0.0 {
-        1.0
-    } else if z < 0.0 {
-        -0.01
-    } else {
-        0.0
-    }
-}
-
 impl Branch {
     /// Returns the columns of `sig.0` for the feature, γ(p) and γ(X - p).
     pub(super) fn parts(&self) -> [LayerPart; 3] {
@@ -117,12 +99,8 @@ impl Branch {
         first.extend_from_slice(from_feature);
         self.parts()[2].apply(weights, offset, first, StoreMode::Add);
         dense::bias_relu(first, &side.folded);
-        second.resize(self.signal[1].outputs * rows, 0.0);
-        self.signal[1].whole().apply(weights, first, second, StoreMode::Set);
-        dense::bias_relu(second, self.signal[1].bias(weights));
-        out.resize(2 * rows, 0.0);
-        self.out.whole().apply(weights, second, out, StoreMode::Set);
-        dense::add_bias(out, self.out.bias(weights));
+        self.signal[1].apply_relu(weights, first, second);
+        self.out.apply(weights, second, out);
     }
 
     /// Backward pass of [`Self::forward`], whose activations are in `room`. Adds to the cotangents of the weights, the
@@ -139,10 +117,7 @@ impl Branch {
         d_tx: Option<&mut [Real; 3]>,
     ) {
         let BranchScratch { offset, hidden: [first, second], out, d, spare, d_offset } = room;
-        self.out.whole().weight_vjp(d_weights, second, out);
-        dense::add_bias_vjp(out, self.out.bias_mut(d_weights));
-        spare.resize(second.len(), 0.0);
-        self.out.whole().input_vjp(weights, out, spare, StoreMode::Set);
+        self.out.apply_vjp(weights, (second, out), d_weights, (spare, StoreMode::Set));
         dense::bias_relu_vjp(spare, second, self.signal[1].bias_mut(d_weights));
         self.signal[1].whole().weight_vjp(d_weights, first, spare);
         d.resize(first.len(), 0.0);

@@ -5,11 +5,11 @@
 //!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
-use crate::dense::{self, StoreMode};
+use crate::dense::{self, StoreMode, amplitude, amplitude_slope};
 use crate::encoding::{self, encode, encode_vjp};
 use crate::linear::{Item, Linear, items, items_per_sum};
 use crate::trunk::{Joints, Trunk, TrunkGradient};
-use crate::wrfgs_branch::{Branch, BranchScratch, TxSide, amplitude, amplitude_slope};
+use crate::wrfgs_branch::{Branch, BranchScratch, TxSide};
 use pwrfgs_core::{DeformationInputs, Real};
 use rayon::prelude::*;
 
@@ -72,12 +72,9 @@ impl WrfgsLayers {
         scratch.slots.resize_with(slots, Vec::new);
         self.trunk.forward(weights, shared, &self.trunk.fold(weights, &[]), &mut scratch.slots);
         let h = &scratch.slots[self.trunk.last(slots)];
-        let mut attenuation = vec![0.0; 2 * rows];
-        self.attenuation.whole().apply(weights, h, &mut attenuation, StoreMode::Set);
-        dense::add_bias(&mut attenuation, self.attenuation.bias(weights));
-        feature.resize(width * rows, 0.0);
-        self.feature.whole().apply(weights, h, feature, StoreMode::Set);
-        dense::add_bias(feature, self.feature.bias(weights));
+        let mut attenuation = Vec::new();
+        self.attenuation.apply(weights, h, &mut attenuation);
+        self.feature.apply(weights, h, feature);
         let mut from_feature = vec![0.0; width * rows];
         self.branch.parts()[0].apply(weights, feature, &mut from_feature, StoreMode::Set);
         TrunkOutput { attenuation, from_feature }
@@ -91,13 +88,8 @@ impl WrfgsLayers {
         of_feature.weight_vjp(&mut sum.weights, feature, d_from_feature);
         spare.resize(feature.len(), 0.0);
         of_feature.input_vjp(weights, d_from_feature, spare, StoreMode::Set);
-        self.feature.whole().weight_vjp(&mut sum.weights, h, spare);
-        dense::add_bias_vjp(spare, self.feature.bias_mut(&mut sum.weights));
-        d.resize(h.len(), 0.0);
-        self.feature.whole().input_vjp(weights, spare, d, StoreMode::Set);
-        self.attenuation.whole().weight_vjp(&mut sum.weights, h, d_attenuation);
-        dense::add_bias_vjp(d_attenuation, self.attenuation.bias_mut(&mut sum.weights));
-        self.attenuation.whole().input_vjp(weights, d_attenuation, d, StoreMode::Add);
+        self.feature.apply_vjp(weights, (h, spare), &mut sum.weights, (d, StoreMode::Set));
+        self.attenuation.apply_vjp(weights, (h, d_attenuation), &mut sum.weights, (d, StoreMode::Add));
         let mut d_shared = self.trunk.zero_joints(h.len());
         let into = TrunkGradient {
             weights: &mut sum.weights,
@@ -173,7 +165,7 @@ impl WrfgsLayers {
         d: &[Real],
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [Real]>,
+        mut d_txs: Option<&mut [[Real; 3]]>,
     ) -> f64 {
         let DeformationInputs { weights, means, .. } = *inputs;
         let txs = inputs.txs.positions();
@@ -199,7 +191,6 @@ impl WrfgsLayers {
             })
             .collect();
         dense::add_in_order(d_weights, &sums.iter().map(|s| s.weights.as_slice()).collect::<Vec<_>>());
-        let mut d_txs = d_txs.map(|d_txs| d_txs.as_chunks_mut::<3>().0);
         for sum in &sums {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
             self.branch.tx_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());

@@ -3,12 +3,10 @@
 use pwrfgs_core::{Baseline, Deformation, Initializer, Metric, Plugin, Projector, Rasterizer, Split, Task};
 use pwrfgs_data::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Official, Zero};
 use pwrfgs_init::NoGaussians;
-use pwrfgs_methods::Readout;
+use pwrfgs_methods::{Readout, Splatting};
 use pwrfgs_metrics::{
     Chamfer, ChannelSnr, DirectionError, GaussianCount, L1, Latency, ModelSize, PowerError, Psnr, RateRatio, Ssim,
 };
-use pwrfgs_networks::Mlp;
-use pwrfgs_raster::{AlphaBlending, Mercator};
 
 /// Plugins of one kind with the given settings.
 macro_rules! plugins {
@@ -29,17 +27,17 @@ pub fn initializer() -> Plugin<dyn Initializer> {
 
 /// Default projector of splats.
 pub fn projector() -> Plugin<dyn Projector> {
-    Plugin::from(Box::new(Mercator::default()) as Box<dyn Projector>)
+    Splatting::default().projector
 }
 
 /// Default rasterizer of splats.
 pub fn rasterizer() -> Plugin<dyn Rasterizer> {
-    Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>)
+    Splatting::default().rasterizer
 }
 
 /// Default deformation of splats.
 pub fn deformation() -> Plugin<dyn Deformation> {
-    Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>)
+    Splatting::default().deformation
 }
 
 /// Default readout of splats for observations of `task`.

@@ -147,7 +147,8 @@ impl Pipeline {
 
     /// Checks between plugins: the field and its problem.
     fn check(&self) -> Result<(), (&'static str, String)> {
-        if let Some((field, what)) = mixed(self) {
+        let pruners = || self.as_plan().check().err().map(|what| ("pruners", what));
+        if let Some((field, what)) = other_kinds(self).or_else(pruners).or_else(|| unable(self)) {
             return Err((field, format!("{field}: {what}")));
         }
         let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
@@ -168,12 +169,6 @@ impl Pipeline {
     }
 }
 
-/// First field that does not support the data, with advice; `None` if the task is unknown before loading.
-fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    let pruners = || pipeline.as_plan().check().err().map(|what| ("pruners", what));
-    other_kinds(pipeline).or_else(pruners).or_else(|| unable(pipeline))
-}
-
 /// Capability that the pipeline requires and the method lacks.
 fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let method = pipeline.method();
@@ -191,6 +186,7 @@ fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     None
 }
 
+/// First field that does not support the data, with advice; `None` if the task is unknown before loading.
 fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let task = pipeline.data.task()?;
     let field = if pipeline.method.is_some() { "method" } else { "readout" };

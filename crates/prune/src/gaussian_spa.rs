@@ -102,7 +102,17 @@ impl Pruner for GaussianSpa {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_admm(self)
+        let Self { rho, every, share } = self;
+        if !(rho.is_finite() && *rho > 0.0) {
+            return Err(format!("`rho` is {rho}; give a number above 0, such as 0.0005"));
+        }
+        if *every == 0 {
+            return Err("`every` is 0; give the number of steps between two projections, such as 50".to_owned());
+        }
+        if (0.0..1.0).contains(share) {
+            return Ok(());
+        }
+        Err(format!("`share` is {share}; give the share to remove, from 0 to below 1"))
     }
 }
 
@@ -112,18 +122,4 @@ impl GaussianSpa {
         let by_share = || n - share_of(n, self.share).floor() as usize;
         context.target.unwrap_or_else(by_share).clamp(1, n.max(1))
     }
-}
-
-fn check_admm(settings: &GaussianSpa) -> Result<(), String> {
-    let GaussianSpa { rho, every, share, .. } = settings;
-    if !(rho.is_finite() && *rho > 0.0) {
-        return Err(format!("`rho` is {rho}; give a number above 0, such as 0.0005"));
-    }
-    if *every == 0 {
-        return Err("`every` is 0; give the number of steps between two projections, such as 50".to_owned());
-    }
-    if (0.0..1.0).contains(share) {
-        return Ok(());
-    }
-    Err(format!("`share` is {share}; give the share to remove, from 0 to below 1"))
 }

@@ -1,6 +1,6 @@
 //! Pruners whose scores include the gradient of the position.
 
-use crate::rounds::{check_share, check_shares, needs, quantile, share_at, without_share};
+use crate::rounds::{check_share, check_shares, needs, quantile, removes_shares};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, sigmoid,
 };
@@ -103,13 +103,7 @@ impl Default for Taming3dgs {
 
 #[typetag::serde]
 impl Pruner for Taming3dgs {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
         needs(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters, &self.shares, context)

@@ -111,19 +111,18 @@ impl Pruner for Lp3dgs {
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
         check_rate(self.learning_rate)?;
-        check_mask(self)
+        let Self { temperature, initial_logit, .. } = self;
+        if !(0.2..=5.0).contains(temperature) {
+            return Err(format!("`temperature` is {temperature}; give a number from 0.2 to 5, such as 0.5"));
+        }
+        if initial_logit.is_finite() {
+            return Ok(());
+        }
+        Err(format!("`initial_logit` is {initial_logit}; give a number"))
     }
 }
 
 /// Returns m + ln(S/S̃), of which m is learned.
 fn odds(cloud: &TracedCloud) -> Trace {
     cloud.column(COLUMN) + cloud.leaf(IMPORTANCE).clone()
-}
-
-fn check_mask(settings: &Lp3dgs) -> Result<(), String> {
-    let Lp3dgs { temperature, initial_logit, .. } = settings;
-    if !(0.2..=5.0).contains(temperature) {
-        return Err(format!("`temperature` is {temperature}; give a number from 0.2 to 5, such as 0.5"));
-    }
-    if initial_logit.is_finite() { Ok(()) } else { Err(format!("`initial_logit` is {initial_logit}; give a number")) }
 }

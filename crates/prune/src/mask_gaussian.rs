@@ -88,7 +88,11 @@ impl Pruner for MaskGaussian {
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
         check_rate(self.learning_rate)?;
-        check_throws(self)
+        if self.draws == 0 || !self.initial_logit.is_finite() {
+            return Err("`draws` must be at least 1 and `initial_logit` a finite number; give 10 and 1.0, for example"
+                .to_owned());
+        }
+        Ok(())
     }
 }
 
@@ -97,13 +101,4 @@ fn throw(cloud: &TracedCloud, context: &StepContext) -> Trace {
     let mut random = rng::stream(context.seed, "pruner MaskGaussian", context.step);
     let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
     cloud.straight_through((cloud.column(COLUMN) + noise).sigmoid(), 0.5)
-}
-
-fn check_throws(settings: &MaskGaussian) -> Result<(), String> {
-    if settings.draws == 0 || !settings.initial_logit.is_finite() {
-        return Err(
-            "`draws` must be at least 1 and `initial_logit` a finite number; give 10 and 1.0, for example".to_owned()
-        );
-    }
-    Ok(())
 }

@@ -1,9 +1,7 @@
 //! Pruner by the sensitivity of the spectra to position and scale.
 
-use crate::rounds::{check_shares, needs, share_at, without_share};
-use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext,
-};
+use crate::rounds::{check_shares, needs, removes_shares};
+use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 
 /// Removes the Gaussians whose position and scale have the least influence on the spectra (PUP-3DGS).
@@ -39,13 +37,7 @@ impl Default for Pup3dgs {
 
 #[typetag::serde]
 impl Pruner for Pup3dgs {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
         needs(&[Statistic::Fisher], self.transmitters, &self.shares, context)
@@ -60,15 +52,11 @@ impl Pruner for Pup3dgs {
 
     fn check(&self) -> Result<(), String> {
         check_shares(&self.shares)?;
-        check_ridge(self.ridge)
+        if self.ridge > 0.0 && self.ridge < 1.0 {
+            return Ok(());
+        }
+        Err(format!("`ridge` is {}; give a small number above 0, such as 1e-6", self.ridge))
     }
-}
-
-fn check_ridge(ridge: Real) -> Result<(), String> {
-    if ridge > 0.0 && ridge < 1.0 {
-        return Ok(());
-    }
-    Err(format!("`ridge` is {ridge}; give a small number above 0, such as 1e-6"))
 }
 
 /// Returns log det of a symmetric 6 × 6 matrix given by its upper triangle, with `ridge` times the mean diagonal added

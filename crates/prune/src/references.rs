@@ -1,9 +1,8 @@
 //! Reference strategies: random removal as the lower reference, and greedy elimination as the upper reference.
 
-use crate::rounds::{check_shares, requested_statistic, share_at, without_share};
+use crate::rounds::{check_shares, removes_shares, requested_statistic};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, PrunerTraits, Real, Statistic,
-    StepContext, rng,
+    CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, Real, Statistic, StepContext, rng,
 };
 use serde::{Deserialize, Serialize};
 
@@ -33,13 +32,7 @@ impl Default for RandomReference {
 
 #[typetag::serde]
 impl Pruner for RandomReference {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Vec<Real> {
         let mut random = rng::stream(context.seed, "pruner RandomReference", context.step);
@@ -83,13 +76,7 @@ impl Default for GreedyElimination {
 
 #[typetag::serde]
 impl Pruner for GreedyElimination {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn needs(&self, cloud: &GaussianCloud, _: &StepContext) -> Needs {
         if cloud.len() > self.most {
@@ -104,17 +91,13 @@ impl Pruner for GreedyElimination {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_most(self.most, self.transmitters)?;
+        let Self { most, transmitters, .. } = self;
+        if !(1..=1000).contains(transmitters) {
+            return Err(format!("`transmitters` is {transmitters}; give a number from 1 to 1000, such as 64"));
+        }
+        if !(2..=1000).contains(most) {
+            return Err(format!("`most` is {most}; give a number from 2 to 1000: the work grows with its square"));
+        }
         check_shares(&self.shares)
     }
-}
-
-fn check_most(most: usize, transmitters: usize) -> Result<(), String> {
-    if !(1..=1000).contains(&transmitters) {
-        return Err(format!("`transmitters` is {transmitters}; give a number from 1 to 1000, such as 64"));
-    }
-    if (2..=1000).contains(&most) {
-        return Ok(());
-    }
-    Err(format!("`most` is {most}; give a number from 2 to 1000: the work grows with its square"))
 }

@@ -2,6 +2,24 @@
 
 use pwrfgs_core::{GaussianCloud, Needs, Real, Statistic, StepContext, best};
 
+/// Properties and decision of a pruner with a field `shares`: each prune step removes the share with the lowest scores.
+macro_rules! removes_shares {
+    () => {
+        fn traits(&self) -> pwrfgs_core::PrunerTraits {
+            let budget = Some(pwrfgs_core::Budget::Gradual);
+            pwrfgs_core::PrunerTraits { budget, ..pwrfgs_core::PrunerTraits::default() }
+        }
+
+        fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+            crate::rounds::without_share(
+                &self.score(cloud, stats, context),
+                crate::rounds::share_at(&self.shares, context),
+            )
+        }
+    };
+}
+pub(crate) use removes_shares;
+
 /// Returns the share to remove at this prune step: an entry of `shares`, or 0 after the last entry.
 pub(crate) fn share_at(shares: &[Real], context: &StepContext) -> Real {
     let place = context.round.checked_sub(1).map(|place| place as usize);

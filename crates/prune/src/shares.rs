@@ -1,10 +1,8 @@
 //! Pruners that remove a share at each prune step, by the effect of a Gaussian on the spectra: blending weight
 //! (LightGaussian), contributed signal (`SignalContribution`), or sensitivity (`SpeedySplat`).
 
-use crate::rounds::{check_shares, check_weight, needs, quantile, requested_statistic, share_at, without_share};
-use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext,
-};
+use crate::rounds::{check_shares, check_weight, needs, quantile, removes_shares, requested_statistic};
+use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 
 /// Removes a share of the Gaussians with the smallest blending weight, weighted by volume (LightGaussian).
@@ -40,13 +38,7 @@ impl Default for LightGaussian {
 
 #[typetag::serde]
 impl Pruner for LightGaussian {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
         needs(&[Statistic::Weight], self.transmitters, &self.shares, context)
@@ -112,13 +104,7 @@ impl Default for SignalContribution {
 
 #[typetag::serde]
 impl Pruner for SignalContribution {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
         needs(&[Statistic::SignalWeight], self.transmitters, &self.shares, context)
@@ -167,13 +153,7 @@ impl Default for SpeedySplat {
 
 #[typetag::serde]
 impl Pruner for SpeedySplat {
-    fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::Gradual), ..PrunerTraits::default() }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        without_share(&self.score(cloud, stats, context), share_at(&self.shares, context))
-    }
+    removes_shares!();
 
     fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
         needs(&[Statistic::Sensitivity], self.transmitters, &self.shares, context)

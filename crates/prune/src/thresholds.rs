@@ -217,15 +217,11 @@ impl Pruner for SafeguardGs {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_places(self.of_pixel)
+        if (1..=64).contains(&self.of_pixel) {
+            return Ok(());
+        }
+        Err(format!("`of_pixel` is {}; give a number from 1 to 64", self.of_pixel))
     }
-}
-
-fn check_places(of_pixel: usize) -> Result<(), String> {
-    if (1..=64).contains(&of_pixel) {
-        return Ok(());
-    }
-    Err(format!("`of_pixel` is {of_pixel}; give a number from 1 to 64"))
 }
 
 #[cfg(test)]

@@ -20,8 +20,6 @@ pub(crate) struct Adam {
 #[derive(Clone, Copy)]
 struct Update {
     rate: Real,
-    beta1: Real,
-    beta2: Real,
     eps: Real,
     /// Bias corrections 1 − βᵏ after k steps.
     unbias: [Real; 2],
@@ -48,8 +46,6 @@ impl Adam {
         let rate = |schedule: crate::Schedule| schedule.rate(step, settings.steps);
         let update = Update {
             rate: 0.0,
-            beta1: BETAS[0],
-            beta2: BETAS[1],
             eps: o.eps,
             unbias: BETAS.map(|b| 1.0 - b.powi(step.min(i32::MAX as u64) as i32)),
             l2: 0.0,
@@ -112,6 +108,7 @@ impl Update {
     /// Adam of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted from the value.
     fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
         const CHUNK: usize = 16_384;
+        let [beta1, beta2] = BETAS;
         let parts = (x.par_chunks_mut(CHUNK))
             .zip(d.par_chunks(CHUNK))
             .zip(m.par_chunks_mut(CHUNK))
@@ -124,8 +121,8 @@ impl Update {
                         let mut finite = true;
                         for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
                             let g = d + self.l2 * *x;
-                            *m = self.beta1 * *m + (1.0 - self.beta1) * g;
-                            *v = self.beta2 * *v + (1.0 - self.beta2) * g * g;
+                            *m = beta1 * *m + (1.0 - beta1) * g;
+                            *v = beta2 * *v + (1.0 - beta2) * g * g;
                             let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
                             *x -= self.rate * (step + self.decay * *x);
                             finite &= x.is_finite();
@@ -164,8 +161,6 @@ mod tests {
     fn adam_matches_pytorch() {
         let update = |step: i32| Update {
             rate: 0.1,
-            beta1: 0.9,
-            beta2: 0.999,
             eps: 1e-8,
             unbias: [1.0 - (0.9 as Real).powi(step), 1.0 - (0.999 as Real).powi(step)],
             l2: 0.0,
@@ -181,8 +176,7 @@ mod tests {
 
     #[test]
     fn decoupled_decay_shrinks_and_l2_enters_moments() {
-        let quiet =
-            Update { rate: 0.1, beta1: 0.9, beta2: 0.999, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.5 };
+        let quiet = Update { rate: 0.1, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.5 };
         let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
         quiet.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
         assert!((x[0] - 1.9).abs() < 1e-6, "2 - 0.1·0.5·2, found {}", x[0]);
@@ -193,8 +187,7 @@ mod tests {
 
     #[test]
     fn reports_optimizer_setting_out_of_range() {
-        let update =
-            Update { rate: 0.1, beta1: 0.9, beta2: 0.999, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.0 };
+        let update = Update { rate: 0.1, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.0 };
         assert!(update.apply(&mut [1.0], &[Real::NAN], &mut [0.0], &mut [0.0]).is_err());
     }
 }

@@ -3,7 +3,9 @@
 use crate::graph::{Batch, BatchPixels};
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Needs, Real, Result, StepContext, Task, rng, stretch::stretch};
+use pwrfgs_core::{
+    Dataset, Error, ImagePlane, Link, LinkInputs, Needs, Real, Result, StepContext, Task, rng, stretch::stretch,
+};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -114,31 +116,31 @@ fn observed(
     places: BatchPixels,
     moved: &mut dyn FnMut(Real) -> Real,
 ) -> Result<Batch> {
-    let mut batch = Batch { width: stages.method.traits().inputs, places, ..Batch::default() };
-    let (mut before, own) = (None, matches!(batch.places, BatchPixels::Own(_)));
+    let mut inputs = LinkInputs { width: stages.method.traits().inputs, ..LinkInputs::default() };
+    let (mut before, own) = (None, matches!(places, BatchPixels::Own(_)));
     let (carriers, mut last) = (stages.carriers(), None);
     for &i in links {
         let (query, transmitter) = (data.query(i), data.links[i].transmitter);
         let carrier = carriers.get(query.receiver);
         if !query.features.is_empty() {
-            batch.conditions.extend_from_slice(query.features); // one per link
-            batch.carriers.extend(carrier);
+            inputs.values.extend_from_slice(query.features); // one per link
+            inputs.carriers.extend(carrier);
         } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) || carrier != last {
-            batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
-            batch.orientations.extend(query.orientation);
-            batch.carriers.extend(carrier);
+            inputs.values.extend(data.scene.origin.local(query.tx).map(&mut *moved));
+            inputs.orientations.extend(query.orientation);
+            inputs.carriers.extend(carrier);
         }
         last = carrier;
         before = Some((transmitter, i));
-        let transmitter = batch.conditions.len() / batch.width.max(1) - 1;
-        batch.links.push(Link { transmitter, receiver: query.receiver });
+        let transmitter = inputs.values.len() / inputs.width.max(1) - 1;
+        inputs.links.push(Link { transmitter, receiver: query.receiver });
     }
-    let of_link = batch.places.pixels().of_link(stages.numbers());
+    let of_link = places.pixels().of_link(stages.numbers());
     let sampling = stages.plane.sampling;
     let stretches = sampling.stride > 1 && stages.method.traits().stretches;
-    batch.truths.resize(links.len() * of_link, 0.0);
-    let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
-    truths.for_each(|(k, (truth, &i))| match (&batch.places, data.observations.spectra()) {
+    let mut truths = vec![0.0; links.len() * of_link];
+    let of_links = truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
+    of_links.for_each(|(k, (truth, &i))| match (&places, data.observations.spectra()) {
         (BatchPixels::Same(places), Some(spectra)) => spectra.sampled_at(i, sampling, places, truth),
         (BatchPixels::Own(places), Some(spectra)) => {
             spectra.sampled_at(i, sampling, &places[k..=k], truth);
@@ -151,7 +153,7 @@ fn observed(
         }
     });
     data.observations.check()?;
-    Ok(batch)
+    Ok(Batch { inputs, places, truths })
 }
 
 /// Number of transmitters that a pass holds in memory at once.

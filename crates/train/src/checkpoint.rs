@@ -59,7 +59,7 @@ impl<'a> Trainer<'a> {
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
             next_gaussian_id: self.gaussian_ids.next,
         };
-        let mut file = Tensors::new(json(&note));
+        let mut file = Tensors::new(&note);
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
         for (prefix, cloud) in clouds {
             for (name, width, values) in cloud.columns() {

@@ -15,7 +15,7 @@ use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op, values};
 use pwrfgs_core::{
-    CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodTraits, MethodVjp, ObservationRequest, Parameters,
+    CloudStats, Error, Gate, GaussianCloud, LinkInputs, MethodTraits, MethodVjp, ObservationRequest, Parameters,
     PixelSubset, Pruner, Real, Result, StepContext,
 };
 use pwrfgs_model::Stages;
@@ -26,16 +26,8 @@ use std::sync::Arc;
 /// Links of a step and their observations.
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
-    /// Network inputs per transmitter, `[B, width]`.
-    pub conditions: Vec<Real>,
-    /// Number of inputs per transmitter: 3 for a position.
-    pub width: usize,
-    /// Orientations of a moving receiver `[B,4]`; otherwise empty.
-    pub orientations: Vec<[f64; 4]>,
-    /// Carriers `[B]`, from -1 to 1; empty for one carrier.
-    pub carriers: Vec<Real>,
-    /// Links between transmitters of the batch and receivers, grouped by transmitter.
-    pub links: Vec<Link>,
+    /// Links between transmitters of the batch and receivers, grouped by transmitter, with the network inputs.
+    pub inputs: LinkInputs,
     /// Selected values of the observations.
     pub places: BatchPixels,
     /// Observations `[L, numbers]`: spectra in [0, 1], powers in dBm, channels.
@@ -66,22 +58,12 @@ impl BatchPixels {
 }
 
 impl Batch {
-    /// Creates a batch of transmitters at `txs` `[B,3]` (metres from the origin) received by the first receiver.
-    pub fn of_positions(txs: &[[Real; 3]], truths: Vec<Real>) -> Self {
-        let links = (0..txs.len()).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-        Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths, ..Self::default() }
-    }
-
     /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
     fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
         let BatchPixels::Own(places) = &self.places else { return None };
-        let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
-        let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
-            conditions: self.conditions.clone(),
-            orientations: self.orientations.clone(),
-            carriers: self.carriers.clone(),
-            width: self.width,
-            links: links.to_vec(),
+        let parts = self.inputs.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
+        let part = |((links, places), truths): ((&[_], &[usize]), &[Real])| Self {
+            inputs: LinkInputs { links: links.to_vec(), ..self.inputs.clone() },
             places: BatchPixels::Own(places.to_vec()),
             truths: truths.to_vec(),
         };
@@ -90,9 +72,7 @@ impl Batch {
 
     /// Borrows the links for a method.
     pub(crate) fn request(&self) -> ObservationRequest<'_> {
-        let conditions =
-            Conditions::new(self.width, &self.conditions).turned(&self.orientations).at_carriers(&self.carriers);
-        ObservationRequest { conditions, links: &self.links, pixels: self.places.pixels() }
+        self.inputs.request(self.places.pixels())
     }
 }
 
@@ -176,7 +156,7 @@ pub fn loss_and_gradients(
 ) -> Result<LossAndGradients> {
     let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
     let pixels = batch.places.pixels().of_link(stages.numbers());
-    let at_once = stages.method.cost(&stages.setup, batch.links.len(), pixels).links_at_once;
+    let at_once = stages.method.cost(&stages.setup, batch.inputs.links.len(), pixels).links_at_once;
     let Some(parts) = batch.parts(at_once) else { return of(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,
@@ -186,7 +166,7 @@ pub fn loss_and_gradients(
         stats: CloudStats::zeros(cloud.len()),
     };
     for part in parts {
-        let (own, share) = (of(&part)?, part.links.len() as Real / batch.links.len() as Real);
+        let (own, share) = (of(&part)?, part.inputs.links.len() as Real / batch.inputs.links.len() as Real);
         let add = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
         sum.loss += share * own.loss;
         sum.penalty = own.penalty;
@@ -313,7 +293,7 @@ impl Graph {
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
         let (weights, d_weights, stats) =
             (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
-        let mut observed = stages.method.forward(&stages.setup, &open.parameters(&weights), &batch.request());
+        let mut observed = stages.method.forward(&stages.setup, &open.parameters(&weights), &batch.request(), &None);
         let numbers = std::mem::take(&mut observed.numbers);
         let vjp = move |d: Vec<Vec<Real>>| {
             let parameters = open.parameters(&weights);
@@ -352,22 +332,24 @@ impl Graph {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pwrfgs_core::Link;
 
     #[test]
     fn batch_parts_cover_batch_in_order() {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
         let places = BatchPixels::Own((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
-        let batch = Batch { conditions: vec![1.0; 21], width: 3, links, places, truths, ..Batch::default() };
+        let inputs = LinkInputs { values: vec![1.0; 21], width: 3, links, ..LinkInputs::default() };
+        let batch = Batch { inputs, places, truths };
         assert!(batch.parts(20).is_none() && Batch { places: BatchPixels::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
-        assert_eq!(parts.iter().map(|part| part.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
+        assert_eq!(parts.iter().map(|part| part.inputs.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
         let own = |part: &Batch| match &part.places {
             BatchPixels::Own(places) => places.clone(),
             _ => Vec::new(),
         };
         assert_eq!(parts.iter().flat_map(own).collect::<Vec<_>>(), own(&batch));
-        assert_eq!(parts.iter().flat_map(|part| part.links.clone()).collect::<Vec<_>>(), batch.links);
+        assert_eq!(parts.iter().flat_map(|part| part.inputs.links.clone()).collect::<Vec<_>>(), batch.inputs.links);
         assert_eq!(parts.iter().flat_map(|part| part.truths.clone()).collect::<Vec<_>>(), batch.truths);
     }
 }

@@ -16,8 +16,10 @@ pub trait Objective: std::fmt::Debug + Send + Sync {
 pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
     let task = data.task();
     if task.has_pixels {
-        let loss = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
-        Box::new(RenderingLoss { errors: settings.loss.pixel, ..loss })
+        // The window of SSIM has the size of the standard window on all pixels.
+        let stride = settings.stride;
+        let window = if stride == 1 { Window::default() } else { Window::new(1.5 / stride as f64) };
+        Box::new(RenderingLoss { ssim_weight: settings.loss.ssim_weight, window, errors: settings.loss.pixel })
     } else if task.is_complex {
         Box::new(ChannelLoss::of(data, train))
     } else {
@@ -103,15 +105,6 @@ impl RenderingLoss {
     /// Creates the loss with the standard window.
     pub fn new(ssim_weight: Real) -> Self {
         Self { ssim_weight, ..Self::default() }
-    }
-
-    /// Creates the loss for every `stride`-th pixel; its window has the size of the standard window on all pixels.
-    pub fn strided(ssim_weight: Real, stride: usize) -> Self {
-        if stride == 1 {
-            Self::new(ssim_weight)
-        } else {
-            Self { window: Window::new(1.5 / stride as f64), ..Self::new(ssim_weight) }
-        }
     }
 }
 

@@ -31,7 +31,40 @@ impl TrainingPlan {
     /// # Errors
     /// The message describes the conflict.
     pub fn check(&self) -> Result<(), String> {
-        contradiction(self).map_or(Ok(()), Err)
+        if let Some(why) = given_twice(&self.pruners).or_else(|| target_fault(self)) {
+            return Err(why);
+        }
+        let (goal, training) = (PruneTarget::of(self), &self.training);
+        let name = |k: usize| name_of(&self.pruners[k]);
+        if let Some(goal) = goal.filter(|goal| goal.is_exact() && training.prune_until <= training.densify_until) {
+            return Err(format!(
+                "`{}` has a target of {} Gaussians, but there is no pruning phase; set training.prune_until above densify_until",
+                name(goal.pruner),
+                goal.target
+            ));
+        }
+        if let Some(what) = self.initializer.count().and_then(|n| too_many(self, n)) {
+            return Err(what);
+        }
+        let MethodTraits { task, blends, .. } = self.method.traits();
+        let target = goal.map(|goal| goal.target);
+        let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
+        for (k, (pruner, context)) in self.pruners.iter().zip(contexts(&self.pruners, &moment)).enumerate() {
+            let needs = pruner.needs(&GaussianCloud::zeros(0), &context);
+            if !blends && needs.statistics.iter().any(|statistic| statistic.requires_blending()) {
+                return Err(format!(
+                    "`{}` needs blending weights, but this method does not blend; use {}a pruner without them, such as \
+                     LearnableMask()",
+                    name(k),
+                    if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending(), or " }
+                ));
+            }
+            let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
+            if task.is_some_and(|task| !task.has_pixels) && needs.statistics.iter().any(wants_pictures) {
+                return Err(format!("`{}` needs errors of pixels, but these data have no pixels; remove it", name(k)));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -119,44 +152,6 @@ pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
     })
 }
 
-/// Returns the error in the list of pruners.
-pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
-    if let Some(why) = given_twice(&plan.pruners).or_else(|| target_fault(plan)) {
-        return Some(why);
-    }
-    let (goal, training) = (PruneTarget::of(plan), &plan.training);
-    let name = |k: usize| name_of(&plan.pruners[k]);
-    if let Some(goal) = goal.filter(|goal| goal.is_exact() && training.prune_until <= training.densify_until) {
-        return Some(format!(
-            "`{}` has a target of {} Gaussians, but there is no pruning phase; set training.prune_until above densify_until",
-            name(goal.pruner),
-            goal.target
-        ));
-    }
-    if let Some(what) = plan.initializer.count().and_then(|n| too_many(plan, n)) {
-        return Some(what);
-    }
-    let MethodTraits { task, blends, .. } = plan.method.traits();
-    let target = goal.map(|goal| goal.target);
-    let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
-    for (k, (pruner, context)) in plan.pruners.iter().zip(contexts(&plan.pruners, &moment)).enumerate() {
-        let needs = pruner.needs(&GaussianCloud::zeros(0), &context);
-        if !blends && needs.statistics.iter().any(|statistic| statistic.requires_blending()) {
-            return Some(format!(
-                "`{}` needs blending weights, but this method does not blend; use {}a pruner without them, such as \
-                 LearnableMask()",
-                name(k),
-                if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending(), or " }
-            ));
-        }
-        let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
-        if task.is_some_and(|task| !task.has_pixels) && needs.statistics.iter().any(wants_pictures) {
-            return Some(format!("`{}` needs errors of pixels, but these data have no pixels; remove it", name(k)));
-        }
-    }
-    None
-}
-
 /// Returns the columns that the pruners request, each once; none without a pruning phase.
 pub(crate) fn specs_of(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
@@ -197,10 +192,10 @@ pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
 
 /// Rejects rays for data without pixels, and too many rays per step.
 pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
-    let most = match rays {
+    let (count, most) = match rays {
         Rays::All => return Ok(()),
-        Rays::Same(_) => stages.setup.numbers(),
-        Rays::Each(_) => MOST_PAIRS,
+        Rays::Same(count) => (count, stages.setup.numbers()),
+        Rays::Each(count) => (count, MOST_PAIRS),
     };
     if !stages.setup.task.has_pixels {
         let what = stages.setup.task.plural;
@@ -208,12 +203,10 @@ pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
             "training.rays selects pixels of spectra, but the data are {what}; remove it"
         )));
     }
-    match rays {
-        Rays::Same(count) | Rays::Each(count) if count > most => {
-            Err(Error::Config(format!("training.rays is {count}; give at most {most}")))
-        }
-        _ => Ok(()),
+    if count > most {
+        return Err(Error::Config(format!("training.rays is {count}; give at most {most}")));
     }
+    Ok(())
 }
 
 /// Maximum number of pairs of spectrum and pixel per step.

@@ -133,7 +133,7 @@ impl Trainer<'_> {
                 stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), place);
                 stages
             };
-            let batches = self.batches().sample(&needs, context, self.data, stages_of);
+            let batches = self.batches.sample(&needs, context, self.data, stages_of);
             let scene = PassContext { stages: &self.stages, weights: &self.weights, objective: &*self.objective };
             stats.requested = survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;
         }
@@ -223,10 +223,10 @@ fn loss_of(scene: &PassContext<'_>, p: &Parameters<'_>, some: &[usize], batches:
     let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
     let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
         let size = (setup.plane.width, setup.plane.height);
-        let numbers = method.forward(setup, &parameters, &batch.request()).numbers;
-        scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.links.len() as Real
+        let numbers = method.forward(setup, &parameters, &batch.request(), &None).numbers;
+        scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.inputs.links.len() as Real
     };
-    let links: usize = batches.iter().map(|(_, batch)| batch.links.len()).sum();
+    let links: usize = batches.iter().map(|(_, batch)| batch.inputs.links.len()).sum();
     batches.iter().map(loss).sum::<Real>() / links.max(1) as Real
 }
 

@@ -76,10 +76,6 @@ pub struct Trainer<'a> {
 }
 
 impl Trainer<'_> {
-    pub(crate) fn batches(&self) -> &Batches {
-        &self.batches
-    }
-
     /// Returns the number of completed steps.
     pub fn done(&self) -> u64 {
         self.done
@@ -116,8 +112,7 @@ impl Trainer<'_> {
     }
 
     fn gates_of(&self, cloud: &GaussianCloud, context: &StepContext) -> Option<Vec<Real>> {
-        let has_state = cloud.extra.len() > self.stages.method.traits().columns.len();
-        has_state.then(|| open_gates(cloud, &self.plan.pruners, context)).flatten()
+        self.has_state(cloud).then(|| open_gates(cloud, &self.plan.pruners, context)).flatten()
     }
 
     /// Returns the cloud and all other per-Gaussian state.
@@ -233,7 +228,8 @@ impl Trainer<'_> {
     pub fn model(&self) -> Model {
         let context = self.context(self.done.max(1));
         let mut cloud = self.cloud.clone();
-        if let Some(open) = self.has_state().then(|| drawn_gates(&self.cloud, &self.plan.pruners, &context)).flatten() {
+        if let Some(open) = self.has_state(&cloud).then(|| drawn_gates(&cloud, &self.plan.pruners, &context)).flatten()
+        {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
             cloud = cloud.select(&rows);
         }
@@ -288,7 +284,8 @@ impl Trainer<'_> {
         if step == training.prune_until {
             // Fine-tuning starts with M = 1 everywhere: closed Gaussians are removed, except those that an exact target
             // needs, and then the masks.
-            if let Some(mut open) = self.open_gates(context).filter(|_| !self.is_exact()) {
+            if let Some(gates) = self.gates_of(&self.cloud, context).filter(|_| !self.is_exact()) {
+                let mut open: Vec<bool> = gates.into_iter().map(|m| m != 0.0).collect();
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
                 self.retain_rows(&open);
@@ -308,17 +305,8 @@ impl Trainer<'_> {
     }
 
     /// Returns whether columns of pruners still exist.
-    fn has_state(&self) -> bool {
-        self.cloud.extra.len() > self.stages.method.traits().columns.len()
-    }
-
-    /// Returns the open gates; `None` if no pruner has a gate any more.
-    fn open_gates(&self, context: &StepContext) -> Option<Vec<bool>> {
-        if !self.has_state() {
-            return None;
-        }
-        let open = open_gates(&self.cloud, &self.plan.pruners, context)?;
-        Some(open.into_iter().map(|m| m != 0.0).collect())
+    fn has_state(&self, cloud: &GaussianCloud) -> bool {
+        cloud.extra.len() > self.stages.method.traits().columns.len()
     }
 }
 

@@ -2,8 +2,7 @@
 
 use crate::arrays::{Gain, axes, input_array, numbers};
 use crate::border::wrong;
-use numpy::PyArrayDyn;
-use numpy::PyReadonlyArrayDyn;
+use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
 use pwrfgs::experiment::data_warnings;
 use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
@@ -86,33 +85,18 @@ pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
 pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResult<Spectra> {
     let py = given_spectra.py();
     let shape = [Some(count), None, None];
-    let bytes: Option<PyReadonlyArrayDyn<'_, u8>> = given_spectra
-        .cast::<PyArrayDyn<u8>>()
-        .ok()
-        .map(|_| input_array::<u8>("spectra", given_spectra, &shape))
-        .transpose()?;
+    let size = |shape: &[usize]| (shape[2], shape[1]);
     let message = |error: Error| crate::border::raised(py, error);
-    if let Some(bytes) = bytes {
-        let size = bytes.shape_of();
+    if given_spectra.cast::<PyArrayDyn<u8>>().is_ok() {
+        let bytes = input_array::<u8>("spectra", given_spectra, &shape)?;
+        let size = size(bytes.shape());
         let bytes = bytes.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
         return Spectra::in_memory(size, Number::U8, bytes).map_err(message);
     }
     let floats = input_array::<f32>("spectra", given_spectra, &shape)?;
-    let size = floats.shape_of();
+    let size = size(floats.shape());
     let pixels = floats.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
     Spectra::float(size, pixels).map_err(message)
-}
-
-/// Columns and rows of a stack of spectra.
-trait ShapeOf {
-    fn shape_of(&self) -> (usize, usize);
-}
-
-impl<T: numpy::Element> ShapeOf for PyReadonlyArrayDyn<'_, T> {
-    fn shape_of(&self) -> (usize, usize) {
-        use numpy::PyUntypedArrayMethods as _;
-        (self.shape()[2], self.shape()[1])
-    }
 }
 
 /// Received links and their powers.
@@ -163,10 +147,7 @@ pub(super) fn gains(
         return Err(wrong(py, "frequencies_hz: give one frequency above 0 Hz per subcarrier"));
     }
     let all = input_array::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
-    let antennas = {
-        use numpy::PyUntypedArrayMethods as _;
-        all.shape()[1]
-    };
+    let antennas = all.shape()[1];
     let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
     Ok(Channels { antennas, frequencies_hz, gains: gains.iter().map(|gain| [gain.re, gain.im]).collect() }.into())
 }

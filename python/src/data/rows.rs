@@ -14,20 +14,23 @@ use pyo3::types::{PyBytes, PyDict};
 const FORMATS: [(&str, Number); 4] =
     [("u1", Number::U8), ("u2", Number::U16), ("f4", Number::F32), ("f8", Number::F64)];
 
+/// Reads link indices below `count`, from indices or a mask.
+pub(crate) fn indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
+    if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
+        return Ok((0..count).filter(|&i| mask[i]).collect());
+    }
+    let index = |i: i64| {
+        let valid = usize::try_from(i).ok().filter(|i| *i < count);
+        let message = || format!("{what}: invalid link index {i} (expected 0 to below {count})");
+        valid.ok_or_else(|| wrong(links.py(), &message()))
+    };
+    numbers::<i64>(what, links, &[None])?.into_iter().map(index).collect()
+}
+
 impl Dataset {
     /// Reads valid link indices given by a user.
     pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-        let count = self.data.len();
-        if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
-            return Ok((0..count).filter(|&i| mask[i]).collect());
-        }
-        let all = numbers::<i64>(what, links, &[None])?;
-        let fits = |i: i64| usize::try_from(i).ok().filter(|i| *i < count);
-        let indices: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
-        indices.ok_or_else(|| {
-            let bad = all.iter().find(|i| fits(**i).is_none()).copied().unwrap_or_default();
-            wrong(links.py(), &format!("{what}: invalid link index {bad} (expected 0 to below {count})"))
-        })
+        indices(what, links, self.data.len())
     }
 
     /// Link `i` as the Python class `Sample`. Uses no thread pool, so it also works in a forked process.

@@ -1,13 +1,13 @@
 //! Models from files and from arrays.
 
 use super::Model;
-use crate::arrays::{axes, numbers, place, places};
+use crate::arrays::{axes, elevation_of, numbers, place, places};
 use crate::border::{free, plugin, wrong};
 use crate::strategies::cloud_of;
 use pwrfgs::model::{Ensemble, Stages, TrainingPositions, file};
 use pwrfgs_core::{
-    Conditions, Dataset as Data, Elevation, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Result,
-    Sample, Spectra, rng,
+    Conditions, Dataset as Data, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Result, Sample,
+    Spectra, rng,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -136,10 +136,7 @@ pub(crate) fn model_of(
     let known = trained.iter().copied().chain(places("means", &cloud.as_any().get_item("means")?)?);
     let origin = Origin::of(position, known);
     let cloud = cloud_of(cloud, origin)?;
-    let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
-    if let Some(fault) = elevation.fault() {
-        return Err(wrong(py, &format!("elevation_deg {fault}")));
-    }
+    let elevation = elevation_of(py, elevation_deg)?;
     if !(1..=MOST_PIXELS).contains(&height.saturating_mul(width)) {
         return Err(wrong(py, &format!("an image of {height} by {width} pixels cannot be rendered")));
     }

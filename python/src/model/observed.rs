@@ -1,12 +1,11 @@
 //! Predicted observations as arrays, and their derivative by the positions of the transmitters.
 
 use super::{Links, Model};
-use crate::arrays::{Gain, array, numbers, observations, room};
+use crate::arrays::{array, observation_rows, observations, room};
 use crate::border::{LOOK, carried, free, wrong};
-use pwrfgs_core::{Error, MeasurementSetup, Query, Real, Result, rows_of};
+use pwrfgs_core::{Error, MeasurementSetup, Query, Real, Result};
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use std::sync::Mutex;
 use std::time::Instant;
 
 /// Number of links per library call: one group of the library, so that results stay in cache.
@@ -18,7 +17,7 @@ impl Model {
         &self,
         py: Python<'py>,
         links: &Links,
-        work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
+        work: impl FnMut(&[Query<'_>], &mut [Real]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;
         let (size, lead) = ((plane.width, plane.height), &links.lead);
@@ -34,7 +33,7 @@ impl Model {
     }
 
     /// Processes `all` in chunks, and returns an error for values that are not finite.
-    fn fill(&self, links: &Links, all: &mut [Real], work: impl Fn(&[Query<'_>], &mut [Real])) -> Result<()> {
+    fn fill(&self, links: &Links, all: &mut [Real], mut work: impl FnMut(&[Query<'_>], &mut [Real])) -> Result<()> {
         let of_each = self.stages().plane.width * self.stages().plane.height;
         let mut looked = Instant::now();
         for (chunk, numbers) in all.chunks_mut(CHUNK * of_each).enumerate() {
@@ -73,18 +72,9 @@ impl Model {
         }
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;
         let (size, of_each) = ((plane.width, plane.height), plane.width * plane.height);
-        let shape: Vec<Option<usize>> = links.lead.iter().copied().chain(task.shape(size)).map(Some).collect();
-        let d: Vec<Real> = if task.is_complex {
-            let gains = numbers::<Gain>("vjp", cotangents, &shape)?;
-            rows_of(&gains.iter().map(|d| [d.re, d.im]).collect::<Vec<_>>(), plane.width)
-        } else if shape.is_empty() {
-            vec![cotangents.extract()?]
-        } else {
-            numbers("vjp", cotangents, &shape)?
-        };
-        let slopes: Mutex<Vec<[f64; 3]>> = Mutex::default();
+        let d = observation_rows("vjp", cotangents, *task, size, &links.lead)?;
+        let mut slopes: Vec<[f64; 3]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
-            let mut slopes = slopes.lock().expect("no other thread has it");
             let all = d[slopes.len() * of_each..].par_chunks_exact(of_each).zip(numbers.par_chunks_exact_mut(of_each));
             let one = |(query, (d, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
                 let found = ready.predict_vjp(*query, |_| d.to_vec());
@@ -92,13 +82,12 @@ impl Model {
                 numbers.copy_from_slice(&image.pixels);
                 slope
             };
-            slopes.extend(queries.par_iter().zip(all).map(one).collect::<Vec<_>>());
+            slopes.par_extend(queries.par_iter().zip(all).map(one));
         };
         let observed = self.observed(py, links, work)?;
-        let of_links = slopes.into_inner().expect("no other thread has it");
         let of_tx = |own: &[[f64; 3]]| own.iter().fold([0.0; 3], |sum, d| [0, 1, 2].map(|k| sum[k] + d[k]));
         let receivers = links.receivers.len();
-        let all: Vec<f64> = of_links.chunks_exact(receivers).flat_map(of_tx).collect();
+        let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(of_tx).collect();
         let batch = links.lead.len() > usize::from(receivers > 1);
         let shape = if batch { vec![links.txs.len(), 3] } else { vec![3] };
         Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())

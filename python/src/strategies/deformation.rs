@@ -2,7 +2,7 @@
 
 use super::Strategy;
 use super::objects::given_flat;
-use crate::arrays::{Gain, array, numbers, observations};
+use crate::arrays::{array, observations, pairs};
 use crate::border::{call_strategy, throw, wrong};
 use pwrfgs::train::Objective;
 use pwrfgs_core::{
@@ -110,7 +110,7 @@ impl Deformation for Strategy {
         d: &Deltas,
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [Real]>,
+        _: Option<&mut [[Real; 3]]>,
     ) {
         self.with(|py, own| {
             let [weights, means, txs] = self.arguments(py, inputs)?;
@@ -163,8 +163,7 @@ impl Objective for PythonLoss {
             };
             let d = if self.task.is_complex {
                 let shape = [links, height / 2, width].map(Some);
-                let slope = numbers::<Gain>("loss: the derivative", &slope, &shape)?;
-                rows_of(&slope.iter().map(|d| [d.re, d.im]).collect::<Vec<_>>(), width)
+                rows_of(&pairs("loss: the derivative", &slope, &shape)?, width)
             } else {
                 given_flat("loss: the derivative", &slope, predictions.len())?
             };

@@ -2,11 +2,12 @@
 
 use super::Strategy;
 use super::objects::{generator, links_object};
-use crate::arrays::{Gain, array, axes, numbers, observations};
+use crate::arrays::{array, axes, numbers, observation_rows, observations};
 use crate::border::{throw, wrong};
+use crate::data::indices;
 use pwrfgs_core::{
     Baseline, Dataset, Error, Evaluation, FittingSet, Goal, Image, Measurement, Metric, Partition, Predict, Query,
-    Real, Result, Split, Task, Values, rng, rows_of,
+    Result, Split, Task, Values, rng,
 };
 use pyo3::prelude::*;
 impl Split for Strategy {
@@ -45,14 +46,7 @@ impl Split for Strategy {
 
 /// Reads sorted link indices from a mask or from indices.
 fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
-    if let Ok(mask) = numbers::<bool>("a part", part, &[Some(count)]) {
-        return Ok((0..count).filter(|&i| mask[i]).collect());
-    }
-    let places = numbers::<i64>("a set of a split (link indices or a mask)", part, &[None])?;
-    if let Some(bad) = places.iter().find(|i| usize::try_from(**i).is_err() || **i as usize >= count) {
-        return Err(wrong(part.py(), &format!("split: invalid link index {bad} (expected 0 to below {count})")));
-    }
-    let mut places: Vec<usize> = places.into_iter().map(|i| i as usize).collect();
+    let mut places = indices("a set of a split (link indices or a mask)", part, count)?;
     places.sort_unstable();
     Ok(places)
 }
@@ -91,16 +85,7 @@ impl Predict for Predictor {
         let call = |py: Python<'_>| {
             let tx = array(py, query.tx.to_vec(), &[3])?;
             let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
-            let what = "the result of predict";
-            let shape: Vec<Option<usize>> = self.task.shape(self.size).into_iter().map(Some).collect();
-            let pixels = if self.task.is_complex {
-                let gains = numbers::<Gain>(what, &found, &shape)?;
-                rows_of(&gains.iter().map(|gain| [gain.re, gain.im]).collect::<Vec<_>>(), width)
-            } else if shape.is_empty() {
-                vec![found.extract::<Real>()?]
-            } else {
-                numbers::<Real>(what, &found, &shape)?
-            };
+            let pixels = observation_rows("the result of predict", &found, self.task, self.size, &[])?;
             Ok(Image { width, height, pixels })
         };
         Python::attach(call).unwrap_or_else(|error: PyErr| throw(error))

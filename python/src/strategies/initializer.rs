@@ -2,7 +2,7 @@
 
 use super::Strategy;
 use super::objects::generator;
-use crate::arrays::{Gain, array, axes, numbers};
+use crate::arrays::{array, axes, numbers, pairs};
 use crate::border::wrong;
 use pwrfgs_core::{ExtraColumn, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, logit, rng};
 use pyo3::prelude::*;
@@ -63,7 +63,7 @@ fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     };
     let signals = match found.get_item("signals")? {
         None => vec![[0.0; 2]; n],
-        Some(value) => numbers::<Gain>("signals", &value, &[Some(n)])?.iter().map(|s| [s.re, s.im]).collect(),
+        Some(value) => pairs("signals", &value, &[Some(n)])?,
     };
     Ok(GaussianCloud {
         means: means.iter().map(|mean| scene.origin.local(*mean)).collect(),

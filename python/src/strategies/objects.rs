@@ -1,6 +1,6 @@
 //! Arguments of strategies: columns of the toolkit as records of `pwrfgs._types`.
 
-use crate::arrays::{array, axes, input_array};
+use crate::arrays::{array, axes, input_array, vector};
 use crate::border::wrong;
 use pwrfgs_core::tape::TracedCloud;
 use pwrfgs_core::{COLUMN_NAMES, CloudStats, Dataset, ExtraColumn, GaussianCloud, Origin, Real, StepContext, rng};
@@ -62,7 +62,7 @@ pub(crate) fn cloud_of(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResult<
 
 /// Statistics of the Gaussians, as the Python class `Stats`.
 pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult<Bound<'py, PyAny>> {
-    let column = |values: &[Real]| array(py, values.to_vec(), &[values.len()]);
+    let column = |values: &[Real]| vector(py, values.to_vec());
     let found = PyDict::new(py);
     let requested = &stats.requested;
     for (name, values) in [
@@ -81,7 +81,7 @@ pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult
         }
     }
     if !requested.top.is_empty() {
-        found.set_item("top", array(py, requested.top.clone(), &[requested.top.len()])?)?;
+        found.set_item("top", vector(py, requested.top.clone())?)?;
     }
     if !requested.fisher.is_empty() {
         let all: Vec<Real> = requested.fisher.as_flattened().to_vec();
@@ -102,8 +102,8 @@ pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]
     let rows: Vec<_> = links.iter().map(|&i| data.sample(i)).collect();
     let fields = (
         array(py, rows.iter().flat_map(|s| s.tx).collect::<Vec<f64>>(), &[rows.len(), 3])?,
-        array(py, rows.iter().map(|s| i64::from(s.id)).collect::<Vec<i64>>(), &[rows.len()])?,
-        array(py, rows.iter().map(|s| s.receiver as i64).collect::<Vec<i64>>(), &[rows.len()])?,
+        vector(py, rows.iter().map(|s| i64::from(s.id)).collect::<Vec<i64>>())?,
+        vector(py, rows.iter().map(|s| s.receiver as i64).collect::<Vec<i64>>())?,
     );
     py.import("pwrfgs._types")?.getattr("Links")?.call1(fields)
 }

@@ -159,13 +159,6 @@ fn bands(setup: &MeasurementSetup) -> usize {
     setup.frequencies_hz.len().max(1)
 }
 
-/// Returns the memory of the stored activations of a chunk, bytes.
-fn bytes_of(network: &Nerf2Network, samples: usize, rays: usize, passes: usize) -> usize {
-    let of_sample =
-        (network.trunk.depth() + 2) * network.width() + passes * (3 * network.width() / 2 + network.outputs);
-    rays * samples * of_sample * size_of::<Real>()
-}
-
 #[typetag::serde]
 impl Method for Nerf2 {
     fn traits(&self) -> MethodTraits<'_> {
@@ -173,7 +166,7 @@ impl Method for Nerf2 {
             inputs: if self.features == 0 { 3 } else { self.features },
             appearance: Appearance::Nothing,
             supports_pixel_subset: true,
-            differentiates_inputs: true,
+            differentiates_positions: self.features == 0,
             ..MethodTraits::default()
         }
     }
@@ -188,8 +181,8 @@ impl Method for Nerf2 {
         };
         Cost {
             pixels,
-            bytes: bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64,
-            links_at_once: (KEPT / bytes_of(&network, self.samples, 1, 1)).max(1),
+            bytes: network.bytes(self.samples, rays, passes).min(KEPT) as u64,
+            links_at_once: (KEPT / network.bytes(self.samples, 1, 1)).max(1),
             ..Cost::default()
         }
     }
@@ -212,7 +205,13 @@ impl Method for Nerf2 {
         Ok(planned(|plan| self.network(setup, plan)).1.layout())
     }
 
-    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        _: &Cache,
+    ) -> ForwardOutput {
         let network = laid_out(p.weights, |plan| self.network(setup, plan));
         let emission = network.emission(p.weights, &request.conditions, self.unit_m);
         let groups = self.groups(setup, (&network, p.weights), request, &emission);
@@ -220,7 +219,7 @@ impl Method for Nerf2 {
         let mut items = Vec::new();
         for (g, group) in groups.iter().enumerate() {
             for rays in group.walk.chunks() {
-                let bytes = bytes_of(&network, self.samples, rays.len(), group.links.passes());
+                let bytes = network.bytes(self.samples, rays.len(), group.links.passes());
                 let keep = bytes <= room;
                 room -= if keep { bytes } else { 0 };
                 items.push((g, rays, keep));
@@ -274,8 +273,8 @@ impl Method for Nerf2 {
         add_in_order(&mut sums.weights, &parts.iter().map(|part| part.weights.as_slice()).collect::<Vec<_>>());
         let mut d_emission = vec![0.0; emission.len()];
         add_in_order(&mut d_emission, &parts.iter().map(|part| part.emission.as_slice()).collect::<Vec<_>>());
-        let MethodVjp { weights: d_weights, conditions: d_conditions, .. } = sums;
-        network.emission_vjp(p.weights, &request.conditions, self.unit_m, &d_emission, (d_weights, d_conditions));
+        let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
+        network.emission_vjp(p.weights, &request.conditions, self.unit_m, &d_emission, (d_weights, d_positions));
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {

@@ -2,7 +2,7 @@
 
 use crate::nerf2::Nerf2;
 use pwrfgs_core::{Conditions, Real};
-use pwrfgs_networks::dense::{self, Matrix, MatrixMut, StoreMode, product};
+use pwrfgs_networks::dense::{Matrix, MatrixMut, StoreMode, product};
 use pwrfgs_networks::encoding::{encode, encode_vjp, width};
 use pwrfgs_networks::linear::LayoutBuilder;
 use pwrfgs_networks::linear::{LayerPart, Linear};
@@ -95,53 +95,36 @@ impl Nerf2Network {
         emission
     }
 
-    /// Backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_conditions` unless it is empty.
+    /// Returns the memory of the stored activations of a chunk, bytes.
+    pub(crate) fn bytes(&self, samples: usize, rays: usize, passes: usize) -> usize {
+        let of_sample = (self.trunk.depth() + 2) * self.width() + passes * (3 * self.width() / 2 + self.outputs);
+        rays * samples * of_sample * size_of::<Real>()
+    }
+
+    /// Backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_positions` unless it is empty.
     pub(crate) fn emission_vjp(
         &self,
         weights: &[Real],
         conditions: &Conditions<'_>,
         unit: Real,
         d_emission: &[Real],
-        (d_weights, d_conditions): (&mut [Real], &mut [Real]),
+        (d_weights, d_positions): (&mut [Real], &mut [[Real; 3]]),
     ) {
         let (read, batch) = (self.read(conditions, unit), conditions.len());
         let d = Matrix::new(d_emission, batch, self.width());
         let d_w = self.signal[0].weight_mut(d_weights).columns(self.of_transmitter());
         product(d_w, StoreMode::Add, d.t(), Matrix::new(&read, batch, self.emission_inputs));
-        if d_conditions.is_empty() {
+        if d_positions.is_empty() {
             return;
         }
         let mut d_read = vec![0.0; read.len()];
         let w = self.signal[0].weight(weights).columns(self.of_transmitter());
         product(MatrixMut::new(&mut d_read, batch, self.emission_inputs), StoreMode::Set, d, w);
-        if self.plain {
-            return dense::add(d_conditions, &d_read);
-        }
         let own = read.chunks_exact(self.emission_inputs).zip(d_read.chunks_exact(self.emission_inputs));
-        for ((read, d), d_tx) in own.zip(d_conditions.as_chunks_mut::<3>().0) {
+        for ((read, d), d_tx) in own.zip(d_positions) {
             let mut d_scaled = [[0.0; 3]];
             encode_vjp(read, d, FREQUENCIES, &mut d_scaled);
             d_tx.iter_mut().zip(d_scaled[0]).for_each(|(sum, d)| *sum += d / unit);
         }
-    }
-
-    /// Applies a layer with its biases to `x` `[inputs, R]`.
-    pub(crate) fn apply(layer: &Linear, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
-        y.resize(x.len() / layer.inputs * layer.outputs, 0.0);
-        layer.whole().apply(weights, x, y, StoreMode::Set);
-        dense::add_bias(y, layer.bias(weights));
-    }
-
-    /// Backward pass of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
-    pub(crate) fn apply_vjp(
-        layer: &Linear,
-        weights: &[Real],
-        (x, d_y): (&[Real], &[Real]),
-        (d_x, store): (&mut [Real], StoreMode),
-        d_weights: &mut [Real],
-    ) {
-        layer.whole().weight_vjp(d_weights, x, d_y);
-        dense::add_bias_vjp(d_y, layer.bias_mut(d_weights));
-        layer.whole().input_vjp(weights, d_y, d_x, store);
     }
 }

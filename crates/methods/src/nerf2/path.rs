@@ -2,6 +2,7 @@
 //! s·exp(jψ)·c.
 
 use pwrfgs_core::{Real, consts};
+use pwrfgs_networks::dense::{amplitude, amplitude_slope};
 
 /// Constant that NeRF2 adds to 1 − α in the product.
 const SPARE: Real = 1e-10;
@@ -20,22 +21,6 @@ pub(crate) enum PropagationLaw {
         /// Phase per unit length, radians.
         wavenumber: Real,
     },
-}
-
-/// Returns |leaky ReLU|, the amplitude of a raw output.
-pub(crate) fn amplitude(x: Real) -> Real {
-    if x > 0.0 { x } else { -0.01 * x }
-}
-
-/// Returns the derivative of [`amplitude`]; 0 at 0, like that of |x|.
-pub(crate) fn amplitude_slope(x: Real) -> Real {
-    if x > 0.0 {
-        1.0
-    } else if x < 0.0 {
-        -0.01
-    } else {
-        0.0
-    }
 }
 
 /// Returns 2π σ(x).

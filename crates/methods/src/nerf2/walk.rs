@@ -103,8 +103,8 @@ impl RayWalk<'_> {
         h.resize_with(slots, Vec::new);
         network.trunk.forward(weights, &shared, &network.trunk.fold(weights, &[]), h);
         let h = &h[network.trunk.last(slots)];
-        Nerf2Network::apply(&network.attenuation, weights, h, attenuation);
-        Nerf2Network::apply(&network.feature, weights, h, feature);
+        network.attenuation.apply(weights, h, attenuation);
+        network.feature.apply(weights, h, feature);
         let mut hidden = vec![0.0; feature.len()];
         network.of_feature().apply(weights, feature, &mut hidden, StoreMode::Set);
         views.resize(rays * width(FREQUENCIES), 0.0);
@@ -158,10 +158,8 @@ impl RayWalk<'_> {
                 });
             }
         }
-        second.resize(network.signal[1].outputs * live, 0.0);
-        network.signal[1].whole().apply(weights, first, second, StoreMode::Set);
-        dense::bias_relu(second, network.signal[1].bias(weights));
-        Nerf2Network::apply(&network.emission, weights, second, raw);
+        network.signal[1].apply_relu(weights, first, second);
+        network.emission.apply(weights, second, raw);
     }
 
     /// Returns the sums over the samples of each ray, `[rays, bands]`.
@@ -207,11 +205,10 @@ impl RayWalk<'_> {
                 &mut d_factors[on_path..on_path + segment.len()],
             );
         }
-        let mut d_second = vec![0.0; signal.second.len()];
-        let (x, out) = ((signal.second.as_slice(), d_raw.as_slice()), (d_second.as_mut_slice(), StoreMode::Set));
-        Nerf2Network::apply_vjp(&network.emission, weights, x, out, &mut into.weights);
+        let (second, mut d_second) = (&signal.second, Vec::new());
+        network.emission.apply_vjp(weights, (second, &d_raw), &mut into.weights, (&mut d_second, StoreMode::Set));
         let layer = &network.signal[1];
-        dense::bias_relu_vjp(&mut d_second, &signal.second, layer.bias_mut(&mut into.weights));
+        dense::bias_relu_vjp(&mut d_second, second, layer.bias_mut(&mut into.weights));
         layer.whole().weight_vjp(&mut into.weights, &signal.first, &d_second);
         let mut d_first = vec![0.0; signal.first.len()];
         layer.whole().input_vjp(weights, &d_second, &mut d_first, StoreMode::Set);
@@ -267,11 +264,9 @@ impl RayWalk<'_> {
                 );
             }
         }
-        let (h, mut d_h) = (&trunk_activations.slots[network.trunk.depth() - 1], vec![0.0; d_feature.len()]);
-        let (x, out) = ((h.as_slice(), d_feature.as_slice()), (d_h.as_mut_slice(), StoreMode::Set));
-        Nerf2Network::apply_vjp(&network.feature, weights, x, out, &mut into.weights);
-        let (x, out) = ((h.as_slice(), d_attenuation.as_slice()), (d_h.as_mut_slice(), StoreMode::Add));
-        Nerf2Network::apply_vjp(&network.attenuation, weights, x, out, &mut into.weights);
+        let (h, mut d_h) = (&trunk_activations.slots[network.trunk.depth() - 1], Vec::new());
+        network.feature.apply_vjp(weights, (h, &d_feature), &mut into.weights, (&mut d_h, StoreMode::Set));
+        network.attenuation.apply_vjp(weights, (h, &d_attenuation), &mut into.weights, (&mut d_h, StoreMode::Add));
 
         let (mut d_shared, mut d_folded) = (network.trunk.zero_joints(d_h.len()), network.trunk.zero_joints(width));
         let trunk =

@@ -8,7 +8,7 @@ use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
     Activated, Appearance, Cache, Conditions, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud,
     Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, ObservationRequest, Parameters, PassStatistics,
-    Real, StageTimes, WeightSpec, cached,
+    Real, StageTimes, WeightSpec, cached, sigmoid,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -91,6 +91,54 @@ impl Splatting {
         d_blended
     }
 
+    /// Observes the links. In training, it keeps the state for the backward pass, and clamps blended signals as released.
+    fn observe(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        prepared: &Cache,
+        is_training: bool,
+    ) -> (ForwardOutput, StageTimes) {
+        let start = Instant::now();
+        let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
+        let deltas = self.terms(setup, p, request.conditions, ready.map_or(&None, |ready| &ready.deformation));
+        let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+        let (views, laws, numbers) = (self.views(setup), self.parts(setup, p.weights).1, setup.numbers());
+        let one = |group: ReceiverGroup| {
+            let start = Instant::now();
+            let view = Self::view(&views, &group, request.conditions);
+            let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.receiver));
+            let (terms, batch) = group.terms(&deltas, p.cloud.len());
+            let drawing = self.draw(&view, p, &terms, batch, shared_geometry);
+            let blended = &drawing.render.pixels;
+            let blended = if is_training { self.shown(blended) } else { Cow::Borrowed(blended.as_slice()) };
+            let own = self.read_out(&view, laws, &group, request, &blended);
+            let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
+            let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
+            (own, seconds, is_training.then(|| (view.into_owned(), drawing)), group)
+        };
+        let groups = ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves()));
+        let is_alone = groups.len() == 1; // its links are in order
+        let drawn: Vec<_> =
+            if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
+        let (mut all, mut drawings) = (Vec::new(), Vec::new());
+        all.resize(if is_alone { 0 } else { request.links.len() * numbers }, 0.0);
+        for (own, [projection, sort, blending], drawing, group) in drawn {
+            times.projection += projection;
+            times.sort += sort;
+            times.blending += blending;
+            if is_alone {
+                all = own; // moved, not copied
+            } else {
+                group.scatter(&own, numbers, &mut all);
+            }
+            drawings.extend(drawing.map(|(view, drawing)| (group, view, drawing)));
+        }
+        let cache = is_training.then(|| Arc::new(ForwardCache { deltas, drawings }) as _);
+        (ForwardOutput { numbers: all, cache }, times)
+    }
+
     fn check_frame(&self, setup: &MeasurementSetup) -> Result<(), String> {
         check_kind(self.readout, setup.task)?;
         if !setup.task.has_pixels && self.calibration == Calibration::AsReleased {
@@ -106,9 +154,15 @@ impl Splatting {
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(setup)?)
     }
 
-    pub(super) fn terms(&self, setup: &MeasurementSetup, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
+    pub(super) fn terms(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        conditions: Conditions<'_>,
+        prepared: &Cache,
+    ) -> Deltas {
         let network = self.parts(setup, p.weights).0;
-        self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &setup.pose()), &None)
+        self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &setup.pose()), prepared)
     }
 }
 
@@ -124,7 +178,7 @@ impl Method for Splatting {
             supports_existence_gate: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
-            differentiates_inputs: self.deformation.traits().differentiates_inputs,
+            differentiates_positions: self.deformation.traits().differentiates_positions,
             ..MethodTraits::default()
         }
     }
@@ -145,35 +199,34 @@ impl Method for Splatting {
         Ok(layout)
     }
 
+    /// Returns the rows that may be visible for any output of the network: gate open, opacity above the limit of the
+    /// rasterizer, inside the view of the projector; all rows if the network couples them.
     fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        Self::drawable(self, setup, cloud, gate)
+        let open = groups::rows(&*self.deformation, cloud, gate);
+        if self.deformation.traits().couples_gaussians {
+            return open;
+        }
+        let mut visible = vec![setup.moves; cloud.len()];
+        for ReceiverView { pose, plane } in self.views(setup) {
+            let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
+            visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
+        }
+        let min_drawn_opacity = self.rasterizer.min_drawn_opacity();
+        let drawn = |i: &usize| {
+            let gate = gate.map_or(1.0, |g| g[*i]);
+            visible[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= min_drawn_opacity
+        };
+        open.into_iter().filter(drawn).collect()
     }
 
-    fn forward(&self, setup: &MeasurementSetup, p: &Parameters<'_>, request: &ObservationRequest<'_>) -> ForwardOutput {
-        let deltas = self.terms(setup, p, request.conditions);
-        let (views, laws, n) = (self.views(setup), self.parts(setup, p.weights).1, p.cloud.len());
-        let numbers = setup.numbers();
-        let mut observed = Vec::new();
-        let mut drawings = Vec::new();
-        let share = self.shares_geometry(request.conditions.moves());
-        let groups = ReceiverGroup::all(request.links, views.len(), share);
-        let in_order = groups.iter().flat_map(|group| &group.links).copied().eq(0..request.links.len());
-        if !in_order {
-            observed.resize(request.links.len() * numbers, 0.0);
-        }
-        for group in groups {
-            let view = &*Self::view(&views, &group, request.conditions);
-            let (terms, batch) = group.terms(&deltas, n);
-            let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), None);
-            let own = self.read_out(view, laws, &group, request, &self.shown(&drawing.render.pixels));
-            match (in_order, observed.is_empty()) {
-                (true, true) => observed = own, // moved, not copied
-                (true, false) => observed.extend(own),
-                _ => group.scatter(&own, numbers, &mut observed),
-            }
-            drawings.push((group, view.clone(), drawing));
-        }
-        ForwardOutput { numbers: observed, cache: Some(Arc::new(ForwardCache { deltas, drawings })) }
+    fn forward(
+        &self,
+        setup: &MeasurementSetup,
+        p: &Parameters<'_>,
+        request: &ObservationRequest<'_>,
+        prepared: &Cache,
+    ) -> ForwardOutput {
+        self.observe(setup, p, request, prepared, true).0
     }
 
     fn vjp(
@@ -197,20 +250,20 @@ impl Method for Splatting {
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
             let distances = group.distances(&view.pose, request);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            let is_requested = !sums.conditions.is_empty();
+            let is_requested = !sums.positions.is_empty();
             if let (Some([_, exponent]), true) = (laws.of(group.receiver), is_requested) {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(&view.pose, request, d_distances, &mut sums.conditions);
+                group.distances_vjp(&view.pose, request, d_distances, &mut sums.positions);
             }
             // A spectrum depends on the Gaussians relative to the receiver: its derivative by the position of a moving
             // receiver, whose links have a geometry each, is that by a common move of all Gaussians the other way.
             let moved = is_requested && request.conditions.pose(group.row()).is_some();
             let before = moved.then(|| sum_of(&own.cloud.means));
             let d = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
-                self.draw_vjp(view, drawing, p.cloud, terms, p.into(), &d_blended, own)
+                self.draw_vjp(view, drawing, p, terms, &d_blended, own)
             });
             if let Some(before) = before {
-                let (after, d_position) = (sum_of(&own.cloud.means), &mut sums.conditions[3 * group.row()..][..3]);
+                let (after, d_position) = (sum_of(&own.cloud.means), &mut sums.positions[group.row()]);
                 d_position.iter_mut().zip(before).zip(after).for_each(|((sum, before), after)| *sum += before - after);
             }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
@@ -233,8 +286,7 @@ impl Method for Splatting {
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let network = self.parts(setup, p.weights).0;
-        let shared_geometry =
-            |view: &ReceiverView| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
+        let shared_geometry = |view: &ReceiverView| Arc::new(self.geometry(view, p, &Deltas::default(), 0));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &setup.pose()),
             shared_geometry: if self.shares_geometry(setup.moves) {
@@ -252,38 +304,8 @@ impl Method for Splatting {
         request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
-        let start = Instant::now();
-        let Ready { deformation, shared_geometry } = cached(prepared);
-        let (network, laws) = self.parts(setup, p.weights);
-        let pose = setup.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
-        let deltas = self.deformation.forward(&inputs, deformation);
-        let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-        let (views, numbers) = (self.views(setup), setup.numbers());
-        let one = |group: &ReceiverGroup| {
-            let start = Instant::now();
-            let view = &*Self::view(&views, group, request.conditions);
-            let shared_geometry = shared_geometry.get(group.receiver);
-            let (terms, batch) = group.terms(&deltas, p.cloud.len());
-            let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), shared_geometry);
-            let own = self.read_out(view, laws, group, request, &drawing.render.pixels);
-            let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
-            let blending = start.elapsed().as_secs_f64() - projection - sort;
-            (own, [projection, sort, blending])
-        };
-        let groups = ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves()));
-        if let [group] = groups.as_slice() {
-            let (own, seconds) = one(group);
-            add(&mut times, seconds);
-            return (own, times); // moved, not copied
-        }
-        let mut all = vec![0.0; request.links.len() * numbers];
-        let drawn: Vec<(Vec<Real>, [f64; 3])> = groups.par_iter().map(one).collect();
-        for (group, (own, seconds)) in groups.iter().zip(drawn) {
-            group.scatter(&own, numbers, &mut all);
-            add(&mut times, seconds);
-        }
-        (all, times)
+        let (observed, times) = self.observe(setup, p, request, prepared, false);
+        (observed.numbers, times)
     }
 
     fn start(
@@ -315,10 +337,4 @@ impl Method for Splatting {
 /// Returns the sum of the rows.
 fn sum_of(rows: &[[Real; 3]]) -> [Real; 3] {
     rows.iter().fold([0.0; 3], |sum, row| [0, 1, 2].map(|k| sum[k] + row[k]))
-}
-
-fn add(times: &mut StageTimes, [projection, sort, blending]: [f64; 3]) {
-    times.projection += projection;
-    times.sort += sort;
-    times.blending += blending;
 }

@@ -34,13 +34,13 @@ impl Splatting {
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
         let blind = is_static && !question.any(reads_signals);
-        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions) };
+        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions, &None) };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
         for group in ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves())) {
             let view = &*Self::view(&views, &group, request.conditions);
             let (terms, batch) = group.terms(&deltas, n);
-            let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
+            let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !question.any(per_link) {
                 let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
                 sums.add(&rows, &self.weigh(view, batch.len(), signals, &geometry, needs));
@@ -49,7 +49,7 @@ impl Splatting {
             let jacobians =
                 if question.any(|s| *s == Statistic::Fisher) { self.jacobians(view, p, &geometry) } else { Vec::new() };
             for (b, link) in batch.zip(group.alone()) {
-                let drawing = self.draw(view, p.cloud, &terms, b..b + 1, p.into(), Some(&geometry));
+                let drawing = self.draw(view, p, &terms, b..b + 1, Some(&geometry));
                 sums.add(&rows, &self.see(question, view, &link, &drawing, &jacobians));
             }
         }
@@ -99,12 +99,7 @@ impl Splatting {
                 }
             }
         }
-        let times = links as Real;
-        fill(&mut found.weight, &splat_stats, |_, own| times * own.weight);
-        fill(&mut found.largest_weight, &splat_stats, |_, own| own.largest);
-        fill(&mut found.weight_per_area, &splat_stats, |_, own| times * own.weight / own.pixels.max(1.0));
-        fill(&mut found.signal_mean, &splat_stats, |i, own| strengths[0][i] * own.weight);
-        fill(&mut found.signal_max, &splat_stats, |i, own| strengths[1][i] * own.weight);
+        fill_weights(&mut found, &splat_stats, [&strengths[0], &strengths[1]]);
         found
     }
 
@@ -146,11 +141,7 @@ impl Splatting {
         let mut found = PassStatistics::zeros(needs, splats.len());
         found.links = 1;
         let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
-        fill(&mut found.weight, &splat_stats, |_, own| own.weight);
-        fill(&mut found.largest_weight, &splat_stats, |_, own| own.largest);
-        fill(&mut found.weight_per_area, &splat_stats, |_, own| own.weight / own.pixels.max(1.0));
-        fill(&mut found.signal_mean, &splat_stats, |i, own| strengths[i] * own.weight);
-        fill(&mut found.signal_max, &splat_stats, |i, own| strengths[i] * own.weight);
+        fill_weights(&mut found, &splat_stats, [&strengths, &strengths]);
         fill(&mut found.error, &splat_stats, |_, own| own.error);
         fill(&mut found.high_error, &splat_stats, |_, own| mean_error * own.high);
         fill(&mut found.sensitivity, &splat_stats, |_, own| own.sensitivity);
@@ -216,6 +207,16 @@ fn per_link(statistic: &Statistic) -> bool {
 /// Returns whether a statistic depends on signals.
 fn reads_signals(statistic: &Statistic) -> bool {
     per_link(statistic) || *statistic == Statistic::SignalWeight
+}
+
+/// Fills the requested statistics of weights, given the sums and the maxima of the strengths over the links.
+fn fill_weights(found: &mut PassStatistics, splat_stats: &[SplatStats], [sums, largest]: [&[Real]; 2]) {
+    let times = found.links as Real;
+    fill(&mut found.weight, splat_stats, |_, own| times * own.weight);
+    fill(&mut found.largest_weight, splat_stats, |_, own| own.largest);
+    fill(&mut found.weight_per_area, splat_stats, |_, own| times * own.weight / own.pixels.max(1.0));
+    fill(&mut found.signal_mean, splat_stats, |i, own| sums[i] * own.weight);
+    fill(&mut found.signal_max, splat_stats, |i, own| largest[i] * own.weight);
 }
 
 /// Fills a statistic with one value per Gaussian, if requested.

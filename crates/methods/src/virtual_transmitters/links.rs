@@ -35,8 +35,9 @@ impl ChannelInputs<'_> {
         self.antennas.iter().any(|a| *a != [0.0; 3])
     }
 
-    /// Checks the values; the error is a message for users.
-    pub fn check(&self) -> Result<(), String> {
+    /// Checks the values, and that `channel` has matching length, is finite and not all zero; the error is a message for
+    /// users.
+    pub(crate) fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
         if self.is_empty() {
             let [m, a, f] = [self.positions.len(), self.antennas.len(), self.frequencies.len()];
             return Err(format!("{m} positions, {a} antennas and {f} subcarriers; each must be 1 or more"));
@@ -47,15 +48,9 @@ impl ChannelInputs<'_> {
         if let Some(i) = self.antennas.iter().position(|a| !a.iter().all(|x| x.is_finite())) {
             return Err(format!("antenna {i} is at {:?}; give finite metres", self.antennas[i]));
         }
-        match self.frequencies.iter().find(|f| !(1e3..=1e13).contains(*f)) {
-            Some(f) => Err(format!("a subcarrier at {f} Hz; give 1e3 to 1e13 Hz, such as 2.4e9")),
-            None => Ok(()),
+        if let Some(f) = self.frequencies.iter().find(|f| !(1e3..=1e13).contains(*f)) {
+            return Err(format!("a subcarrier at {f} Hz; give 1e3 to 1e13 Hz, such as 2.4e9"));
         }
-    }
-
-    /// Applies [`Self::check`], and checks that `channel` has matching length, is finite and not all zero.
-    pub fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
-        self.check()?;
         if channel.len() != self.len() {
             return Err(format!("{} complex numbers for {} links; give one per link", channel.len(), self.len()));
         }

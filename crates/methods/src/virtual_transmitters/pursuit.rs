@@ -4,11 +4,10 @@
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
-use crate::virtual_transmitters::options::{PursuitOptions, SearchProgress};
 use crate::virtual_transmitters::solve::{RefineOptions, gains, refine};
 use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin};
-use crate::virtual_transmitters::turn;
-use pwrfgs_core::{Real, rng};
+use crate::virtual_transmitters::{MatchingPursuit, turn};
+use pwrfgs_core::{Initializer as _, Real, rng};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -18,36 +17,61 @@ const FADED: f64 = 1.0 / 3.0;
 /// Number of candidates that are refined before the best is selected.
 const CLIMB: usize = 32;
 
+/// Refinement steps after every addition.
+const STEPS: usize = 10;
+
+/// Log odds above which a candidate is accepted without a new sweep of the whole grid.
+const BEYOND_DOUBT: f64 = 10.0;
+
+/// Options of [`pursue`].
+#[derive(Clone, Debug)]
+pub struct PursuitOptions {
+    /// Grid, stop rules, ridge and candidates.
+    pub settings: MatchingPursuit,
+    /// Maximum number of values for the scores of the grid, and for the refinement of positions.
+    pub rows: [usize; 2],
+    /// Number of grid peaks that are refined before the best is selected.
+    pub peaks: usize,
+    /// Position of the fixed node, metres, if known: a candidate that needs little evidence.
+    pub node: Option<[f64; 3]>,
+    /// Order of the harmonics of gains over direction, at most 3; 0 for gains that are equal in all directions.
+    pub order: usize,
+    /// Seed of the held-out items and of the rows.
+    pub seed: u64,
+}
+
+impl Default for PursuitOptions {
+    fn default() -> Self {
+        let settings = MatchingPursuit::default();
+        Self { settings, rows: [2048, 16_384], peaks: 256, node: None, order: 0, seed: 0 }
+    }
+}
+
 /// Searches for the virtual transmitters of `channel` `[M,A,F]`.
 ///
-/// `tell` receives every addition. Soon after `stop` is set, the search ends and returns the sources found so far. An
-/// error describes the invalid input.
+/// `report_progress` receives the number of sources after every addition. Soon after `stop` is set, the search ends and
+/// returns the sources found so far. An error describes the invalid input.
 pub fn pursue(
     links: &ChannelInputs<'_>,
     channel: &[[Real; 2]],
     options: &PursuitOptions,
     stop: &AtomicBool,
-    report_progress: &mut dyn FnMut(&SearchProgress),
+    report_progress: &mut dyn FnMut(usize),
 ) -> Result<VirtualSources, String> {
     links.check_channel(channel)?;
-    options.check()?;
-    let mut items: Vec<usize> = (0..links.positions.len()).collect();
-    let folds = if options.hold_out < 2 { 0 } else { items.len() / options.hold_out };
-    let none = || VirtualSources::new(options.order);
+    options.settings.check()?;
+    let all: Vec<usize> = (0..links.positions.len()).collect();
+    let hold_out = options.settings.hold_out;
+    let folds = if hold_out < 2 { 0 } else { all.len() / hold_out };
+    let search = |fitted, held_out| PursuitSearch::new(links, channel, options, stop, fitted, held_out);
     if folds == 0 {
-        return Ok(PursuitSearch::new(links, channel, options, stop, &items, &[]).grow(
-            none(),
-            options.most,
-            report_progress,
-        ));
+        return Ok(search(&all, &[]).grow(report_progress));
     }
+    let mut items = all.clone();
     rng::shuffle(&mut rng::stream(options.seed, "hold out", 0), &mut items);
     let (held_out, fitted) = items.split_at(folds);
-    let mut found =
-        PursuitSearch::new(links, channel, options, stop, fitted, held_out).grow(none(), options.most, report_progress);
-    let all: Vec<usize> = (0..links.positions.len()).collect();
-    let last = PursuitSearch::new(links, channel, options, stop, &all, &[]);
-    last.settle(&mut found, 3 * options.steps);
+    let mut found = search(fitted, held_out).grow(report_progress);
+    search(&all, &[]).settle(&mut found, 3 * STEPS);
     Ok(found)
 }
 
@@ -88,8 +112,8 @@ impl<'a> PursuitSearch<'a> {
         let grid = SearchGrid {
             centre: [0, 1, 2].map(|k| f64::midpoint(low[k], high[k])),
             side,
-            half: (0.5 + options.reach) * side,
-            step: options.step * wavelength,
+            half: (0.5 + options.settings.reach) * side,
+            step: options.settings.step * wavelength,
             quats: turn::mirrored(&antennas),
         };
         let [coarse, fine] = options.rows.map(|most| MeasurementRows::new(links, channel, fitted, most, options.seed));
@@ -115,16 +139,11 @@ impl<'a> PursuitSearch<'a> {
 
     /// Adds sources until `most`, until patience ends or until stopped. Then removes the least important sources and
     /// repeats this while the score improves; returns the best set.
-    fn grow(
-        &mut self,
-        start: VirtualSources,
-        most: usize,
-        report_progress: &mut dyn FnMut(&SearchProgress),
-    ) -> VirtualSources {
-        let mut best = (f64::NEG_INFINITY, start);
-        for _ in 0..=self.options.rounds {
+    fn grow(mut self, report_progress: &mut dyn FnMut(usize)) -> VirtualSources {
+        let mut best = (f64::NEG_INFINITY, VirtualSources::new(self.options.order));
+        for _ in 0..=self.options.settings.rounds {
             let before = best.0;
-            self.forward(&mut best, most, report_progress);
+            self.forward(&mut best, report_progress);
             if !self.held_out.is_empty() {
                 self.backward(&mut best);
             }
@@ -136,26 +155,20 @@ impl<'a> PursuitSearch<'a> {
     }
 
     /// Adds sources to the best set.
-    fn forward(
-        &mut self,
-        best: &mut (f64, VirtualSources),
-        most: usize,
-        report_progress: &mut dyn FnMut(&SearchProgress),
-    ) {
+    fn forward(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
+        let MatchingPursuit { most, patience, .. } = self.options.settings;
         let mut sources = best.1.clone();
         let mut since = 0;
-        while sources.len() < most && since < self.options.patience && !self.stopped() {
-            let Some((peak, proof, image)) = self.next(&sources) else { break };
+        while sources.len() < most && since < patience && !self.stopped() {
+            let Some(peak) = self.next(&sources) else { break };
             sources.push(peak.place, peak.quat, [0.0; 2]);
-            self.settle(&mut sources, self.options.steps);
-            let fitted = snr(&self.rows.residual(&sources), &self.rows);
-            let held_out = if self.held_out.is_empty() { fitted } else { self.score(&sources) };
+            self.settle(&mut sources, STEPS);
+            let score = self.score(&sources);
             since += 1;
-            if held_out > best.0 {
-                (*best, since) = ((held_out, sources.clone()), 0);
+            if score > best.0 {
+                (*best, since) = ((score, sources.clone()), 0);
             }
-            let last_pass = self.held_out.is_empty();
-            report_progress(&SearchProgress { last_pass, sources: sources.len(), fitted, held_out, proof, image });
+            report_progress(sources.len());
         }
     }
 
@@ -170,10 +183,10 @@ impl<'a> PursuitSearch<'a> {
             let costs: Vec<f64> = (0..sources.len()).into_par_iter().map(cost).collect();
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
             sources = sources.without(weakest);
-            self.settle(&mut sources, self.options.steps);
-            let held_out = self.score(&sources);
-            if held_out > best.0 {
-                *best = (held_out, sources.clone());
+            self.settle(&mut sources, STEPS);
+            let score = self.score(&sources);
+            if score > best.0 {
+                *best = (score, sources.clone());
             }
         }
     }
@@ -186,7 +199,9 @@ impl<'a> PursuitSearch<'a> {
         for _ in 0..2 {
             let noise = cost / self.rows.len() as f64;
             let signal = self.rows.signal(sources) / sources.terms() as f64;
-            ridge.fill(self.options.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64);
+            ridge.fill(
+                self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64,
+            );
             match refine(&self.rows, sources, &ridge, walk) {
                 Some(new) => cost = new,
                 None => return,
@@ -194,40 +209,38 @@ impl<'a> PursuitSearch<'a> {
         }
     }
 
-    /// Returns the candidate with the most evidence after individual refinement, its evidence, and whether it is an
-    /// image.
+    /// Returns the candidate with the most evidence after individual refinement.
     ///
     /// Sweeps the grid again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
     /// less than the previous best: a better candidate may then exist.
-    fn next(&mut self, sources: &VirtualSources) -> Option<(Peak, f64, bool)> {
+    fn next(&mut self, sources: &VirtualSources) -> Option<Peak> {
         let residual = self.rows.residual(sources);
         let mut best = None;
         let apart = self.wavelength / 4.0;
         let away = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
         let mut places: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
-        if self.options.images {
+        if self.options.settings.images {
             let known = [&sources.positions[..], &places[..]].concat();
             places.extend(images(&known, &self.positions, |place| self.grid.holds(place), apart));
         }
         if !places.is_empty() {
             let peaks = as_peaks(&places, &self.grid.quats);
             let number = peaks.len();
-            best = self.refined(&residual, peaks, number, sources).map(|(peak, odds)| (peak, odds, true));
+            best = self.refined(&residual, peaks, number, sources);
         }
-        let better = |best: Option<(Peak, f64, bool)>, other: Option<(Peak, f64)>| match (best, other) {
-            (Some(b), Some((_, odds))) if b.1 >= odds => Some(b),
-            (b, None) => b,
-            (_, Some((peak, odds))) => Some((peak, odds, false)),
+        let better = |best: Option<(Peak, f64)>, other: Option<(Peak, f64)>| match (best, other) {
+            (Some(b), Some(other)) if b.1 >= other.1 => Some(b),
+            (b, other) => other.or(b),
         };
         best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
         let enough = FADED * self.strongest;
-        if best.is_none_or(|b| b.1 < self.options.beyond_doubt || b.0.explains < enough) {
+        if best.is_none_or(|b| b.1 < BEYOND_DOUBT || b.0.explains < enough) {
             let coarse = self.coarse.residual(sources);
             self.pool = sweep(&coarse, &self.grid, self.options.peaks, self.stop);
             best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
             self.strongest = best.map_or(0.0, |b| b.0.explains);
         }
-        best
+        best.map(|(peak, _)| peak)
     }
 
     /// Returns the best of the peaks after individual refinement, and the log of its odds against the best of `number`
@@ -271,8 +284,11 @@ impl<'a> PursuitSearch<'a> {
         }
     }
 
-    /// Returns the SNR on the held-out items, dB.
+    /// Returns the SNR on the held-out items, dB; on the fitted items if none are held out.
     fn score(&self, sources: &VirtualSources) -> f64 {
+        if self.held_out.is_empty() {
+            return -10.0 * (self.rows.residual(sources).energy() / self.rows.energy()).log10();
+        }
         let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
         let links = ChannelInputs { positions: &positions, ..*self.links };
         let each = links.antennas.len() * links.frequencies.len();
@@ -283,10 +299,6 @@ impl<'a> PursuitSearch<'a> {
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
-}
-
-fn snr(residual: &MeasurementRows, rows: &MeasurementRows) -> f64 {
-    -10.0 * (residual.energy() / rows.energy()).log10()
 }
 
 /// Returns −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.

@@ -10,10 +10,9 @@
 
 use crate::virtual_transmitters::equations::{MeasurementRows, NormalEquations};
 use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
-use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
+use crate::virtual_transmitters::links::VirtualSources;
 use crate::virtual_transmitters::sweep::SearchGrid;
 use crate::virtual_transmitters::turn::{matrix, nudged, turned};
-use pwrfgs_core::Real;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -49,22 +48,8 @@ impl Unknowns {
     }
 }
 
-/// Solves the best gains of `sources` at their positions for `channel` `[M,A,F]`, with a `ridge` `[N]` on |s|².
-///
-/// If the equations have no unique solution, the gains are unchanged and the result is false.
-pub fn solve_gains(
-    links: &ChannelInputs<'_>,
-    channel: &[[Real; 2]],
-    sources: &mut VirtualSources,
-    ridge: &[f64],
-) -> bool {
-    assert_eq!(channel.len(), links.len(), "one complex number a link");
-    assert_eq!(ridge.len(), sources.len(), "one ridge a source");
-    let items: Vec<usize> = (0..links.positions.len()).collect();
-    gains(&MeasurementRows::new(links, channel, &items, usize::MAX, 0), sources, ridge).is_some()
-}
-
-/// [`solve_gains`] for rows; returns Σ|h − Σ s·e|² + Σ ridge·|s|² of the solution.
+/// Solves the best gains of `sources` at their positions, with a `ridge` `[N]` on |s|². Returns Σ|h − Σ s·e|² + Σ
+/// ridge·|s|² of the solution; if there is no unique solution, the gains are unchanged.
 pub(crate) fn gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge: &[f64]) -> Option<f64> {
     let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
     let normal = equations(rows, &silent, Unknowns::Gains);
@@ -260,4 +245,42 @@ fn apply(sources: &VirtualSources, step: &[f64], walk: RefineOptions<'_>) -> Vir
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::virtual_transmitters::turn::IDENTITY;
+    use crate::virtual_transmitters::{ChannelInputs, field, snr_of};
+    use pwrfgs_core::{Real, rng};
+
+    #[test]
+    #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
+    fn gains_at_given_positions_are_exact() {
+        let mut random = rng::stream(7, "places", 0);
+        let draw = |_| [0.0, 1.0, 0.0].map(|first| first + 2.0 * rng::uniform(&mut random));
+        let positions: Vec<[Real; 3]> = (0..30).map(draw).collect();
+        let mut truth = VirtualSources::default();
+        for (place, gain) in [([1.1, 0.3, 1.4], [1.0, 0.0]), ([-1.3, 0.3, 1.4], [-0.6, 0.3])] {
+            truth.push(place, IDENTITY, gain);
+        }
+        for (place, gain) in [([1.1, 0.3, -1.4], [-0.5, 0.0]), ([-1.3, 0.3, -1.4], [0.3, -0.2])] {
+            truth.push(place, IDENTITY, gain);
+        }
+        let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+        let h = field(&truth.to_cloud(), None, &links);
+        let rows = MeasurementRows::new(&links, &h, &(0..30).collect::<Vec<_>>(), usize::MAX, 0);
+        let mut found = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
+        assert!(gains(&rows, &mut found, &[0.0; 4]).is_some());
+        for (a, b) in found.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
+            assert!((a - b).abs() < 1e-4, "{found:?}");
+        }
+        let mut twice = truth.select(&[0, 0]);
+        assert!(
+            gains(&rows, &mut twice, &[0.0; 2]).is_none() || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0
+        );
+        let mut small = truth.clone();
+        assert!(gains(&rows, &mut small, &[1e9; 4]).is_some());
+        assert!(small.gains.iter().flatten().all(|s| s.abs() < 1e-3), "a ridge shrinks");
+    }
 }

@@ -4,12 +4,9 @@ use super::{Member, Prepared, mean};
 use pwrfgs_core::{ForwardOutput, Image, MethodVjp, Query, Real};
 
 impl Prepared<'_> {
-    /// Returns whether [`Self::predict_vjp`] has a derivative: every model reads positions and differentiates them.
+    /// Returns whether [`Self::predict_vjp`] has a derivative: every model differentiates positions.
     pub fn has_derivative(&self) -> bool {
-        self.models().all(|model| {
-            let traits = model.stages.method.traits();
-            traits.inputs == 3 && traits.differentiates_inputs
-        })
+        self.models().all(|model| model.stages.method.traits().differentiates_positions)
     }
 
     /// Predicts the observation of a link as [`Self::predict_timed`], with the derivative of Σ d·observation by the
@@ -66,7 +63,8 @@ fn clamp_vjp(clamped: bool, values: &[Real], d: &mut [Real]) {
 impl Member<'_> {
     fn forward(&self, query: Query<'_>) -> ForwardOutput {
         let stages = &self.model.stages;
-        let run = || self.with_request(&[query], |p, request| stages.method.forward(&stages.setup, p, request));
+        let run =
+            || self.with_request(&[query], |p, request| stages.method.forward(&stages.setup, p, request, &self.ready));
         self.enter(run)
     }
 
@@ -75,10 +73,9 @@ impl Member<'_> {
         let stages = &self.model.stages;
         let run = || {
             self.with_request(&[query], |p, request| {
-                let conditions = vec![0.0; request.conditions.values().len()];
-                let mut sums = MethodVjp { conditions, ..MethodVjp::zeros(p) };
+                let mut sums = MethodVjp { positions: vec![[0.0; 3]], ..MethodVjp::zeros(p) };
                 stages.method.vjp(&stages.setup, p, request, observed, d, &mut sums);
-                [0, 1, 2].map(|k| sums.conditions[k] as f64)
+                sums.positions[0].map(|d| d as f64)
             })
         };
         self.enter(run)

@@ -73,9 +73,7 @@ impl CoarseGrid {
             }
         }
     }
-}
 
-impl CoarseGrid {
     /// Returns the cotangents of the stored pixels of [`Self::add_to`], given those of the pixels.
     pub(crate) fn add_to_vjp(&self, d_pixels: &[Real]) -> Vec<Real> {
         if self.stride == 1 {
