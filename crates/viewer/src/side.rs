@@ -301,11 +301,6 @@ fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     (0..data.len()).map(|i| of.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
 }
 
-/// Facts of a run folder, if present.
-pub(crate) fn facts(folder: &Path) -> Option<Facts> {
-    Facts::read(folder).ok().flatten()
-}
-
 /// Interval between checks of a run in progress.
 const LOOK: Duration = Duration::from_millis(500);
 
@@ -365,7 +360,7 @@ impl ServerState {
         let known = self.sides[side].known.as_ref();
         let rows = read_series(&folder.join(CURVE));
         let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
-        let finished = ended && folder.join(FACTS).is_file() && facts(folder).is_some();
+        let finished = ended && folder.join(FACTS).is_file() && matches!(Facts::read(folder), Ok(Some(_)));
         let news = json!({
             "side": side, "step": field(0), "loss": field(2), "gaussians": field(4), "changed": reload, "finished": finished,
             "steps": known.map(|known| known.pipeline.training.steps),
