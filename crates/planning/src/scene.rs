@@ -2,7 +2,7 @@
 
 use crate::ascent::{Ascent, AscentResult, ascend};
 use glam::DVec3;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, statistics};
 use pwrfgs_raytrace::world::{Triangle, World, from_scene};
 use pwrfgs_raytrace::{ObservationKind, PreparedReceiver, SILENT_DBM, SceneFile, SimulatedObservation, Simulator};
 use rayon::prelude::*;
@@ -150,11 +150,7 @@ impl SceneCoverage {
     /// # Errors
     /// No free position, or [`Error::Stopped`] if `stop` is set.
     pub fn ascend(&self, settings: &Ascent, stop: &AtomicBool) -> Result<AscentResult> {
-        let ends = |k: usize| {
-            let all = self.candidates.iter().map(|place| place[k]);
-            all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
-        };
-        let [x, y] = [0, 1].map(ends);
+        let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|place| place[k])));
         let found = ascend(settings, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
             if stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);

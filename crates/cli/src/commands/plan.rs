@@ -14,7 +14,8 @@ use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, 
 use pwrfgs::report::draw::survey::SurveyMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
-use pwrfgs_core::{Dataset, Error, Result, evenly};
+use pwrfgs_core::statistics::{self, evenly};
+use pwrfgs_core::{Dataset, Error, Result};
 use source::{PlaceOptions, Places, places};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -119,11 +120,7 @@ fn region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
     let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
     let region = places.region(inside);
     if region.is_empty() {
-        let ends = [0, 1].map(|k| {
-            let all = places.candidates.iter().map(|place| place[k]);
-            all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
-        });
-        let [(x0, x1), (y0, y1)] = ends;
+        let [(x0, x1), (y0, y1)] = [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|place| place[k])));
         return Err(Error::Config(format!(
             "--region {text}: no candidate inside; candidates have x from {} to {} m and y from {} to {} m",
             number(x0),

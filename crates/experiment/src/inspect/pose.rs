@@ -6,9 +6,8 @@
 
 use super::rotation::{DirectionPair, angle, best, middle};
 use super::spectra::SpectrumSummary;
-use crate::statistics::quantile;
 use glam::{DQuat, DVec3};
-use pwrfgs_core::{AngleAxis, Dataset, ImagePlane, evenly};
+use pwrfgs_core::{AngleAxis, Dataset, ImagePlane, evenly, statistics};
 
 /// Largest number of compared pairs.
 const PAIRS: usize = 4_000;
@@ -118,9 +117,7 @@ fn median(pairs: &[DirectionPair], turn: DQuat) -> f64 {
 }
 
 fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {
-    let mut angles: Vec<f64> = angles.map(f64::to_degrees).collect();
-    angles.sort_by(f64::total_cmp);
-    quantile(&angles, 0.5)
+    statistics::median(angles.map(f64::to_degrees))
 }
 
 /// Conclusion about the recorded pose.

@@ -1,6 +1,6 @@
 //! Selection of sample pairs for comparison.
 
-use crate::statistics::quantile;
+use pwrfgs_core::statistics::{median, sorted};
 use pwrfgs_core::{Dataset, Real, evenly, neighbours, rng};
 use std::ops::Range;
 
@@ -105,8 +105,7 @@ fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<SamplePair> {
     let from: Vec<[Real; 3]> = sampled.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
     // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
-    let mut ends: Vec<f64> = found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()).collect();
-    ends.sort_by(f64::total_cmp);
+    let ends = sorted(found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
     let complete = found.iter().any(|list| list.len() == places.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &SamplePair| pair.ids_apart(data) > FAR_IDS;
@@ -132,11 +131,7 @@ fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = S
 /// Whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order of
 /// time.
 pub fn in_order(data: &Dataset) -> bool {
-    let median = |pairs: Vec<SamplePair>| {
-        let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance).collect();
-        distances.sort_by(f64::total_cmp);
-        quantile(&distances, 0.5)
-    };
+    let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
     let own = by_receiver(data).into_iter().max_by_key(Vec::len).unwrap_or_default();
     let next = own.windows(2).map(|two| SamplePair::of(data, two[0], two[1])).collect();
     median(next) < 0.5 * median(unrelated(data))

@@ -2,6 +2,7 @@
 
 use super::plan::FloorPlan;
 use crate::canvas::{Canvas, Colour, INK, Paint, Point, TEXT, WHITE};
+use pwrfgs_core::statistics::bounds;
 
 /// Radius of a transmitter position: part of its share of the map, smallest and largest.
 const RADIUS: (f64, f64, f64) = (0.3, 1.2, 9.0);
@@ -28,7 +29,7 @@ impl CoverageMap {
         let plan = FloorPlan::around(framed);
         let mut map = plan.canvas();
         let finite = self.powers.iter().copied().filter(|v| v.is_finite());
-        let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        let (low, high) = bounds(finite);
         let [width, height] = plan.area().1;
         let (share, least, most) = RADIUS;
         let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();

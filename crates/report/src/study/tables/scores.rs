@@ -6,6 +6,7 @@ use crate::study::comparison::{
 };
 use crate::templates::sentences;
 use minijinja::context;
+use pwrfgs_core::statistics::sorted;
 use pwrfgs_experiment::paired::is_rate_ratio;
 use pwrfgs_experiment::text::{fixed, grouped};
 use pwrfgs_experiment::{scores::MetricRow, statistics::Spread};
@@ -64,8 +65,7 @@ fn column(
     ranked: bool,
 ) -> Option<(TableColumn, Vec<FormattedValue>)> {
     let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
-    let mut sizes: Vec<f64> = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite()).collect();
-    sizes.sort_by(f64::total_cmp);
+    let sizes = sorted(spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite()));
     let largest = sizes.last().copied().or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
     let median = sizes.get(sizes.len() / 2).copied().unwrap_or(largest);
     let (words, unit) = words(metric);
