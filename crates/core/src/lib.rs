@@ -48,7 +48,7 @@ pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Pred
 pub use dataset::{Dataset, Simulation, Unmatched};
 pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
 pub use docs::{JsonSchema, schemars};
-pub use error::{Error, Result, did_you_mean};
+pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightSpec};

@@ -11,12 +11,10 @@ use crate::npy::MAX_BYTES;
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
-use pwrfgs_core::files::{MAX_TEXT, NewFolder};
+use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Receiver, Result, Spectra};
 use std::fmt::Write as _;
-use std::fs;
-use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Writes the new folder `out`, complete or not at all, and returns its source: [`Arrays`] for spectra, [`Nerf2Rssi`]
@@ -96,7 +94,7 @@ impl Folder<'_> {
                 "{name} would have {length} bytes, more than the {limit} that can be read; save parts"
             ));
         }
-        fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+        files::write(&path, bytes)
     }
 
     /// Writes text rows below a header.
@@ -176,14 +174,9 @@ impl Folder<'_> {
             )?;
         }
         let header = npy_header(spectra.number(), &[spectra.len(), spectra.height(), spectra.width()]);
-        let path = self.path.join("spectra.npy");
-        let write = || {
-            let mut file = BufWriter::with_capacity(1 << 20, fs::File::create(&path)?);
-            file.write_all(&header)?;
-            (0..spectra.len()).try_for_each(|i| file.write_all(&spectra.raw(i)))?;
-            file.flush()
-        };
-        write().map_err(|e| Error::write(&path, e))
+        let mut file = GrowingFile::create(self.path.join("spectra.npy"), &header)?;
+        (0..spectra.len()).try_for_each(|i| file.add(&spectra.raw(i)))?;
+        file.finish()
     }
 
     #[allow(clippy::needless_pass_by_value)] // made for this

@@ -14,12 +14,12 @@ mod pairs;
 pub use extrapolate::ZeroDistanceEstimate;
 pub use pairs::{FAR_IDS, NEAR_IDS, PairLag, in_order};
 
-use crate::session::check_stopped;
 use crate::statistics::Summary;
 use extrapolate::{MetricScale, at_zero};
 use pairs::SamplePair;
 use pwrfgs_core::{
-    Dataset, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Plugin, Result, Scope, Task, Values, evenly,
+    Dataset, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Plugin, Result, Scope, Task, Values,
+    check_stopped, evenly,
 };
 use rayon::prelude::*;
 use std::ops::Range;

@@ -3,11 +3,11 @@
 
 use crate::record::Record;
 use crate::scores::ScoreTable;
-use pwrfgs_core::{Dataset, Error, Partition, Progress, Result, Task};
+use pwrfgs_core::{Dataset, Partition, Progress, Result, Task, check_stopped};
 use pwrfgs_model::Ensemble;
 use pwrfgs_train::StepReport;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
 /// Description of a run that is about to start.
@@ -120,7 +120,7 @@ pub type PageBuilder = fn(&LoadedRun<'_>) -> Result<String>;
 pub struct Session<'a> {
     /// Receives progress, messages and warnings.
     pub observer: &'a mut dyn Observer,
-    /// Once it is set, work ends early with [`Error::Stopped`], or with a checkpoint.
+    /// Once it is set, work ends early with [`Error::Stopped`](pwrfgs_core::Error::Stopped), or with a checkpoint.
     pub stop: &'a AtomicBool,
     /// Makes `report.html`; `None` writes none.
     pub page: Option<PageBuilder>,
@@ -139,18 +139,13 @@ impl<'a> Session<'a> {
         Self { observer, stop: &NEVER, page: None }
     }
 
-    /// Returns [`Error::Stopped`] once `stop` is set.
+    /// Returns [`Error::Stopped`](pwrfgs_core::Error::Stopped) once `stop` is set.
     ///
     /// # Errors
     /// As above.
     pub fn check_stopped(&self) -> Result<()> {
         check_stopped(self.stop)
     }
-}
-
-/// Returns [`Error::Stopped`] once `stop` is set.
-pub(crate) fn check_stopped(stop: &AtomicBool) -> Result<()> {
-    if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
 #[cfg(test)]

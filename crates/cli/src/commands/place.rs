@@ -8,14 +8,14 @@ mod scene;
 pub(crate) use choice::Place;
 
 use crate::interrupt::stop_flag;
-use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
+use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use choice::Outcome;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result, recognise};
 use std::sync::atomic::AtomicBool;
 
-pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<u8> {
+pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     if arguments.count == 0 {
         return Err(Error::Config("--count 0: give at least 1".into()));
     }
@@ -23,19 +23,12 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<u8> {
     let outcome = RunProgress::during(verbosity, |progress| match recognise(&arguments.source) {
         Some(source) => measured::choose(arguments, &source, progress),
         None => simulated(arguments, &stop, progress),
-    });
-    let outcome = match outcome {
-        Err(Error::Stopped) => {
-            output::note("stopped without output; repeat the command to start again");
-            return Ok(INTERRUPTED);
-        }
-        other => other?,
-    };
+    })?;
     outcome.write(&folder)?;
     folder.publish()?;
     output::result(&outcome.table())?;
     verbosity.note(&format!("positions and map in {}", arguments.out.display()));
-    Ok(SUCCESS)
+    Ok(())
 }
 
 #[cfg(feature = "raytrace")]

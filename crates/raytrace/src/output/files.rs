@@ -10,11 +10,11 @@ use crate::simulator::Simulator;
 use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::{Error, Number, Result, files};
+use pwrfgs_core::files::{self, GrowingFile};
+use pwrfgs_core::{Error, Number, Result};
 use pwrfgs_data::{CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv};
 use std::fmt::Write as _;
 use std::fs;
-use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 /// File of every path of every transmitter.
@@ -112,7 +112,7 @@ pub(super) struct Files {
     folder: PathBuf,
     layout: OutputLayout,
     /// Array of spectra or channels, unless spectra are images.
-    array: Option<Growing>,
+    array: Option<GrowingFile>,
     /// Table of powers, or of absolute powers of spectra.
     table: Option<(&'static str, String)>,
     /// Metadata of the observations: poses, frequencies, antennas.
@@ -122,7 +122,7 @@ pub(super) struct Files {
     /// Carriers, each with a row per transmitter, Hz; empty for one carrier.
     carriers_hz: Vec<f64>,
     /// Path tables, one per receiver, or none.
-    paths: Vec<(PathTable, Growing)>,
+    paths: Vec<(PathTable, GrowingFile)>,
 }
 
 impl Files {
@@ -135,7 +135,7 @@ impl Files {
     ) -> Result<Self> {
         let (listeners, scene) = (simulator.listeners(), simulator.scene());
         let (links, is_alone) = (samples * listeners.len(), scene.more_receivers.is_empty());
-        let array = |name, header: Vec<u8>| Growing::begin(folder.join(name), &header).map(Some);
+        let array = |name, header: Vec<u8>| GrowingFile::create(folder.join(name), &header).map(Some);
         let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
         let channels = |name| array(name, npy_header_as("<c8", &shape));
         // Only for one receiver; with several, the poses are in another file.
@@ -170,7 +170,7 @@ impl Files {
         let table_of = |listener: &PreparedReceiver| {
             let own = format!("paths-{}.csv", listener.receiver().name);
             let path = folder.join(if listeners.len() == 1 { PATHS } else { &own });
-            let file = Growing::begin(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
+            let file = GrowingFile::create(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
             Ok((PathTable::new(simulator.world(), listener.world_from_receiver()), file))
         };
         let paths = if paths { listeners.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
@@ -226,14 +226,14 @@ impl Files {
 
     /// Writes the remaining files.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
-        self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(Growing::finish)?;
+        self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(GrowingFile::finish)?;
         for (name, text) in self.facts.into_iter().chain(self.table).chain([self.positions]) {
-            put(&self.folder.join(name), text)?;
+            files::write(&self.folder.join(name), text)?;
         }
         let rows = self.carriers_hz.len().max(1);
         if !self.carriers_hz.is_empty() {
             let text = self.carriers_hz.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat();
-            put(&self.folder.join(CARRIERS), text.repeat(samples))?;
+            files::write(&self.folder.join(CARRIERS), text.repeat(samples))?;
         }
         for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
             let mut text = String::new();
@@ -244,31 +244,9 @@ impl Files {
                 }
                 .expect("text grows");
             }
-            put(&self.folder.join(name), text)?;
+            files::write(&self.folder.join(name), text)?;
         }
         Ok(())
-    }
-}
-
-/// File that is written incrementally.
-struct Growing {
-    file: BufWriter<fs::File>,
-    path: PathBuf,
-}
-
-impl Growing {
-    fn begin(path: PathBuf, start: &[u8]) -> Result<Self> {
-        let file = fs::File::create(&path).map_err(|e| Error::write(&path, e))?;
-        let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
-        growing.add(start).map(|()| growing)
-    }
-
-    fn add(&mut self, bytes: &[u8]) -> Result<()> {
-        self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
-    }
-
-    fn finish(mut self) -> Result<()> {
-        self.file.flush().map_err(|e| Error::write(&self.path, e))
     }
 }
 
@@ -324,9 +302,5 @@ fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
     PngEncoder::new(&mut bytes)
         .write_image(pixels, WIDTH as u32, HEIGHT as u32, ExtendedColorType::L8)
         .map_err(|e| Error::write(path, std::io::Error::other(e)))?;
-    put(path, bytes)
-}
-
-pub(super) fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
-    fs::write(path, bytes).map_err(|e| Error::write(path, e))
+    files::write(path, bytes)
 }

@@ -3,8 +3,8 @@
 use clap::Args;
 use pwrfgs::experiment::text::{Lines, aligned};
 use pwrfgs::report::draw::coverage::CoverageMap;
+use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 
 /// Width of the image in print, millimetres.
@@ -98,11 +98,8 @@ impl Outcome {
                 lines.put([choice.short, &(k + 1).to_string(), name, &x, &y, &z, &format!("{:.3}", choice.coverage)]);
             }
         }
-        for (name, bytes) in [("place.csv", lines.text().into_bytes()), ("place.png", self.map.draw().png(WIDTH_MM))] {
-            let path = folder.path().join(name);
-            std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))?;
-        }
-        Ok(())
+        folder.put("place.csv", lines.text())?;
+        folder.put("place.png", self.map.draw().png(WIDTH_MM))
     }
 }
 
