@@ -4,9 +4,8 @@
 mod tests;
 
 use crate::arrays::POSES;
-use crate::carriers::CARRIERS;
 use crate::checks::{NOT_RECEIVED, check};
-use crate::folder::{POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
+use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
 use crate::npy::MAX_BYTES;
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
@@ -205,7 +204,13 @@ impl Folder<'_> {
     fn channels(&self, channels: &pwrfgs_core::Channels) -> Result<()> {
         self.alone()?;
         let (scene, hz) = (&self.data.scene, &channels.frequencies_hz);
-        self.put("receiver.yml", receiver_yaml(&scene.receivers[0], scene.origin, hz))?;
+        let receiver = &scene.receivers[0];
+        let pose = scene.origin.world_pose(receiver.pose);
+        let [first, last] = [hz[0], hz[hz.len() - 1]];
+        let band = [0.5 * (first + last), (last - first) / (hz.len() - 1).max(1) as f64];
+        let about = |place: [f64; 3]| [0, 1, 2].map(|k| pose.position[k] + place[k]);
+        let antennas: Vec<[f64; 3]> = receiver.array().into_iter().map(about).collect();
+        self.put("receiver.yml", receiver_yaml(&yaml(&receiver.name), &pose, band, hz, &antennas))?;
         self.transmitters()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };
         let header = npy_header_as(descr, &[self.data.len(), channels.antennas, hz.len()]);

@@ -3,10 +3,10 @@
 //! Baselines choose their hyperparameters on the validation set and are then fitted on training and validation samples
 //! together, which makes them stronger.
 
-use crate::ceiling::ceiling;
 use crate::evaluation_set::EvaluationSet;
 use crate::intervals::Calibrator;
 use crate::record::Confidence;
+use crate::repeatability::ceiling;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, staged};
 use crate::text::number;

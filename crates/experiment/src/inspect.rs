@@ -2,17 +2,15 @@
 //! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
 mod pose;
-mod rotation;
 mod spectra;
 
 pub use pose::{PoseCheck, PoseVerdict};
 
-use crate::ceiling::ceiling;
 use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
 use crate::input::prepared;
 use crate::load::{load, observed};
-use crate::repeatability::in_order;
+use crate::repeatability::{ceiling, in_order};
 use crate::residuals::check_residuals;
 use crate::samples::nearest_train;
 use crate::scores::CEILING;

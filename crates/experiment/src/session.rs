@@ -43,37 +43,26 @@ pub struct Validation {
 }
 
 /// Observer of a run; every method does nothing by default.
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Observer: Send {
     /// Called during work other than training: loading or simulating spectra, scoring a predictor. The first call is
     /// (0, 0), and (0, `total`) may follow; then `done` of `total` increases.
-    fn on_stage(&mut self, name: &str, done: usize, total: usize) {
-        let _ = (name, done, total);
-    }
+    fn on_stage(&mut self, name: &str, done: usize, total: usize) {}
 
     /// Called when training starts or resumes.
-    fn on_start(&mut self, start: &Start<'_>) {
-        let _ = start;
-    }
+    fn on_start(&mut self, start: &Start<'_>) {}
 
     /// Called after a training step.
-    fn on_step(&mut self, report: &StepReport) {
-        let _ = report;
-    }
+    fn on_step(&mut self, report: &StepReport) {}
 
     /// Called after a validation.
-    fn on_validation(&mut self, validation: &Validation) {
-        let _ = validation;
-    }
+    fn on_validation(&mut self, validation: &Validation) {}
 
     /// Called with all scores on the test set.
-    fn on_evaluation(&mut self, scores: &ScoreTable) {
-        let _ = scores;
-    }
+    fn on_evaluation(&mut self, scores: &ScoreTable) {}
 
     /// Called with other messages, one line each.
-    fn on_message(&mut self, message: &str) {
-        let _ = message;
-    }
+    fn on_message(&mut self, message: &str) {}
 
     /// Called for valid but implausible input; several runs may report the same.
     fn on_warning(&mut self, warning: &str) {

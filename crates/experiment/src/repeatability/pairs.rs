@@ -67,7 +67,7 @@ impl SamplePair {
 /// Pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of 8,192 samples
 /// with any other), and a random part of the distant ones.
 pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
-    let rows = by_receiver(data);
+    let rows = data.by_receiver(0..data.len());
     let of = |own: &Vec<usize>| match lag {
         PairLag::Near => near(data, own),
         PairLag::Far => far(data, own, rows.len()),
@@ -79,13 +79,6 @@ pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     rng::shuffle(&mut rng::stream(0, "repeatability order", 0), &mut pairs);
     pairs.sort_by(|a, b| a.distance.total_cmp(&b.distance));
     pairs
-}
-
-/// Links of each receiver: only observations of the same receiver are comparable.
-fn by_receiver(data: &Dataset) -> Vec<Vec<usize>> {
-    let mut rows = vec![Vec::new(); data.scene.receivers.len()];
-    (0..data.len()).for_each(|i| rows[data.links[i].receiver].push(i));
-    rows
 }
 
 /// Pairs near in time among the links `rows` of one receiver.
@@ -132,14 +125,14 @@ fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = S
 /// time.
 pub fn in_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
-    let own = by_receiver(data).into_iter().max_by_key(Vec::len).unwrap_or_default();
+    let own = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
     let next = own.windows(2).map(|two| SamplePair::of(data, two[0], two[1])).collect();
     median(next) < 0.5 * median(unrelated(data))
 }
 
 /// Random pairs of any two samples.
 pub(super) fn unrelated(data: &Dataset) -> Vec<SamplePair> {
-    let rows = by_receiver(data);
+    let rows = data.by_receiver(0..data.len());
     let each = UNRELATED.div_ceil(rows.len());
     rows.iter().flat_map(|rows| drawn(data, rows, each)).collect()
 }

@@ -12,7 +12,9 @@ use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{self, GrowingFile};
 use pwrfgs_core::{Error, Number, Result};
-use pwrfgs_data::{CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv};
+use pwrfgs_data::{
+    CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv, receiver_yaml,
+};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -140,6 +142,7 @@ impl Files {
         let channels = |name| array(name, npy_header_as("<c8", &shape));
         // Only for one receiver; with several, the poses are in another file.
         let gateway = || ("gateway_info.yml", gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose()));
+        let antennas = |own: &PreparedReceiver| own.antennas().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
         let absolute = || (POWER, "id,path_gain_db,low,high\n".to_owned());
         let (array, table, facts) = match layout {
             OutputLayout::Pictures => {
@@ -158,13 +161,18 @@ impl Files {
                 (None, Some((POWERS, names.join(",") + "\n")), Some(("gateway_position.yml", places.collect())))
             }
             OutputLayout::Channels => {
-                let facts = is_alone.then(|| ("receiver.yml", receiver_yaml(simulator, &listeners[0])));
+                let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
+                let (own, hz) = (&listeners[0], scene.frequencies());
+                let facts =
+                    || ("receiver.yml", receiver_yaml(&own.receiver().name, &own.pose(), band, &hz, &antennas(own)));
+                let facts = is_alone.then(facts);
                 (channels(CHANNELS)?, None, facts)
             }
-            OutputLayout::Csi => {
-                let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(DVec3::to_array).collect();
-                (channels("csidata.npy")?, None, Some(("base-station.yml", base_station_yaml(&antennas))))
-            }
+            OutputLayout::Csi => (
+                channels("csidata.npy")?,
+                None,
+                Some(("base-station.yml", base_station_yaml(&antennas(&listeners[0])))),
+            ),
             OutputLayout::DeepMimo => (None, None, None), // written by `deepmimo.rs`
         };
         let table_of = |listener: &PreparedReceiver| {
@@ -273,23 +281,6 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
             rows().count()
         ))),
     }
-}
-
-/// Axes of a channel array as YAML.
-fn receiver_yaml(simulator: &Simulator, listener: &PreparedReceiver) -> String {
-    let (scene, pose) = (simulator.scene(), listener.pose());
-    let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
-    let antennas: Vec<String> = listener.antennas().iter().map(|place| list(&place.to_array())).collect();
-    format!(
-        "name: {}\nposition: {}\norientation: {} # quaternion x, y, z, w\ncarrier_hz: {:?}\nspacing_hz: {spacing:?}\n\
-         frequencies_hz: {}\nantennas: [{}] # in the world, metres\n",
-        listener.receiver().name,
-        list(&pose.position),
-        list(&pose.orientation),
-        scene.carrier_hz,
-        list(&scene.frequencies()),
-        antennas.join(", ")
-    )
 }
 
 /// Numbers in brackets, as YAML.
