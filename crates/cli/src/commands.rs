@@ -111,12 +111,12 @@ impl Command {
             Self::Run(run) => return run::run(run, verbosity),
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
             #[cfg(feature = "report")]
-            Self::Plan(plan) => return plan::plan(plan, verbosity),
+            Self::Plan(plan) => plan::plan(plan, verbosity),
             #[cfg(feature = "report")]
-            Self::Place(place) => return place::place(place, verbosity),
+            Self::Place(place) => place::place(place, verbosity),
             Self::Compare(compare) => return compare::compare(compare, verbosity),
             #[cfg(feature = "raytrace")]
-            Self::Simulate(simulate) => return simulate::simulate(simulate, verbosity),
+            Self::Simulate(simulate) => simulate::simulate(simulate, verbosity),
             #[cfg(feature = "raytrace")]
             Self::ExportScene(export) => simulate::export_scene(export, verbosity),
             Self::Check(check) => check::check(check, verbosity),

@@ -13,7 +13,8 @@ mod reference;
 
 use clap::{ArgAction, CommandFactory as _, Parser};
 use commands::{Command, count};
-use output::{FAILED, INVALID, Verbosity};
+use output::{FAILED, INTERRUPTED, INVALID, Verbosity};
+use pwrfgs_core::{Error, Result};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -78,29 +79,35 @@ pub fn run(arguments: &[OsString]) -> u8 {
         .and_then(|()| interrupt::listen())
         .and_then(|()| arguments.command.execute(threads, verbosity, Arguments::command));
     interrupt::wait_if_ending();
-    done.unwrap_or_else(|error| {
-        output::error(&error);
-        if error.is_input() { INVALID } else { FAILED }
+    done.unwrap_or_else(|error| match error {
+        Error::Stopped => {
+            output::note("stopped without output; repeat the command to start again");
+            INTERRUPTED
+        }
+        error => {
+            output::error(&error);
+            if error.is_input() { INVALID } else { FAILED }
+        }
     })
 }
 
 /// Rejects arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
-fn check_utf8(arguments: &[OsString]) -> pwrfgs_core::Result<()> {
+fn check_utf8(arguments: &[OsString]) -> Result<()> {
     let here = std::env::current_dir().unwrap_or_default().into_os_string();
     let mut all = arguments.iter().skip(1).chain([&here]);
     all.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
         let text = text.to_string_lossy().into_owned();
-        Err(pwrfgs_core::Error::Config(format!("{text}: not UTF-8; rename the file or folder")))
+        Err(Error::Config(format!("{text}: not UTF-8; rename the file or folder")))
     })
 }
 
 /// Sets the number of threads: `count`, the environment variable, or all processors.
-fn set_threads(count: Option<usize>) -> pwrfgs_core::Result<()> {
+fn set_threads(count: Option<usize>) -> Result<()> {
     let Some(count) = count else { return pwrfgs_core::threads::check_environment() };
     rayon::ThreadPoolBuilder::new()
         .num_threads(count)
         .build_global()
-        .map_err(|e| pwrfgs_core::Error::Config(format!("--threads {count}: {e}")))
+        .map_err(|e| Error::Config(format!("--threads {count}: {e}")))
 }
 
 /// Configures the allocator to keep freed memory for the next step.

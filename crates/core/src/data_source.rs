@@ -12,9 +12,8 @@ pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 /// In every plugin, mark fields that hold a path with `#[schemars(extend("format" = "path"))]`: pipelines resolve them
 /// relative to their own folder.
 #[typetag::serde]
-pub trait DataSource:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait DataSource: crate::plugin::PluginObject {
     /// Loads all data into memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress`
     /// counts links; pass `&|_, _| {}` to ignore it.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
@@ -27,7 +26,6 @@ pub trait DataSource:
 
     /// Returns a source for the data in `folder` if it holds files of this layout. See [`recognise`].
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        let _ = folder;
         None
     }
 
@@ -46,9 +44,7 @@ pub fn recognise(folder: &Path) -> Option<Plugin<dyn DataSource>> {
 
 /// Divides links into training, validation and test sets.
 #[typetag::serde]
-pub trait Split:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+pub trait Split: crate::plugin::PluginObject {
     /// Returns three disjoint sorted lists; training and test set are not empty.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
@@ -91,21 +87,18 @@ plugin_kind!(Split);
 
 /// Reference predictor that is scored next to the model in every table.
 #[typetag::serde]
-pub trait Baseline:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Baseline: crate::plugin::PluginObject {
     /// Returns its name in tables, such as `3-NN`.
     fn name(&self) -> String;
 
     /// Returns its name for a measurement type.
     fn name_for(&self, task: Task) -> String {
-        let _ = task;
         self.name()
     }
 
     /// Returns whether it predicts observations of `task`.
     fn supports(&self, task: Task) -> bool {
-        let _ = task;
         true
     }
 
@@ -115,7 +108,6 @@ pub trait Baseline:
     /// # Errors
     /// The baseline does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        let _ = data;
         Ok(())
     }
 
@@ -132,7 +124,6 @@ pub trait Baseline:
     /// # Errors
     /// Missing or invalid predictions of an external baseline.
     fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {
-        let _ = (data, test);
         Ok(())
     }
 
@@ -144,6 +135,7 @@ pub trait Baseline:
 plugin_kind!(Baseline);
 
 /// Predicts the observation of a link.
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Predict: Send + Sync {
     /// Returns the observation with the size of the data ([`Observations`](crate::Observations) describes powers and
     /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver uses only `query.tx`.
@@ -152,7 +144,6 @@ pub trait Predict: Send + Sync {
     /// Returns the standard deviation of a value of a measurement about the prediction, up to a constant factor; `None` if
     /// the predictor has no estimate.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        let _ = query;
         None
     }
 
@@ -160,14 +151,12 @@ pub trait Predict: Send + Sync {
     /// (metres, world frame; for a moving receiver by the position of the receiver). `cotangent` returns d from the
     /// observation, which is not clamped. `None` if the prediction has no derivative, as that of nearest neighbours.
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
-        let _ = (query, cotangent);
         None
     }
 
     /// Returns the predictor with the same parameters and without the samples `links` (ascending); `None` if it does not
     /// predict from samples.
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
-        let _ = links;
         None
     }
 

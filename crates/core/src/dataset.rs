@@ -262,6 +262,13 @@ impl Dataset {
         transmitters.iter().flat_map(|&t| begin(t)..begin(t + 1)).collect()
     }
 
+    /// Returns these links by receiver.
+    pub fn by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
+        let mut all = vec![Vec::new(); self.scene.receivers.len()];
+        links.into_iter().for_each(|i| all[self.links[i].receiver].push(i));
+        all
+    }
+
     /// Returns whether the data are simulated.
     pub fn is_simulated(&self) -> bool {
         self.simulation.is_some()

@@ -7,9 +7,8 @@ use std::ops::Range;
 ///
 /// A batch of B transmitters is one call. All outputs are `[B, N, ·]`, transmitter by transmitter.
 #[typetag::serde]
-pub trait Deformation:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Deformation: crate::plugin::PluginObject {
     /// Returns properties that do not depend on weights.
     fn traits(&self) -> DeformationTraits;
 
@@ -25,7 +24,6 @@ pub trait Deformation:
     /// Precomputes the transmitter-independent part of [`Self::forward`] from weights and centres, for repeated
     /// predictions. `None` if all computations depend on the transmitter.
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
-        let _ = (weights, means, pose);
         None
     }
 
@@ -44,14 +42,11 @@ pub trait Deformation:
     /// Returns the part of the signals that is linear in the transmitter inputs, for an initialisation in closed form;
     /// `None` without such a part.
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
-        let _ = (weights, means, training);
         None
     }
 
     /// Initialises the parameters that depend on the conditions of the training set, before the first step.
-    fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
-        let _ = (training, weights);
-    }
+    fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {}
 
     /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {

@@ -2,6 +2,7 @@
 
 use crate::messages::{sanitize_message, strip_control};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Error of the toolkit. `is_input` distinguishes invalid input (exit code 2) from other failures (exit code 1).
 #[derive(Debug, thiserror::Error)]
@@ -93,6 +94,14 @@ impl Error {
     pub fn is_input(&self) -> bool {
         matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Busy(_) | Self::Plugin(_))
     }
+}
+
+/// Returns [`Error::Stopped`] once `stop` is set.
+///
+/// # Errors
+/// As above.
+pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
+    if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
 fn shown(path: &Path) -> String {

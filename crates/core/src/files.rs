@@ -10,8 +10,8 @@ use crate::{Error, Result};
 use sha2::{Digest as _, Sha256};
 use std::fs::{self, DirEntry, File, FileType};
 use std::hash::{BuildHasher as _, RandomState};
-use std::io::{self, ErrorKind, Read as _, Write as _};
-use std::path::Path;
+use std::io::{self, BufWriter, ErrorKind, Read as _, Write as _};
+use std::path::{Path, PathBuf};
 
 /// Maximum size of a text file, bytes: 256 MiB. Text written by people is far smaller, and parsers need several times
 /// as much memory.
@@ -237,6 +237,49 @@ fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) ->
         let _ = File::open(folder).and_then(|folder| folder.sync_all());
     }
     Ok(file)
+}
+
+/// Writes a file of a folder that no other process reads yet.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
+    fs::write(path, bytes).map_err(|e| Error::write(path, e))
+}
+
+/// File of such a folder that is written in parts; may exceed memory.
+#[derive(Debug)]
+pub struct GrowingFile {
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl GrowingFile {
+    /// Creates the file with its first bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn create(path: PathBuf, start: &[u8]) -> Result<Self> {
+        let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
+        let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
+        growing.add(start).map(|()| growing)
+    }
+
+    /// Appends bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn add(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
+    }
+
+    /// Writes what is left.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn finish(mut self) -> Result<()> {
+        self.file.flush().map_err(|e| Error::write(&self.path, e))
+    }
 }
 
 /// Removes temporary files of `names` that killed processes left in `folder`, for example `.run.json.123.tmp`. The

@@ -32,9 +32,8 @@ impl std::fmt::Debug for InitializerInput<'_> {
 ///
 /// Worked example: `pwrfgs_init::Random` in `crates/init/src/random.rs`; guide: `docs/plugins.md`.
 #[typetag::serde]
-pub trait Initializer:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Initializer: crate::plugin::PluginObject {
     /// Returns the initial cloud with at least one Gaussian. `plane.angles` states whether pixels are angles of the
     /// true receiver pose, for initialisers that place Gaussians in view.
     ///
@@ -57,7 +56,6 @@ pub trait Initializer:
     /// # Errors
     /// The weights do not fit the method.
     fn weights(&self, input: &InitializerInput<'_>) -> Result<Option<Vec<Real>>> {
-        let _ = input;
         Ok(None)
     }
 
@@ -69,7 +67,6 @@ pub trait Initializer:
     /// Returns whether it supports observations of `task`. An initialiser that reads no observations supports every
     /// task.
     fn supports(&self, task: Task) -> bool {
-        let _ = task;
         true
     }
 

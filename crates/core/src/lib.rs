@@ -35,6 +35,7 @@ mod shipped;
 mod spectra;
 mod splats;
 pub mod ssim;
+pub mod statistics;
 mod stats;
 pub mod tape;
 mod task;
@@ -47,7 +48,7 @@ pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Pred
 pub use dataset::{Dataset, Simulation, Unmatched};
 pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
 pub use docs::{JsonSchema, schemars};
-pub use error::{Error, Result, did_you_mean};
+pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightSpec};
@@ -60,7 +61,6 @@ pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use pruner::{Budget, ColumnSpec, MaskFall, MaskRate, Pruner, PrunerTraits, best};
 pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
-pub use rng::evenly;
 pub use scene::{
     Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, carrier_fault,
     coordinate_fault, place_fault,
@@ -68,6 +68,7 @@ pub use scene::{
 pub use shipped::ShippedFile;
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};
+pub use statistics::evenly;
 pub use stats::{CloudStats, Needs, PassStatistics, Phase, Statistic, StepContext};
 pub use tape::Gate;
 pub use task::{

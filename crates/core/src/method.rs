@@ -227,9 +227,8 @@ impl MethodVjp {
 /// change, and a flat vector of named weights; settings are stored in the plugin. Trainer, checkpoint, evaluation and
 /// model file use a model only through this trait.
 #[typetag::serde]
-pub trait Method:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Method: crate::plugin::PluginObject {
     /// Returns properties that do not depend on the frame.
     fn traits(&self) -> MethodTraits<'_> {
         MethodTraits::default()
@@ -237,7 +236,6 @@ pub trait Method:
 
     /// Returns the memory of a step over `links` with `pixels` values each.
     fn cost(&self, setup: &MeasurementSetup, links: usize, pixels: usize) -> Cost {
-        let _ = (setup, links);
         Cost { pixels, ..Cost::default() }
     }
 
@@ -250,7 +248,6 @@ pub trait Method:
     /// Returns the rows of the cloud that can affect observations, for any weights; [`Self::forward`] receives only
     /// these.
     fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        let _ = setup;
         (0..cloud.len()).filter(|&i| gate.is_none_or(|gate| gate[i] != 0.0)).collect()
     }
 
@@ -285,13 +282,11 @@ pub trait Method:
         truths: &[Real],
         needs: &Needs,
     ) -> PassStatistics {
-        let _ = (setup, request, truths);
         PassStatistics::zeros(needs, parameters.cloud.len())
     }
 
     /// Precomputes transmitter-independent values for many predictions.
     fn prepare(&self, setup: &MeasurementSetup, parameters: &Parameters<'_>) -> Cache {
-        let _ = (setup, parameters);
         None
     }
 
@@ -319,13 +314,11 @@ pub trait Method:
         cloud: &mut GaussianCloud,
         weights: &mut [Real],
     ) {
-        let _ = (setup, data, train, cloud, weights);
     }
 
     /// Returns the Gaussians as drawn for a transmitter at `tx` (metres from the origin), or without transmitter; none
     /// by default.
     fn gaussians(&self, setup: &MeasurementSetup, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
-        let _ = (setup, parameters, tx);
         Activated::default()
     }
 

@@ -4,9 +4,8 @@ use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
-pub trait Metric:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Metric: crate::plugin::PluginObject {
     /// Returns one or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
@@ -16,13 +15,11 @@ pub trait Metric:
     /// # Errors
     /// The metric does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        let _ = data;
         Ok(())
     }
 
     /// Returns whether it supports observations of `task`. Metrics of the model support every task.
     fn supports(&self, task: Task) -> bool {
-        let _ = task;
         true
     }
 

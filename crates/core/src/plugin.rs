@@ -25,6 +25,11 @@ impl<T: ?Sized> Clone for Plugin<T> {
     }
 }
 
+/// Bounds of every plugin trait. All types with the usual derives have it.
+pub trait PluginObject: erased_serde::Serialize + Documented + std::any::Any + fmt::Debug + Send + Sync {}
+
+impl<T: erased_serde::Serialize + Documented + std::any::Any + fmt::Debug + Send + Sync> PluginObject for T {}
+
 /// Kind of plugins: `dyn Trait` for each plugin trait. Implemented by `plugin_kind!`.
 pub trait PluginKind: Documented + fmt::Debug + Send + Sync {
     /// Name of the trait, such as `Pruner`.

@@ -11,9 +11,8 @@ use crate::{
 /// Only [`Pruner::keep`] is required. A learned strategy adds columns, a gate and a penalty, written forward-only on
 /// the tape of the step. Worked example: `pwrfgs_prune::LearnableMask`.
 #[typetag::serde]
-pub trait Pruner:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Pruner: crate::plugin::PluginObject {
     /// Returns `true` for each Gaussian to keep, `[N]`. Called at the prune steps of algorithm 1; with several pruners,
     /// a Gaussian is kept if all keep it.
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool>;
@@ -21,7 +20,6 @@ pub trait Pruner:
     /// Returns the statistics for [`CloudStats::requested`] at a prune step, computed by a pass over training transmitters;
     /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
-        let _ = (cloud, context);
         Needs::nothing()
     }
 
@@ -29,33 +27,27 @@ pub trait Pruner:
     /// and whether closed Gaussians are skipped; `trace.into()` is a factor on opacity and scale that skips Gaussians
     /// with factor 0.
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
-        let _ = (cloud, context);
         None
     }
 
     /// Returns a term added to the loss in the densification and pruning phases.
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
-        let _ = (cloud, context);
         None
     }
 
     /// Updates requested columns that are not learned (moving averages, dual variables), once after each step. A
     /// strategy that moves Gaussians (noise on means) does so here too.
-    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {
-        let _ = (cloud, stats, context);
-    }
+    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {}
 
     /// Returns a new cloud at a prune step, before the calls of [`Pruner::keep`], with moved or merged Gaussians.
     /// `None` for no change.
     fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
-        let _ = (cloud, stats, context);
         None
     }
 
     /// Returns the importance of each Gaussian, `[N]`, larger is better. It selects Gaussians under a
     /// [`PrunerTraits::budget`], and the one to keep if all pruners together would remove all. Opacity by default.
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
-        let _ = (stats, context);
         cloud.opacity_logits.clone()
     }
 

@@ -7,9 +7,8 @@ use crate::{Cache, Camera, Elevation, ImagePlane, Pose, Primitives, Real, Splats
 ///
 /// A new projection needs no covariance algebra: see `pwrfgs_raster::CameraModel`.
 #[typetag::serde]
-pub trait Projector:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Projector: crate::plugin::PluginObject {
     /// Returns the image plane for spectra of `width` by `height` pixels.
     fn plane(&self, width: usize, height: usize) -> ImagePlane;
 
@@ -32,7 +31,6 @@ pub trait Projector:
     /// # Errors
     /// The projector does not draw them; the message names one that does.
     fn plane_of_camera(&self, width: usize, height: usize, camera: Camera) -> Result<ImagePlane, String> {
-        let _ = (width, height, camera);
         Err("draws angles, but the data are images of a camera; use projector: Pinhole()".into())
     }
 
@@ -50,7 +48,6 @@ pub trait Projector:
     /// Returns which Gaussians centred at `means` `[N,3]` may be visible, whatever their shape; the others skip the
     /// network. All by default.
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
-        let _ = (pose, plane);
         vec![true; means.len()]
     }
 
@@ -74,16 +71,14 @@ plugin_kind!(Projector);
 
 /// Draws splats. One geometry may carry the signals of several transmitters: `channels` values per splat.
 #[typetag::serde]
-pub trait Rasterizer:
-    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
-{
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
+pub trait Rasterizer: crate::plugin::PluginObject {
     /// Draws `signals`, row-major `[N, channels]`.
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render;
 
     /// Precomputes the signal-independent part of [`Self::forward`], such as depth order and tile lists, for constant
     /// geometry with varying signals. `None` without such a part.
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
-        let _ = (splats, plane);
         None
     }
 
@@ -96,7 +91,6 @@ pub trait Rasterizer:
         plane: &ImagePlane,
         prepared: &Cache,
     ) -> Render {
-        let _ = prepared;
         self.forward(splats, signals, channels, plane)
     }
 
@@ -125,13 +119,11 @@ pub trait Rasterizer:
         render: &Render,
         survey: &SurveyInputs<'_>,
     ) -> Vec<SplatStats> {
-        let _ = (splats, plane, render, survey);
         Vec::new()
     }
 
     /// Rejects unsupported image planes when the pipeline is checked.
     fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
-        let _ = plane;
         Ok(())
     }
 

@@ -54,22 +54,3 @@ pub fn shuffle<T>(rng: &mut Rng, items: &mut [T]) {
         items.swap(i, below(rng, i + 1));
     }
 }
-
-/// Returns at most `count` of `all`, evenly spaced.
-pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
-    let n = all.len().min(count);
-    (0..n).map(|i| all[i * all.len() / n].clone()).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn selects_evenly_spaced_samples() {
-        let part: Vec<usize> = (100..110).collect();
-        assert_eq!(evenly(&part, 3), [100, 103, 106]);
-        assert_eq!(evenly(&part, 50), part);
-        assert!(evenly(&part, 0).is_empty() && evenly::<usize>(&[], 5).is_empty());
-    }
-}

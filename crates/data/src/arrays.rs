@@ -3,9 +3,10 @@
 #[cfg(test)]
 mod tests;
 
-use crate::carriers;
 use crate::checks::value_fault;
-use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::folder::{
+    CARRIERS, carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title,
+};
 use crate::nerf2::{check_shape, index, read_poses, read_transmitters, receivers::Gateway};
 use crate::npy;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
@@ -105,10 +106,10 @@ impl DataSource for Arrays {
         let title = title(&name, simulation.as_ref(), "arrays");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
-        match (orientations, carriers::read(&root, table, data.len())?) {
+        match (orientations, carriers_of(&root, table, data.len())?) {
             (Some(_), Some(_)) => {
                 let what = "the receiver moves, which only one carrier supports; remove this file";
-                Err(Error::input(&root.join(carriers::CARRIERS), what))
+                Err(Error::input(&root.join(CARRIERS), what))
             }
             (Some(orientations), None) => data.with_moving_receiver(orientations),
             (None, Some(carriers)) => data.with_carriers(&carriers),

@@ -12,7 +12,7 @@ mod ridge;
 #[cfg(test)]
 mod tests;
 
-pub use kriging::Kriging;
+pub use kriging::{Kriging, Trend, preceding};
 pub use log_distance::LogDistance;
 pub use neighbours::{NearestCarrier, NearestNeighbours, Neighbours};
 pub use predictions::Predictions;
@@ -105,13 +105,13 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
 }
 
 /// Predictor fitted to the links of one receiver.
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub(super) trait ReceiverPredictor: Predict + Sized {
     /// Notes below a table of scores, for all receivers by name.
     fn notes(each: &[(&str, &Self)]) -> Option<String>;
 
     /// As [`Predict::without`]; `None` also if no sample remains.
     fn leaving_out(&self, links: &[usize]) -> Option<Self> {
-        let _ = links;
         None
     }
 }
@@ -135,7 +135,7 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
         P: 'a,
     {
         let receivers = &data.scene.receivers;
-        let of_each = [known.train, known.validation].map(|links| of_receivers(data, links));
+        let of_each = [known.train, known.validation].map(|links| data.by_receiver(links.iter().copied()));
         let fit_one = |r: usize| {
             let own = FittingSet { train: &of_each[0][r], validation: &of_each[1][r] };
             // If there is nothing to fit, `fit` returns the error.
@@ -146,13 +146,6 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
         let pooled = if each.iter().any(|(_, own)| own.is_none()) { Some(fit(known)?) } else { None };
         Ok(Box::new(Self { each, pooled }))
     }
-}
-
-/// The given links, grouped by receiver.
-fn of_receivers(data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
-    let mut all = vec![Vec::new(); data.scene.receivers.len()];
-    links.iter().for_each(|&i| all[data.links[i].receiver].push(i));
-    all
 }
 
 impl<P: ReceiverPredictor> ByReceiver<P> {

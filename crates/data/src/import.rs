@@ -15,7 +15,7 @@ use crate::folder::gateway_yaml;
 use crate::npy_header;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Elevation, Error, Number, Pose, Progress, Result};
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -74,22 +74,19 @@ impl Import {
         let mut sink = Sink::new(self, folder.path().join("spectra.npy"), progress);
         source::pictures(&self.spectra, txs.len(), &mut sink)?;
         let mut imported = sink.finish(&self.spectra)?;
-        let put = |name: &str, bytes: &[u8]| {
-            let path = folder.path().join(name);
-            fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
-        };
         let numbers = txs.as_flattened().iter().flat_map(|v| v.to_le_bytes());
-        put("tx.npy", &npy_header(Number::F64, &[txs.len(), 3]).into_iter().chain(numbers).collect::<Vec<u8>>())?;
+        folder
+            .put("tx.npy", npy_header(Number::F64, &[txs.len(), 3]).into_iter().chain(numbers).collect::<Vec<u8>>())?;
         let angles = |e: Elevation| format!("elevation: [{:?}, {:?}]\n", e.first, e.last);
         let elevation = self.elevation.map_or_else(String::new, angles);
-        put("gateway_info.yml", (gateway_yaml(&self.name, &self.receiver) + &elevation).as_bytes())?;
+        folder.put("gateway_info.yml", gateway_yaml(&self.name, &self.receiver) + &elevation)?;
         let manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
             "simulated": self.simulated,
             "name": self.name,
             "scale": self.scale,
         });
-        put("manifest.json", format!("{manifest:#}\n").as_bytes())?;
+        folder.put("manifest.json", format!("{manifest:#}\n"))?;
         folder.publish()?;
         imported.tx = txs;
         Ok(imported)

@@ -15,7 +15,6 @@
 
 mod arrays;
 mod baselines;
-mod carriers;
 mod channels;
 mod checks;
 mod colmap;
@@ -33,13 +32,13 @@ mod text;
 
 pub use arrays::{Arrays, POSES};
 pub use baselines::{
-    Kriging, LogDistance, MeanSpectrum, NearestCarrier, NearestNeighbours, Neighbours, Predictions, Ridge, Zero,
+    Kriging, LogDistance, MeanSpectrum, NearestCarrier, NearestNeighbours, Neighbours, Predictions, Ridge, Trend, Zero,
+    preceding,
 };
-pub use carriers::{CARRIERS, read_carriers};
 pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
-pub use folder::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
+pub use folder::{CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml};
 pub use geometry::{read_mesh, read_points};
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_poses, read_transmitters};
 pub use polygons::Triangles;

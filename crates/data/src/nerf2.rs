@@ -11,9 +11,8 @@ mod tests;
 pub use csi::Nerf2Csi;
 pub use rssi::Nerf2Rssi;
 
-use crate::carriers;
 use crate::checks::shape_fault;
-use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::folder::{carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::text::{TextField, coordinate, place, read_text, table};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, Error, JsonSchema, Pose, Progress, Result, Sample, Unmatched, files,
@@ -119,7 +118,7 @@ impl DataSource for Nerf2Spectrum {
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, unmatched, ..data };
-        let carriers = carriers::read(&root, "tx_pos.csv", positions.len())?;
+        let carriers = carriers_of(&root, "tx_pos.csv", positions.len())?;
         let of_samples = |all: Vec<f64>| ids.iter().map(|&id| all[id as usize - 1]).collect::<Vec<f64>>();
         match carriers {
             Some(all) => data.with_carriers(&of_samples(all)),

@@ -1,5 +1,6 @@
 //! Polygons and their triangulation.
 
+use glam::DVec3;
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
@@ -62,10 +63,10 @@ fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize
         return Ok(0);
     }
     let at = |k: usize| vertices[corners[k % n] as usize];
-    let normal = (1..n - 1).fold([0.0; 3], |sum, k| add(sum, area(at(0), at(k), at(k + 1))));
+    let normal = (1..n - 1).fold(DVec3::ZERO, |sum, k| sum + area(at(0), at(k), at(k + 1)));
     // Sides at the apex make no triangle.
     let rules_out = |side: usize, apex: usize| {
-        side != apex && (side + 1) % n != apex && dot(normal, area(at(apex), at(side), at(side + 1))) <= 0.0
+        side != apex && (side + 1) % n != apex && normal.dot(area(at(apex), at(side), at(side + 1))) <= 0.0
     };
     let (mut last, mut tests) = (0, 0);
     for apex in 0..n {
@@ -85,21 +86,9 @@ fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize
 }
 
 /// Twice the triangle area, as a vector along its normal.
-fn area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> [f64; 3] {
-    let (u, v) = (sub(b, a), sub(c, a));
-    [0, 1, 2].map(|k| u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3])
-}
-
-fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|k| a[k] + b[k])
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|k| a[k] - b[k])
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+fn area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> DVec3 {
+    let [a, b, c] = [a, b, c].map(DVec3::from);
+    (b - a).cross(c - a)
 }
 
 #[cfg(test)]

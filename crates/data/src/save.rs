@@ -4,19 +4,16 @@
 mod tests;
 
 use crate::arrays::POSES;
-use crate::carriers::CARRIERS;
 use crate::checks::{NOT_RECEIVED, check};
-use crate::folder::{POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
+use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
 use crate::npy::MAX_BYTES;
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
-use pwrfgs_core::files::{MAX_TEXT, NewFolder};
+use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Receiver, Result, Spectra};
 use std::fmt::Write as _;
-use std::fs;
-use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Writes the new folder `out`, complete or not at all, and returns its source: [`Arrays`] for spectra, [`Nerf2Rssi`]
@@ -96,7 +93,7 @@ impl Folder<'_> {
                 "{name} would have {length} bytes, more than the {limit} that can be read; save parts"
             ));
         }
-        fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+        files::write(&path, bytes)
     }
 
     /// Writes text rows below a header.
@@ -176,14 +173,9 @@ impl Folder<'_> {
             )?;
         }
         let header = npy_header(spectra.number(), &[spectra.len(), spectra.height(), spectra.width()]);
-        let path = self.path.join("spectra.npy");
-        let write = || {
-            let mut file = BufWriter::with_capacity(1 << 20, fs::File::create(&path)?);
-            file.write_all(&header)?;
-            (0..spectra.len()).try_for_each(|i| file.write_all(&spectra.raw(i)))?;
-            file.flush()
-        };
-        write().map_err(|e| Error::write(&path, e))
+        let mut file = GrowingFile::create(self.path.join("spectra.npy"), &header)?;
+        (0..spectra.len()).try_for_each(|i| file.add(&spectra.raw(i)))?;
+        file.finish()
     }
 
     #[allow(clippy::needless_pass_by_value)] // made for this
@@ -212,7 +204,13 @@ impl Folder<'_> {
     fn channels(&self, channels: &pwrfgs_core::Channels) -> Result<()> {
         self.alone()?;
         let (scene, hz) = (&self.data.scene, &channels.frequencies_hz);
-        self.put("receiver.yml", receiver_yaml(&scene.receivers[0], scene.origin, hz))?;
+        let receiver = &scene.receivers[0];
+        let pose = scene.origin.world_pose(receiver.pose);
+        let [first, last] = [hz[0], hz[hz.len() - 1]];
+        let band = [0.5 * (first + last), (last - first) / (hz.len() - 1).max(1) as f64];
+        let about = |place: [f64; 3]| [0, 1, 2].map(|k| pose.position[k] + place[k]);
+        let antennas: Vec<[f64; 3]> = receiver.array().into_iter().map(about).collect();
+        self.put("receiver.yml", receiver_yaml(&yaml(&receiver.name), &pose, band, hz, &antennas))?;
         self.transmitters()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };
         let header = npy_header_as(descr, &[self.data.len(), channels.antennas, hz.len()]);

@@ -8,21 +8,17 @@
 //! set by the same rule.
 
 mod blocks;
-mod fold;
 mod links;
 #[cfg(test)]
 mod many_receivers;
-mod random;
 #[cfg(test)]
 pub(crate) mod testing;
 
 pub use blocks::{TimeBlock, Voxel};
-pub use fold::Fold;
 pub use links::{LeaveReceiverOut, RandomLinks};
-pub use random::{Random, Sparse};
 
 use pwrfgs_core::rng::{self, Rng};
-use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
+use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Plugin, Result, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -45,10 +41,21 @@ fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Ve
     (train, validation)
 }
 
-/// Transmitters of the given links, without repetition, in order.
-fn transmitters(data: &Dataset, links: &[usize]) -> Vec<usize> {
+/// Moves all links of a random `share` of the transmitters of `links` to a separate list: (training, validation).
+fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     let mut seen = BTreeSet::new();
-    links.iter().map(|i| data.links[*i].transmitter).filter(|t| seen.insert(*t)).collect()
+    let transmitters = links.iter().map(|i| data.links[*i].transmitter).filter(|t| seen.insert(*t)).collect();
+    let held: BTreeSet<usize> = hold_out(transmitters, share, rng).1.into_iter().collect();
+    links.into_iter().partition(|i| !held.contains(&data.links[*i].transmitter))
+}
+
+/// Random lists of 0..n: `test` elements, and the others as training and validation.
+fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>, Vec<usize>) {
+    let mut all: Vec<usize> = (0..n).collect();
+    rng::shuffle(rng, &mut all);
+    let test = all.split_off(n - test);
+    let (train, validation) = hold_out(all, validation, rng);
+    (train, validation, test)
 }
 
 /// Partition for lists of transmitters: all links of each, sorted; an error without training or test samples.
@@ -124,13 +131,248 @@ impl Split for Official {
                 data.title
             )));
         };
-        let (_, held) = hold_out(transmitters(data, &train), self.validation, rng);
-        let held: BTreeSet<usize> = held.into_iter().collect();
-        let (validation, train) = train.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        let (train, validation) = hold_out_links(data, train, self.validation, rng);
         finish_links(train, validation, test)
     }
 
     fn check(&self) -> Result<(), String> {
         check_validation(self.validation)
+    }
+}
+
+/// Random share of the transmitters as the test set, with all links of each.
+///
+/// The usual split of this field, and the easiest: on a dense trajectory each test sample is close to a training
+/// sample. Use [`TimeBlock`](crate::TimeBlock) or [`Voxel`](crate::Voxel) to test more than interpolation.
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn Split>::parse("Random(test: 0.2, validation: 0.1)").is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Random {
+    /// Share of all samples in the test set, in (0, 1).
+    pub test: f64,
+    /// Share of the remaining samples held out at random, in [0, 1); 0 for none.
+    pub validation: f64,
+}
+
+impl Default for Random {
+    fn default() -> Self {
+        Self { test: 0.2, validation: DEFAULT_VALIDATION }
+    }
+}
+
+#[typetag::serde]
+impl Split for Random {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let count = data.transmitters.len();
+        let (train, validation, test) = random_lists(count, part(self.test, count), self.validation, rng);
+        finish(data, train, validation, test)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_test("test", self.test)?;
+        check_validation(self.validation)
+    }
+}
+
+/// Fixed number of random training transmitters with all their links; all others are the test set.
+///
+/// Tests learning from few measurements: with 220 of the NeRF2 spectra the nearest training sample is 6 cm away.
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn Split>::parse("Sparse(train: 220)").is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sparse {
+    /// Number of training samples, including those held out for validation.
+    pub train: usize,
+    /// Share of `train` held out at random, in [0, 1); 0 for none.
+    pub validation: f64,
+}
+
+impl Default for Sparse {
+    fn default() -> Self {
+        Self { train: 220, validation: DEFAULT_VALIDATION }
+    }
+}
+
+#[typetag::serde]
+impl Split for Sparse {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let count = data.transmitters.len();
+        if self.train >= count {
+            return Err(Error::Config(format!(
+                "Sparse(train: {}) leaves no test sample: there are {count} samples; lower `train`",
+                self.train
+            )));
+        }
+        let (train, validation, test) = random_lists(count, count - self.train, self.validation, rng);
+        finish(data, train, validation, test)
+    }
+
+    fn is_sparse(&self) -> bool {
+        true
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.train == 0 {
+            return Err("`train` is 0; use at least 1 training sample, such as 220".into());
+        }
+        check_validation(self.validation)
+    }
+}
+
+/// Largest number of folds.
+const MOST_FOLDS: usize = 100;
+
+/// Fold of a cross-validation: the test set is that of another split. Its training and validation sets together are
+/// divided into `count` folds; fold `index` becomes the validation set, and the others the training set.
+///
+/// A fold holds what the other split holds out together: transmitters at random, whole cells of `Voxel`, a part of the
+/// trajectory for `TimeBlock`. Experiments with `join: true` and `residuals: Kriged(folds: true)` use this split, so that every known sample is
+/// in the validation set of one model.
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn Split>::parse("Fold(of: Official(validation: 0.0), index: 3, count: 4)").is_ok());
+/// assert!(Plugin::<dyn Split>::parse("Fold(index: 4, count: 4)").is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Fold {
+    /// Split whose training set is divided.
+    pub of: Plugin<dyn Split>,
+    /// Fold that becomes the validation set, counted from 0.
+    pub index: usize,
+    /// Number of folds, 2 to 100.
+    pub count: usize,
+}
+
+impl Default for Fold {
+    fn default() -> Self {
+        let of: Box<dyn Split> = Box::new(Random::default());
+        Self { of: of.into(), index: 0, count: 4 }
+    }
+}
+
+#[typetag::serde]
+impl Split for Fold {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let outer = self.of.split(data, rng)?;
+        let mut units = self.of.units(data, &outer.known().all());
+        if units.len() < self.count {
+            let what = format!("the training set has {} parts, fewer than {} folds", units.len(), self.count);
+            return Err(Error::Config(format!("Fold: {what}; give more samples, or fewer models or folds")));
+        }
+        let (parts, in_order) = (units.len(), self.of.is_in_order());
+        if !in_order {
+            rng::shuffle(rng, &mut units); // the stream is the same for all folds
+        }
+        let fold_of = |unit: usize| if in_order { unit * self.count / parts } else { unit % self.count };
+        let (mut train, mut validation) = (Vec::new(), Vec::new());
+        for (unit, links) in units.into_iter().enumerate() {
+            if fold_of(unit) == self.index { &mut validation } else { &mut train }.extend(links);
+        }
+        finish_links(train, validation, outer.test)
+    }
+
+    fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        self.of.units(data, links)
+    }
+
+    fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
+        self.of.blocks(data, links)
+    }
+
+    fn is_in_order(&self) -> bool {
+        self.of.is_in_order()
+    }
+
+    fn is_sparse(&self) -> bool {
+        self.of.is_sparse()
+    }
+
+    fn ready(&self) -> Result<()> {
+        self.of.ready()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if !(2..=MOST_FOLDS).contains(&self.count) {
+            return Err(format!("`count` is {}; give 2 to {MOST_FOLDS} folds", self.count));
+        }
+        if self.index >= self.count {
+            return Err(format!("`index` is {}; folds are counted from 0 to {}", self.index, self.count - 1));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::testing::line_of_samples;
+    use super::*;
+    use pwrfgs_core::rng;
+
+    fn folds(of: &str, data: &Dataset) -> Vec<Partition> {
+        let of = Plugin::<dyn Split>::parse(of).unwrap();
+        let fold = |index| Fold { of: of.clone(), index, count: 4 };
+        (0..4).map(|index| fold(index).split(data, &mut rng::stream(3, "split", 0)).unwrap()).collect()
+    }
+
+    #[test]
+    fn folds_divide_the_known_samples_and_keep_the_test_set() {
+        let data = line_of_samples(200);
+        for of in [
+            "Random(test: 0.2)",
+            "TimeBlock(start: 0.4, length: 0.2)",
+            "Voxel(size_m: 5.0, test: 0.2)",
+            "RandomLinks()",
+        ] {
+            let folds = folds(of, &data);
+            let whole = Plugin::<dyn Split>::parse(of).unwrap().split(&data, &mut rng::stream(3, "split", 0)).unwrap();
+            let mut all: Vec<usize> = folds.iter().flat_map(|fold| fold.validation.clone()).collect();
+            all.sort_unstable();
+            assert_eq!(all, whole.known().all(), "{of}");
+            for fold in &folds {
+                assert_eq!((&fold.test, fold.known().all()), (&whole.test, whole.known().all()), "{of}");
+                assert!((20..60).contains(&fold.validation.len()), "{of}: {:?}", fold.sizes());
+            }
+        }
+    }
+
+    /// Fewer blocks than transmitters for a trajectory; a fold has the blocks of its split.
+    #[test]
+    fn blocks_are_transmitters_cells_or_stretches_of_the_trajectory() {
+        let (data, links) = (line_of_samples(200), (20..200).collect::<Vec<_>>());
+        for (of, count) in [("Random()", 180), ("Voxel(size_m: 5.0)", 36), ("TimeBlock()", 36)] {
+            let fold = format!("Fold(of: {of}, index: 0, count: 4)");
+            for split in [of, &fold].map(|text| Plugin::<dyn Split>::parse(text).unwrap()) {
+                let blocks = split.blocks(&data, &links);
+                assert_eq!((blocks.len(), blocks.concat()), (count, links.clone()), "{of}");
+            }
+        }
+    }
+
+    #[test]
+    fn folds_hold_whole_cells_and_parts_of_the_trajectory() {
+        let data = line_of_samples(200);
+        for fold in folds("Voxel(size_m: 5.0, test: 0.2)", &data) {
+            let cells = |links: &[usize]| {
+                links.iter().map(|&i| (data.sample(i).tx[0] / 5.0).floor() as i64).collect::<Vec<_>>()
+            };
+            let held = cells(&fold.validation);
+            assert!(cells(&fold.train).iter().all(|cell| !held.contains(cell)));
+        }
+        for fold in folds("TimeBlock(start: 0.8, length: 0.2)", &data) {
+            assert!(fold.validation.is_sorted_by(|a, b| b - a == 1), "{:?}", fold.validation);
+        }
     }
 }

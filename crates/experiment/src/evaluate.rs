@@ -3,17 +3,17 @@
 //! Baselines choose their hyperparameters on the validation set and are then fitted on training and validation samples
 //! together, which makes them stronger.
 
-use crate::ceiling::ceiling;
 use crate::evaluation_set::EvaluationSet;
 use crate::intervals::Calibrator;
 use crate::record::Confidence;
+use crate::repeatability::ceiling;
 use crate::scores::{MODEL, ScoreTable, Scores};
-use crate::session::{Session, check_stopped, staged};
+use crate::session::{Session, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
-    Dataset, Error, FittingSet, Image, ImagePlane, Metric, ModelFacts, Partition, Plugin, Result, Scope, evenly,
-    messages::strip_control,
+    Dataset, Error, FittingSet, Image, ImagePlane, Metric, ModelFacts, Partition, Plugin, Result, Scope, check_stopped,
+    evenly, messages::strip_control,
 };
 use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};

@@ -3,10 +3,10 @@
 //! Only the predictions and spectra of one chunk are in memory (unless a metric needs all), so memory does not grow
 //! with the number of samples.
 
-use crate::session::{Session, check_stopped, staged};
+use crate::session::{Session, staged};
 use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress,
-    Query, Result, Scope, StageTimes, Values,
+    Query, Result, Scope, StageTimes, Values, check_stopped,
 };
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;

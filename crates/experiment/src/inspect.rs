@@ -2,26 +2,25 @@
 //! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
 mod pose;
-mod rotation;
 mod spectra;
 
 pub use pose::{PoseCheck, PoseVerdict};
 
-use crate::ceiling::ceiling;
 use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
 use crate::input::prepared;
 use crate::load::{load, observed};
-use crate::repeatability::in_order;
+use crate::repeatability::{ceiling, in_order};
 use crate::residuals::check_residuals;
 use crate::samples::nearest_train;
 use crate::scores::CEILING;
 use crate::session::{Observer, Session, staged};
-use crate::statistics::{Summary, quantile};
+use crate::statistics::Summary;
 use crate::text::{aligned, grouped, number, wrapped};
 use crate::training::fitting;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::statistics::{median, quantile, sorted};
 use pwrfgs_core::{
     Dataset, Metric, Partition, Plugin, Result, Scope, Split, Unmatched, Values, evenly, registered, rng,
 };
@@ -172,16 +171,15 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let places: Vec<[f64; 3]> = data.transmitters.iter().map(|t| t.position).collect();
     let end = |k: usize, pick: fn(f64, f64) -> f64| places.iter().map(|p| p[k]).reduce(pick).unwrap_or(f64::NAN);
     let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], end(k, f64::min), end(k, f64::max));
-    let mut sorted = places.clone();
-    sorted.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-    let shared: usize = sorted.chunk_by(|a, b| a == b).map(<[_]>::len).filter(|count| *count > 1).sum();
+    let mut ordered = places.clone();
+    ordered.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+    let shared: usize = ordered.chunk_by(|a, b| a == b).map(<[_]>::len).filter(|count| *count > 1).sum();
     let mut text = format!("{} m", [0, 1, 2].map(axis).join(", "));
     if shared > 0 {
         _ = write!(text, "; {} at the position of another", grouped(shared as i64));
     }
     let next = data.transmitters.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
-    let mut steps: Vec<f64> = next.map(|pair| distance(pair[0].position, pair[1].position)).collect();
-    steps.sort_by(f64::total_cmp);
+    let steps = sorted(next.map(|pair| distance(pair[0].position, pair[1].position)));
     let moving = if data.orientations.is_some() { "receiver" } else { "transmitters" };
     if steps.is_empty() {
         return vec![(moving, text)];
@@ -211,8 +209,7 @@ fn receivers(data: &Dataset) -> String {
 fn levels(data: &Dataset) -> (&'static str, String) {
     let [name, unit] = data.task().level_name;
     let level = |link: usize| data.task().level(&data.image(link));
-    let mut all: Vec<f64> = (0..data.len()).map(level).filter(|level| level.is_finite()).collect();
-    all.sort_by(f64::total_cmp);
+    let all = sorted((0..data.len()).map(level).filter(|level| level.is_finite()));
     let [low, tenth, middle, last, high] = [0.0, 0.1, 0.5, 0.9, 1.0].map(|q| number(quantile(&all, q)));
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
@@ -225,9 +222,7 @@ fn entry(name: &str, words: &str) -> String {
 /// Median distance from a test transmitter to the nearest training transmitter, metres.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     let nearest = nearest_train(data, partition);
-    let mut distances: Vec<f64> = partition.test.iter().map(|&i| nearest[i] as f64).collect();
-    distances.sort_by(f64::total_cmp);
-    quantile(&distances, 0.5)
+    median(partition.test.iter().map(|&i| nearest[i] as f64))
 }
 
 /// Formats a length in a suitable unit.

@@ -2,8 +2,8 @@
 
 use crate::residuals::left_out;
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
-use crate::session::{Session, check_stopped, staged};
-use pwrfgs_core::{Dataset, Error, Image, Partition, Predict, Result, ssim};
+use crate::session::{Session, staged};
+use pwrfgs_core::{Dataset, Error, Image, Partition, Predict, Result, check_stopped, ssim};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use pwrfgs_pipeline::Pipeline;
 use rayon::prelude::*;

@@ -5,7 +5,6 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-mod ceiling;
 mod evaluate;
 mod evaluation_set;
 mod events;
@@ -33,7 +32,6 @@ pub mod sweep;
 pub mod text;
 mod training;
 
-pub use ceiling::{NoiseCeiling, ceiling, lapse_of};
 pub use evaluate::{check_alike, evaluate};
 pub use evaluation_set::EvaluationSet;
 pub use facts::{Facts, FileDigest, Machine, VERSION};
@@ -43,7 +41,7 @@ pub use load::{data_warnings, equality_warning, load, observed, position_warning
 pub use page::{rebuild_page, with_run, write_results};
 pub use paired::Paired;
 pub use record::Record;
-pub use repeatability::{Repeatability, repeatability};
+pub use repeatability::{NoiseCeiling, Repeatability, ceiling, repeatability};
 pub use run_folder::RunFolder;
 pub use runner::{RunOutcome, run, score_model};
 pub use samples::TestSamples;

@@ -2,9 +2,9 @@
 //! cannot detect.
 
 use crate::session::{Observer, staged};
-use crate::statistics::quantile;
 use crate::text::grouped;
 use pwrfgs_core::neighbours::nearest_other_squared;
+use pwrfgs_core::statistics::median;
 use pwrfgs_core::{Dataset, Error, Partition, Real, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
@@ -77,7 +77,7 @@ pub fn position_warning(positions: &[[f64; 3]]) -> Option<String> {
     }
     let local = |position: &[f64; 3]| [0, 1, 2].map(|k| (position[k] - first[k]) as Real);
     let squared = nearest_other_squared(&positions.iter().map(local).collect::<Vec<_>>());
-    let spacing = median(squared.into_iter().map(|d| (d as f64).sqrt()).collect());
+    let spacing = median(squared.into_iter().map(|d| (d as f64).sqrt()));
     (spacing > SPACING_M).then(|| {
         format!(
             "positions: the site is {site:.0} m long and the median distance to the nearest transmitter is {spacing:.1} m; \
@@ -122,9 +122,4 @@ pub fn equality_warning(things: &str, count: usize, are_equal: bool) -> Option<S
             "{things}: all {count} are equal, so nothing depends on the transmitter; check the files they came from"
         )
     })
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    quantile(&values, 0.5)
 }

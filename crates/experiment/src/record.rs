@@ -7,7 +7,7 @@ use crate::samples::TestSamples;
 use crate::scores::Scores;
 use crate::text::{Lines, csv_rows, damaged};
 use pwrfgs_core::files::{self, read_text};
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Result, statistics::sorted};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use std::path::{Path, PathBuf};
@@ -169,8 +169,7 @@ impl Confidence {
         order.sort_by(|&a, &b| self.spreads[a].total_cmp(&self.spreads[b]).then(a.cmp(&b)));
         let group = |k: usize| {
             let rows = &order[k * order.len() / count..(k + 1) * order.len() / count];
-            let mut errors: Vec<f64> = rows.iter().map(|&i| self.errors[i]).collect();
-            errors.sort_by(f64::total_cmp);
+            let errors = sorted(rows.iter().map(|&i| self.errors[i]));
             (rows.iter().map(|&i| self.spreads[i]).sum::<f64>() / rows.len() as f64, errors)
         };
         (0..count).map(group).filter(|(_, errors)| !errors.is_empty()).collect()

@@ -3,11 +3,11 @@
 
 use crate::record::Record;
 use crate::scores::ScoreTable;
-use pwrfgs_core::{Dataset, Error, Partition, Progress, Result, Task};
+use pwrfgs_core::{Dataset, Partition, Progress, Result, Task, check_stopped};
 use pwrfgs_model::Ensemble;
 use pwrfgs_train::StepReport;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, PoisonError};
 
 /// Description of a run that is about to start.
@@ -43,37 +43,26 @@ pub struct Validation {
 }
 
 /// Observer of a run; every method does nothing by default.
+#[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Observer: Send {
     /// Called during work other than training: loading or simulating spectra, scoring a predictor. The first call is
     /// (0, 0), and (0, `total`) may follow; then `done` of `total` increases.
-    fn on_stage(&mut self, name: &str, done: usize, total: usize) {
-        let _ = (name, done, total);
-    }
+    fn on_stage(&mut self, name: &str, done: usize, total: usize) {}
 
     /// Called when training starts or resumes.
-    fn on_start(&mut self, start: &Start<'_>) {
-        let _ = start;
-    }
+    fn on_start(&mut self, start: &Start<'_>) {}
 
     /// Called after a training step.
-    fn on_step(&mut self, report: &StepReport) {
-        let _ = report;
-    }
+    fn on_step(&mut self, report: &StepReport) {}
 
     /// Called after a validation.
-    fn on_validation(&mut self, validation: &Validation) {
-        let _ = validation;
-    }
+    fn on_validation(&mut self, validation: &Validation) {}
 
     /// Called with all scores on the test set.
-    fn on_evaluation(&mut self, scores: &ScoreTable) {
-        let _ = scores;
-    }
+    fn on_evaluation(&mut self, scores: &ScoreTable) {}
 
     /// Called with other messages, one line each.
-    fn on_message(&mut self, message: &str) {
-        let _ = message;
-    }
+    fn on_message(&mut self, message: &str) {}
 
     /// Called for valid but implausible input; several runs may report the same.
     fn on_warning(&mut self, warning: &str) {
@@ -120,7 +109,7 @@ pub type PageBuilder = fn(&LoadedRun<'_>) -> Result<String>;
 pub struct Session<'a> {
     /// Receives progress, messages and warnings.
     pub observer: &'a mut dyn Observer,
-    /// Once it is set, work ends early with [`Error::Stopped`], or with a checkpoint.
+    /// Once it is set, work ends early with [`Error::Stopped`](pwrfgs_core::Error::Stopped), or with a checkpoint.
     pub stop: &'a AtomicBool,
     /// Makes `report.html`; `None` writes none.
     pub page: Option<PageBuilder>,
@@ -139,18 +128,13 @@ impl<'a> Session<'a> {
         Self { observer, stop: &NEVER, page: None }
     }
 
-    /// Returns [`Error::Stopped`] once `stop` is set.
+    /// Returns [`Error::Stopped`](pwrfgs_core::Error::Stopped) once `stop` is set.
     ///
     /// # Errors
     /// As above.
     pub fn check_stopped(&self) -> Result<()> {
         check_stopped(self.stop)
     }
-}
-
-/// Returns [`Error::Stopped`] once `stop` is set.
-pub(crate) fn check_stopped(stop: &AtomicBool) -> Result<()> {
-    if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
 #[cfg(test)]

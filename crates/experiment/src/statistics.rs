@@ -11,6 +11,8 @@
 //! `bootstrap_interval_has_expected_coverage` measures this.
 
 use pwrfgs_core::rng::{self, Rng};
+pub use pwrfgs_core::statistics::quantile;
+use pwrfgs_core::statistics::{bounds, sorted};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter::repeat_with;
@@ -37,8 +39,7 @@ pub struct Summary {
 impl Summary {
     /// Summary of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
     pub fn of(values: &[f64], higher_is_better: bool) -> Self {
-        let mut sorted = values.to_vec();
-        sorted.sort_by(f64::total_cmp);
+        let sorted = sorted(values.iter().copied());
         Self {
             mean: values.iter().sum::<f64>() / values.len() as f64,
             median: quantile(&sorted, 0.5),
@@ -49,14 +50,6 @@ impl Summary {
 
 pub(crate) fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
-}
-
-/// Quantile `q` of ascending values.
-pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let place = q * last as f64;
-    let (low, part) = (place as usize, place.fract());
-    if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
 }
 
 /// Mean and sample standard deviation.
@@ -130,8 +123,7 @@ impl Difference {
                 let (seeds, blocks) = (drawn(&mut random, &seeds), drawn(&mut random, &blocks));
                 self::mean(&cells, &seeds, &blocks).unwrap_or(mean)
             };
-            let mut means: Vec<f64> = repeat_with(replicate).take(replicates).collect();
-            means.sort_by(f64::total_cmp);
+            let means = sorted(repeat_with(replicate).take(replicates));
             let tail = (1.0 - CONFIDENCE) / 2.0;
             (quantile(&means, tail), quantile(&means, 1.0 - tail))
         });
@@ -192,12 +184,9 @@ impl Blocks {
     }
 
     fn cubes(places: &BTreeMap<u32, [f64; 3]>) -> Self {
-        let end = |pick: fn(f64, f64) -> f64, start: f64| {
-            [0, 1, 2].map(|k| places.values().fold(start, |end, place| pick(end, place[k])))
-        };
-        let (low, high) = (end(f64::min, f64::INFINITY), end(f64::max, f64::NEG_INFINITY));
-        let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
-        let cube = |place: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((place[k] - low[k]) / edge) as i64);
+        let ends = [0, 1, 2].map(|k| bounds(places.values().map(|place| place[k])));
+        let extent = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
+        let cube = |place: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((place[k] - ends[k].0) / edge) as i64);
         let edge = |parts: u32| if extent > 0.0 { extent / f64::from(parts) } else { 1.0 };
         let cubes = |edge: f64| places.values().map(|place| cube(place, edge)).collect::<BTreeSet<_>>();
         let distinct = cubes(edge(FINEST)).len();

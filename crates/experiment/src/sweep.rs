@@ -1,6 +1,6 @@
 //! Sweeps: many runs from one experiment file, in one folder, on one machine or many.
 //!
-//! `experiment.rs` reads the file, `plan.rs` creates all runs, `status.rs` determines their state, `check.rs` tests
+//! `experiment.rs` reads the file, `plan.rs` creates all runs, `check.rs` determines their state and tests
 //! unfinished runs before the first starts. [`execute`] performs them, several at once, each with its own threads; with
 //! `join: true` it combines all models into one that predicts their mean. All state is in the run folders, so the same
 //! command resumes after any interruption.
@@ -10,13 +10,11 @@ mod experiment;
 mod listing;
 mod plan;
 pub mod slurm;
-mod status;
 
-pub use check::{check, estimate};
+pub use check::{RunStage, check, estimate};
 pub use experiment::{Axis, Experiment, Slurm, SweepVariant};
 pub use listing::{LISTING, ListedRun, Listing};
 pub use plan::{JOINED, PlannedRun, SweepPlan};
-pub use status::RunStage;
 
 use crate::evaluate::evaluate;
 use crate::facts::{Facts, FileDigest};

@@ -21,17 +21,12 @@ pub use fingerprints::{Fingerprints, NearestFingerprints};
 pub use locator::{Choice, Located, Locator, SHARES};
 pub use region::{Region, RegionRule};
 
-/// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.
-pub fn mean_and_median(mut errors: Vec<f64>) -> [f64; 2] {
-    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    [mean, median(&mut errors)]
-}
+use pwrfgs_core::statistics::median;
 
-/// Returns the median, the mean of the middle two of an even number; NaN without values.
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let n = values.len();
-    if n == 0 { f64::NAN } else { f64::midpoint(values[(n - 1) / 2], values[n / 2]) }
+/// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.
+pub fn mean_and_median(errors: Vec<f64>) -> [f64; 2] {
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    [mean, median(errors)]
 }
 
 #[cfg(test)]

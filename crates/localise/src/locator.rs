@@ -2,7 +2,8 @@
 
 use crate::descent::descend;
 use crate::region::Density;
-use crate::{FingerprintFeatures, Fingerprints, Region, RegionRule, mean_and_median, median};
+use crate::{FingerprintFeatures, Fingerprints, Region, RegionRule, mean_and_median};
+use pwrfgs_core::statistics::{median, sorted};
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
 use rayon::prelude::*;
 
@@ -294,8 +295,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 /// Returns the least mean error over sharpnesses, its sharpness, and the scale of the misfits.
 fn sharpness(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>]) -> (f64, f64, f64) {
     let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-    let mut smallest: Vec<f64> = misfits.iter().map(least).filter(|m| m.is_finite()).collect();
-    let typical = median(&mut smallest);
+    let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
     let scale = if typical > 0.0 { typical } else { 1.0 };
     let error = |sharpness: f64| {
         let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
@@ -313,9 +313,7 @@ fn sharpness(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>]) -> 
 fn spacing(positions: &[[f64; 3]]) -> f64 {
     let points: Vec<[Real; 3]> = positions.iter().map(|p| p.map(|v| v as Real)).collect();
     let squares = pwrfgs_core::neighbours::nearest_other_squared(&points);
-    let mut distances: Vec<f64> =
-        squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()).collect();
-    let typical = median(&mut distances);
+    let typical = median(squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()));
     if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
 }
 
@@ -348,7 +346,6 @@ fn region_rule(
         let density = density(misfits, (sharpness, bandwidth));
         density.at(flat(truth)) / density.highest()
     };
-    let mut shares: Vec<f64> = misfits.par_iter().zip(truths).map(share).collect();
-    shares.sort_unstable_by(f64::total_cmp);
+    let shares = sorted(misfits.par_iter().zip(truths).map(share).collect::<Vec<f64>>());
     Some(RegionRule { sharpness, bandwidth, share: shares[rank - 1] })
 }

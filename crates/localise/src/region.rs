@@ -1,5 +1,6 @@
 //! `Region`: the part of the floor that holds a transmitter with a given probability. It may have several parts.
 
+use pwrfgs_core::statistics::bounds;
 use std::collections::BTreeMap;
 
 /// Largest number of kernels of a density, those of the largest weights; and of kernels at which its maximum is sought.
@@ -56,12 +57,9 @@ impl Density {
     pub(crate) fn region(&self, share: f64) -> Region {
         let reach = self.bandwidth * (1.0 / share.clamp(1e-6, 1.0).sqrt() - 1.0).sqrt() + self.bandwidth;
         let largest = self.kernels.first().map_or(0.0, |(w, _)| *w);
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for (_, p) in self.kernels.iter().filter(|(w, _)| *w >= 1e-3 * share * largest) {
-            for k in 0..2 {
-                (low[k], high[k]) = (low[k].min(p[k] - reach), high[k].max(p[k] + reach));
-            }
-        }
+        let framed = || self.kernels.iter().filter(|(w, _)| *w >= 1e-3 * share * largest);
+        let [x, y] = [0, 1].map(|k| bounds(framed().map(|(_, p)| p[k])));
+        let (low, high) = ([x.0 - reach, y.0 - reach], [x.1 + reach, y.1 + reach]);
         let step = (high[0] - low[0]).max(high[1] - low[1]) / CELLS;
         let [columns, rows] = [0, 1].map(|k| (((high[k] - low[k]) / step).ceil() as usize).max(1));
         let first = low.map(|v| v + step / 2.0);

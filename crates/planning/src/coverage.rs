@@ -1,7 +1,7 @@
 //! Coverage of receivers (the 10th percentile, over transmitters, of the power of the strongest receiver), and the best subset
 //! of given receivers: exhaustive search, greedy search and random choices.
 
-use pwrfgs_core::rng;
+use pwrfgs_core::{rng, statistics::bounds};
 use rayon::prelude::*;
 
 /// Share of the transmitters below the coverage.
@@ -38,7 +38,7 @@ pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
     if soft.is_empty() {
         return f64::NAN;
     }
-    let ends = soft.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let ends = bounds(soft.iter().copied());
     let (mut low, mut high) = (ends.0 - 10.0 * SMOOTHING_DB, ends.1 + 10.0 * SMOOTHING_DB);
     let share = |q: f64| soft.iter().map(|v| 1.0 / (1.0 + ((v - q) / SMOOTHING_DB).exp())).sum::<f64>();
     for _ in 0..HALVINGS {

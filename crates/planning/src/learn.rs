@@ -1,10 +1,9 @@
 //! Correlation of measurements, and scores of Kriging from a selection of them.
 
 use crate::survey::diagonal;
-use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, PathLoss, in_space, log_distance};
-use pwrfgs_core::neighbours::Nearest;
-use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Real, Result, Sampling, evenly, rng};
-use pwrfgs_data::Kriging;
+use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, in_space};
+use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Result, evenly, rng};
+use pwrfgs_data::{Kriging, Trend, preceding};
 use rayon::prelude::*;
 
 /// Largest number of links in the likelihood, and of earlier links that each is given.
@@ -28,31 +27,14 @@ pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
         return None;
     }
     rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
-    let receivers = 0..data.scene.receivers.len();
-    let laws: Vec<Option<PathLoss>> = receivers.clone().map(|receiver| path_loss(data, receiver, &links)).collect();
-    let place = |i: usize| in_space(data.sample(i).tx);
-    let cases_of = |receiver: usize| {
-        let own: Vec<usize> = links.iter().copied().filter(|&i| data.links[i].receiver == receiver).collect();
-        let case = |n: usize| {
-            let nearest = Nearest::new(own[..n].to_vec(), 3, |i| data.sample(i).tx);
-            let near = nearest.find(&data.sample(own[n]).tx, NEIGHBOURS).1;
-            (own[n], near.into_iter().map(|(_, j)| j).collect::<Vec<_>>())
-        };
-        (1..own.len()).into_par_iter().map(case).collect::<Vec<_>>()
-    };
-    let cases: Vec<_> = receivers.flat_map(cases_of).collect();
+    let of_receivers = data.by_receiver(links);
+    let trends: Vec<Trend<'_>> = of_receivers.iter().map(|own| Trend::of(data, own)).collect();
+    let cases: Vec<_> = of_receivers.iter().flat_map(|own| preceding(data, own, NEIGHBOURS)).collect();
     if cases.len() < 2 {
         return None;
     }
-    let stride = ((data.width * data.height) as f64 / VALUES as f64).sqrt().ceil().max(1.0) as usize;
-    let values = |_: usize, i: usize| {
-        let mut values: Vec<Real> = vec![0.0; data.width.div_ceil(stride) * data.height.div_ceil(stride)];
-        data.observations.sampled(i, Sampling::every(stride), &mut values);
-        if let Some(law) = laws[data.links[i].receiver] {
-            values[0] -= law.at(log_m(data, i)) as Real;
-        }
-        values
-    };
+    let place = |i: usize| in_space(data.sample(i).tx);
+    let values = |_: usize, i: usize| trends[data.links[i].receiver].values(i, VALUES);
     let cases = HeldOutCases::new(&cases, Mean::Unknown, place, values);
     let reach = diagonal(&sorted.iter().map(|&t| data.transmitters[t].position).collect::<Vec<_>>());
     (reach > 0.0).then(|| most_likely(&cases, reach))
@@ -76,20 +58,6 @@ fn most_likely(cases: &HeldOutCases, reach: f64) -> Correlation {
     let grid = (0..=12).flat_map(|length| (0..=12).map(move |noise| [length, noise]));
     let found = grid.map(|at| (at, likelihood(at))).reduce(|best, next| if next.1 > best.1 { next } else { best });
     of(found.map_or([4, 5], |(at, _)| at))
-}
-
-/// Path-loss model of these links at `receiver`; `None` for observations other than powers.
-fn path_loss(data: &Dataset, receiver: usize, links: &[usize]) -> Option<PathLoss> {
-    let powers = data.observations.powers()?;
-    let own = links.iter().filter(|&&i| data.links[i].receiver == receiver);
-    Some(PathLoss::fit(&own.map(|&i| (log_m(data, i), powers[i] as f64)).collect::<Vec<_>>()))
-}
-
-/// log10 of the length of link `i` in metres.
-fn log_m(data: &Dataset, i: usize) -> f64 {
-    let sample = data.sample(i);
-    let receiver = data.scene.receivers[sample.receiver].pose;
-    log_distance(sample.tx, data.scene.origin.world_pose(receiver).position)
 }
 
 /// Main metric of Kriging, fitted on these transmitters, for each link of `test`. Every fourth transmitter fits the correlation;

@@ -1,6 +1,6 @@
 //! Plans of measurements: positions to measure next, and positions of receivers.
 //!
-//! * [`Survey`] selects the positions that lower the posterior variance of a Gaussian process most, from [`Posterior`].
+//! * [`Survey`] selects the positions that lower the posterior variance of a Gaussian process most, from `Posterior`.
 //! * [`ascend`] searches positions of receivers with the largest coverage, [`best_subset`] the best of given receivers.
 //! * [`learn()`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a selection.
 
@@ -19,7 +19,6 @@ pub use coverage::{
     Subset, best_subset, combinations, coverage, coverage_of, greedy_subset, random_subsets, soft_coverage, strongest,
 };
 pub use learn::{kriging_scores, learn};
-pub use posterior::Posterior;
 #[cfg(feature = "raytrace")]
 pub use scene::{SceneCoverage, floor_grid};
 pub use survey::{Survey, SurveyPlan, default_correlation};

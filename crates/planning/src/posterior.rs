@@ -14,7 +14,7 @@ const NEGLIGIBLE: f64 = 1e-9;
 
 /// Posterior variance of a process of variance 1 with known mean, at `P` points.
 #[derive(Clone, Debug)]
-pub struct Posterior {
+pub(crate) struct Posterior {
     correlation: Correlation,
     /// Coordinates of the points in length scales, three columns `[P]`.
     columns: [Vec<f64>; 3],
@@ -26,50 +26,40 @@ pub struct Posterior {
 
 impl Posterior {
     /// Creates the prior at `points` (metres).
-    pub fn new(correlation: Correlation, points: &[[f64; 3]]) -> Self {
+    pub(crate) fn new(correlation: Correlation, points: &[[f64; 3]]) -> Self {
         let column = |k: usize| points.iter().map(|point| correlation.scaled(in_space(*point))[k]).collect();
         let (factor, variances) = (Vec::new(), vec![1.0; points.len()]);
         Self { correlation, columns: [0, 1, 2].map(column), factor, variances }
     }
 
     /// Number of points P.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.variances.len()
     }
 
-    /// Whether there are no points.
-    pub fn is_empty(&self) -> bool {
-        self.variances.is_empty()
-    }
-
     /// Variances `[P]` without measurement noise.
-    pub fn variances(&self) -> &[f64] {
+    pub(crate) fn variances(&self) -> &[f64] {
         &self.variances
     }
 
     /// Noise variance of a measurement.
-    pub fn noise(&self) -> f64 {
+    pub(crate) fn noise(&self) -> f64 {
         self.correlation.noise
     }
 
     /// Prior covariance of points `p` and `q`.
-    pub fn prior(&self, p: usize, q: usize) -> f64 {
+    pub(crate) fn prior(&self, p: usize, q: usize) -> f64 {
         let squared: f64 = self.columns.iter().map(|column| (column[p] - column[q]).powi(2)).sum();
         self.correlation.kind.at(squared.sqrt())
     }
 
     /// Rows of the factor, one per measurement, each `[P]`.
-    pub fn rows(&self) -> impl Iterator<Item = &[f64]> + Clone {
+    pub(crate) fn rows(&self) -> impl Iterator<Item = &[f64]> + Clone {
         self.factor.chunks_exact(self.len().max(1))
     }
 
-    /// Posterior covariance of points `p` and `q`.
-    pub fn covariance(&self, p: usize, q: usize) -> f64 {
-        self.prior(p, q) - self.rows().map(|row| row[p] * row[q]).sum::<f64>()
-    }
-
     /// Adds a measurement at point `s`, and returns its row of the factor.
-    pub fn add(&mut self, s: usize) -> &[f64] {
+    pub(crate) fn add(&mut self, s: usize) -> &[f64] {
         let pivot = (self.variances[s] + self.correlation.noise).sqrt();
         let before: Vec<(f64, &[f64])> =
             self.rows().map(|row| (row[s], row)).filter(|(at_s, _)| at_s.abs() > NEGLIGIBLE).collect();
@@ -106,7 +96,6 @@ mod tests {
         posterior.add(1);
         let (near, far) = ((-0.5f64).exp(), (-1.0f64).exp());
         assert!((posterior.variances()[0] - (1.0 - near * near / 1.25)).abs() < 1e-15);
-        assert!((posterior.covariance(0, 2) - (near - near * far / 1.25)).abs() < 1e-15);
         posterior.add(2);
         assert!((posterior.variances()[0] - (1.0 - 2.0 * near * near / (1.25 + far))).abs() < 1e-15);
     }

@@ -2,11 +2,11 @@
 
 use crate::ascent::{Ascent, AscentResult, ascend};
 use glam::DVec3;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, check_stopped, statistics};
 use pwrfgs_raytrace::world::{Triangle, World, from_scene};
 use pwrfgs_raytrace::{ObservationKind, PreparedReceiver, SILENT_DBM, SceneFile, SimulatedObservation, Simulator};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Largest number of grid points, free or not.
 const MOST: f64 = 1e6;
@@ -17,12 +17,18 @@ const MOST: f64 = 1e6;
 /// # Errors
 /// A step or height out of range, a scene that cannot be built, or no free position.
 pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
+    grid(scene, &from_scene(scene)?, step, height)
+}
+
+/// As [`floor_grid`], in the `world` of the scene.
+fn grid(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     let refuse = |what: String| Error::Config(format!("scene `{}`: {what}", scene.name));
     if !(step.is_finite() && step > 0.0) {
         return Err(refuse(format!("a grid step of {step} m, expected more than 0, such as 0.25")));
     }
-    let world = from_scene(scene)?;
-    let (low, high) = bounds(&world);
+    let corners = world.triangles.iter().flat_map(Triangle::corners);
+    let (low, high) =
+        corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
     if !(low.z..=high.z).contains(&height) {
         return Err(refuse(format!("a height of {height} m is outside {} to {} m; give one inside", low.z, high.z)));
     }
@@ -49,12 +55,6 @@ pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64;
         )));
     }
     Ok(free)
-}
-
-/// Smallest and largest corner of all surfaces.
-fn bounds(world: &World) -> (DVec3, DVec3) {
-    let corners = world.triangles.iter().flat_map(Triangle::corners);
-    corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), corner| (low.min(corner), high.max(corner)))
 }
 
 /// Largest number of links of a grid.
@@ -84,7 +84,8 @@ impl SceneCoverage {
     pub fn new(scene: &SceneFile, step: f64, height: f64, mount: Option<f64>) -> Result<Self> {
         let simulator = Simulator::new(scene)?;
         let mount = mount.unwrap_or(scene.receiver.position[2]);
-        let (transmitters, candidates) = (floor_grid(scene, step, height)?, floor_grid(scene, step, mount)?);
+        let grid = |height: f64| grid(scene, simulator.world(), step, height);
+        let (transmitters, candidates) = (grid(height)?, grid(mount)?);
         Ok(Self { simulator, transmitters, candidates, mount })
     }
 
@@ -135,9 +136,7 @@ impl SceneCoverage {
     pub fn grid(&self, stop: &AtomicBool, progress: impl Fn(usize, usize)) -> Result<Vec<Vec<f64>>> {
         let mut powers = Vec::with_capacity(self.candidates.len());
         for chunk in self.candidates.chunks(CHUNK) {
-            if stop.load(Ordering::Relaxed) {
-                return Err(Error::Stopped);
-            }
+            check_stopped(stop)?;
             progress(powers.len(), self.candidates.len());
             let all: Vec<Vec<f64>> = chunk.par_iter().map(|place| self.traced(*place)).collect();
             powers.extend(all);
@@ -150,15 +149,9 @@ impl SceneCoverage {
     /// # Errors
     /// No free position, or [`Error::Stopped`] if `stop` is set.
     pub fn ascend(&self, settings: &Ascent, stop: &AtomicBool) -> Result<AscentResult> {
-        let ends = |k: usize| {
-            let all = self.candidates.iter().map(|place| place[k]);
-            all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
-        };
-        let [x, y] = [0, 1].map(ends);
+        let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|place| place[k])));
         let found = ascend(settings, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
-            if stop.load(Ordering::Relaxed) {
-                return Err(Error::Stopped);
-            }
+            check_stopped(stop)?;
             let receiver = self.simulator.receiver_at([x, y, self.mount]).ok();
             Ok(receiver.map(|receiver| self.powers(&receiver, which.par_iter().copied())))
         })?;

@@ -9,7 +9,8 @@
 
 use crate::posterior::Posterior;
 use pwrfgs_core::kriging::{Correlation, CorrelationKind};
-use pwrfgs_core::{evenly, rng};
+use pwrfgs_core::rng;
+use pwrfgs_core::statistics::{bounds, evenly};
 use rayon::prelude::*;
 
 /// Products below this share of the square of the new row are neglected.
@@ -36,8 +37,7 @@ pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
 /// Diagonal of the smallest box around `points`, metres.
 pub(crate) fn diagonal(points: &[[f64; 3]]) -> f64 {
     let extent = |k: usize| {
-        let (low, high) =
-            points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[k]), h.max(p[k])));
+        let (low, high) = bounds(points.iter().map(|p| p[k]));
         (high - low).max(0.0)
     };
     (0..3).map(|k| extent(k).powi(2)).sum::<f64>().sqrt()

@@ -4,19 +4,20 @@ mod deepmimo;
 mod files;
 
 pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
-use files::{Files, check_powers, put};
+use files::{Files, check_powers};
 pub use files::{OutputLayout, PATHS, POWER};
 
 use crate::observe::ObservationKind;
 use crate::recipe::SimulationRecipe;
 use crate::simulator::{SimulationRequest, Simulator, simulate_links};
 use crate::surface_points;
-use pwrfgs_core::{Error, Pose, Progress, Result, files::NewFolder, files::refuse_occupied};
+use pwrfgs_core::files::{NewFolder, refuse_occupied, write};
+use pwrfgs_core::{Error, Pose, Progress, Result, check_stopped};
 use pwrfgs_data::pose_row;
 use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Recipe of the folder; written last, so that its presence marks a complete folder.
 pub const MANIFEST: &str = "manifest.json";
@@ -75,7 +76,7 @@ pub fn write_as(
     let making = NewFolder::begin(out)?;
     if layout == OutputLayout::DeepMimo {
         deepmimo::write(recipe, &simulator, making.path(), progress, stop)?;
-        put(&making.path().join(MANIFEST), recipe.to_json())?;
+        making.put(MANIFEST, recipe.to_json())?;
         return making.publish();
     }
     let receivers = recipe.scene.receivers().count();
@@ -95,7 +96,7 @@ pub fn write_as(
         let progress = |done, all| progress(i * all + done, receivers * all);
         fill(&recipe, &simulator, layout, paths, &folder, &progress, stop)?;
     }
-    put(&making.path().join(MANIFEST), recipe.to_json())?;
+    making.put(MANIFEST, recipe.to_json())?;
     making.publish()
 }
 
@@ -127,9 +128,8 @@ fn fill(
 ) -> Result<()> {
     let &SimulationRecipe { samples, seed, observe, .. } = recipe;
     let mut written = Files::begin(folder, simulator, layout, samples, paths)?;
-    let check_cancelled = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
     simulate_links(simulator, &SimulationRequest { what: observe, samples, seed }, stop, |i, tx, received| {
-        check_cancelled()?;
+        check_stopped(stop)?;
         let pose = recipe.scene.moved_receiver(i, tx, seed).map(|receiver| receiver.pose());
         let place = pose.map_or_else(
             || format!("{},{},{}\n", tx.x, tx.y, tx.z),
@@ -141,8 +141,8 @@ fn fill(
     })?;
     written.finish(samples)?;
     write_points(recipe, simulator, folder)?;
-    put(&folder.join(MANIFEST), recipe.to_json())?;
-    check_cancelled()
+    write(&folder.join(MANIFEST), recipe.to_json())?;
+    check_stopped(stop)
 }
 
 fn write_points(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {

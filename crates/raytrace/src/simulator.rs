@@ -8,10 +8,10 @@ use crate::scene::{SceneFile, SceneReceiver};
 use crate::surface_points::{self, SurfacePoints};
 use crate::world::{self, MARGIN, Triangle, World};
 use glam::DVec3;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, check_stopped};
 use rayon::prelude::*;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Number of transmitters simulated at a time.
 const CHUNK: usize = 32;
@@ -138,9 +138,7 @@ pub fn simulate_links(
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
         let receive = |(i, tx): (usize, &DVec3)| {
-            if stop.load(Ordering::Relaxed) {
-                return Err(Error::Stopped);
-            }
+            check_stopped(stop)?;
             match scene.moved_receiver(c * CHUNK + i, *tx, seed) {
                 None => Ok(simulator.listeners.iter().map(|own| own.observe(*tx, &what, Some(draw(i)))).collect()),
                 Some(receiver) => {

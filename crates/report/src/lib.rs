@@ -9,7 +9,6 @@ pub mod canvas;
 pub mod draw {
     pub(crate) mod axes;
     pub(crate) mod charts;
-    pub mod coverage;
     pub mod location;
     pub(crate) mod marks;
     pub mod plan;

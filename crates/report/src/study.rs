@@ -2,7 +2,6 @@
 
 mod comparison;
 pub mod figures;
-mod format;
 mod output;
 mod page;
 mod tables;

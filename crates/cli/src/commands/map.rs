@@ -19,7 +19,7 @@ use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
@@ -105,7 +105,7 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
         layers.push(layer);
         training
     });
-    write(folder.path(), (&grid, training.as_ref()), &layers, model.receivers(), &poses, &receivers)?;
+    write(&folder, (&grid, training.as_ref()), &layers, model.receivers(), &poses, &receivers)?;
     folder.publish()?;
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
@@ -180,7 +180,7 @@ fn training(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, Training
 
 /// Writes all files into `folder`; `poses` are those of the receivers in the world frame.
 fn write(
-    folder: &Path,
+    folder: &NewFolder,
     (grid, training): (&PlaneGrid, Option<&TrainingMap>),
     layers: &[MapLayer],
     receivers: &[Receiver],
@@ -198,20 +198,13 @@ fn write(
     for layer in layers {
         let receiver = layer.receiver.map(|r| receivers[r].name.as_str());
         let name = file_name(layer.name, receiver.filter(|_| receivers.len() > 1), &mut taken);
-        let put = |file: String, bytes: &[u8]| {
-            let path = folder.join(file);
-            std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
-        };
-        put(format!("{name}.npy"), &array(grid, &layer.values))?;
+        folder.put(&format!("{name}.npy"), array(grid, &layer.values))?;
         let shown: Vec<usize> = layer.receiver.map_or_else(|| mapped.to_vec(), |r| vec![r]);
-        put(
-            format!("{name}.png"),
-            &image((grid, training), layer, receiver, shown.iter().map(|&r| poses[r].position)),
-        )?;
+        let image = image((grid, training), layer, receiver, shown.iter().map(|&r| poses[r].position));
+        folder.put(&format!("{name}.png"), image)?;
         _ = writeln!(list, "{},{extrapolated}", line(grid, layer, &name, receiver.unwrap_or("")));
     }
-    let path = folder.join("map.csv");
-    std::fs::write(&path, list).map_err(|e| Error::write(&path, e))
+    folder.put("map.csv", list)
 }
 
 /// Unique file name of letters, digits, points and dashes; case is ignored.

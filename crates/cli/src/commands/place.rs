@@ -1,21 +1,64 @@
 //! `pwrfgs place`: positions of receivers with the largest coverage.
 
-mod choice;
 mod measured;
 #[cfg(feature = "raytrace")]
 mod scene;
 
-pub(crate) use choice::Place;
-
 use crate::interrupt::stop_flag;
-use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
+use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
-use choice::Outcome;
+use clap::Args;
+use pwrfgs::experiment::text::{Lines, aligned};
+use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result, recognise};
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
-pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<u8> {
+/// Width of the image in print, millimetres.
+const WIDTH_MM: f64 = 120.0;
+/// Number of random choices that are averaged.
+const RANDOM: usize = 100;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Coverage is the 10th percentile, over transmitters, of the power of the strongest receiver.
+A scene is simulated: 1 to 3 receivers at any free position, beside the best position on a grid.
+A data folder with received powers: the best of its receivers, scored on held-out transmitters.
+Writes place.csv (choice, receiver, position, coverage) and place.png.
+
+EXAMPLES
+  pwrfgs place office --count 1
+  pwrfgs place scenes/conference.ron --count 2 --no-grid --out two
+  pwrfgs place data/ble --count 5 --out gateways")]
+pub(crate) struct Place {
+    /// Scene file or shipped scene, or data folder with received powers
+    #[arg(value_name = "SOURCE")]
+    pub(crate) source: PathBuf,
+    /// Number of receivers
+    #[arg(long, value_name = "N")]
+    pub(crate) count: usize,
+    /// Scenes: grid spacing of transmitters and of receivers in metres
+    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    pub(crate) step: f64,
+    /// Scenes: height of the transmitters in metres
+    #[arg(long, value_name = "M", default_value_t = 1.2, allow_negative_numbers = true)]
+    pub(crate) height: f64,
+    /// Scenes: height of the receivers in metres [default: that of the scene's receiver]
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    pub(crate) mount: Option<f64>,
+    /// Scenes: omit the grid of receivers, which takes most of the time
+    #[arg(long)]
+    pub(crate) no_grid: bool,
+    /// Random seed of samples, random choices and random splits
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Output folder; must be new or empty
+    #[arg(long, value_name = "DIR", default_value = "place")]
+    pub(crate) out: PathBuf,
+}
+
+pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     if arguments.count == 0 {
         return Err(Error::Config("--count 0: give at least 1".into()));
     }
@@ -23,19 +66,12 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<u8> {
     let outcome = RunProgress::during(verbosity, |progress| match recognise(&arguments.source) {
         Some(source) => measured::choose(arguments, &source, progress),
         None => simulated(arguments, &stop, progress),
-    });
-    let outcome = match outcome {
-        Err(Error::Stopped) => {
-            output::note("stopped without output; repeat the command to start again");
-            return Ok(INTERRUPTED);
-        }
-        other => other?,
-    };
+    })?;
     outcome.write(&folder)?;
     folder.publish()?;
     output::result(&outcome.table())?;
     verbosity.note(&format!("positions and map in {}", arguments.out.display()));
-    Ok(SUCCESS)
+    Ok(())
 }
 
 #[cfg(feature = "raytrace")]
@@ -51,4 +87,63 @@ fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -
 fn simulated(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Outcome> {
     let what = "no data found, and this build has no scenes; name a data folder, or build with the feature `raytrace`";
     Err(Error::input(&arguments.source, what))
+}
+
+/// Choice of receivers.
+struct Choice {
+    /// Name in `place.csv`; empty for averages, which are not written.
+    short: &'static str,
+    /// Name in the table.
+    name: String,
+    /// Names, empty in scenes, and positions in metres.
+    receivers: Vec<(String, [f64; 3])>,
+    /// Coverage, dBm.
+    coverage: f64,
+    /// Further cells of the line, including the coverage.
+    cells: Vec<String>,
+}
+
+/// Result of a command.
+struct Outcome {
+    /// Headings after the first.
+    header: Vec<String>,
+    /// Choices, the best search first.
+    choices: Vec<Choice>,
+    /// Lines below the table.
+    notes: Vec<String>,
+    map: CoverageMap,
+}
+
+impl Outcome {
+    /// Table with notes.
+    fn table(&self) -> String {
+        let mut lines = vec![[&["choice".to_owned()], &self.header[..]].concat()];
+        lines
+            .extend(self.choices.iter().map(|choice| [std::slice::from_ref(&choice.name), &choice.cells[..]].concat()));
+        let mut text = aligned(&lines, 1) + "\n";
+        for note in &self.notes {
+            text.push_str(note);
+            text.push('\n');
+        }
+        text
+    }
+
+    /// Writes `place.csv` and `place.png` into `folder`.
+    fn write(&self, folder: &NewFolder) -> Result<()> {
+        let mut lines = Lines::new(["choice", "order", "receiver", "x", "y", "z", "coverage_dbm"]);
+        for choice in self.choices.iter().filter(|choice| !choice.short.is_empty()) {
+            for (k, (name, position)) in choice.receivers.iter().enumerate() {
+                let [x, y, z] = position.map(|v| v.to_string());
+                lines.put([choice.short, &(k + 1).to_string(), name, &x, &y, &z, &format!("{:.3}", choice.coverage)]);
+            }
+        }
+        folder.put("place.csv", lines.text())?;
+        folder.put("place.png", self.map.draw().png(WIDTH_MM))
+    }
+}
+
+/// Mean of values; NaN without any.
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
+    sum / count
 }

@@ -4,7 +4,7 @@ mod source;
 
 use super::map::PlaneBounds;
 use crate::interrupt::stop_flag;
-use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
+use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::statistics::{Blocks, Difference};
@@ -14,7 +14,8 @@ use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, 
 use pwrfgs::report::draw::survey::SurveyMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
-use pwrfgs_core::{Dataset, Error, Result, evenly};
+use pwrfgs_core::statistics::{self, evenly};
+use pwrfgs_core::{Dataset, Error, Result, check_stopped};
 use source::{PlaceOptions, Places, places};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -66,7 +67,7 @@ pub(crate) struct Plan {
     pub(crate) out: PathBuf,
 }
 
-pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<u8> {
+pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
     let places = RunProgress::during(verbosity, |progress| places(&arguments.places, progress))?;
     let total = places.candidates.len();
@@ -85,19 +86,13 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<u8> {
             })
         })
     });
-    let scored =
-        (!stop.load(Ordering::Relaxed)).then(|| choices(arguments, &places, &survey, &plan, (&stop, verbosity)));
-    let Some(choices) = scored.transpose().or_else(|e| if matches!(e, Error::Stopped) { Ok(None) } else { Err(e) })?
-    else {
-        output::note("stopped without output; repeat the command to start again");
-        return Ok(INTERRUPTED);
-    };
-    let (choices, gain) = choices;
+    check_stopped(&stop)?;
+    let (choices, gain) = choices(arguments, &places, &survey, &plan, (&stop, verbosity))?;
     write(&folder, &places, &plan, &choices[0].variances)?;
     folder.publish()?;
     output::result(&table(&choices, gain, &plan.correlation, &places))?;
     verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
-    Ok(SUCCESS)
+    Ok(())
 }
 
 fn check_count(count: usize, total: usize) -> Result<()> {
@@ -119,11 +114,7 @@ fn region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
     let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
     let region = places.region(inside);
     if region.is_empty() {
-        let ends = [0, 1].map(|k| {
-            let all = places.candidates.iter().map(|place| place[k]);
-            all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
-        });
-        let [(x0, x1), (y0, y1)] = ends;
+        let [(x0, x1), (y0, y1)] = [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|place| place[k])));
         return Err(Error::Config(format!(
             "--region {text}: no candidate inside; candidates have x from {} to {} m and y from {} to {} m",
             number(x0),
@@ -197,9 +188,7 @@ fn choices(
     RunProgress::during(verbosity, |progress| {
         let total = choices.len();
         for (k, choice) in choices.iter_mut().enumerate() {
-            if stop.load(Ordering::Relaxed) {
-                return Err(Error::Stopped);
-            }
+            check_stopped(stop)?;
             progress.on_stage("scoring", k, total);
             choice.scores = kriging_scores(data, &choice.order, &test)?;
         }
@@ -243,11 +232,8 @@ fn write(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f6
         selected: plan.order.iter().map(|&j| above(&places.candidates[j])).collect(),
         receivers: places.receivers.iter().map(above).collect(),
     };
-    for (name, bytes) in [("plan.csv", lines.text().into_bytes()), ("plan.png", map.draw().png(WIDTH_MM))] {
-        let path = folder.path().join(name);
-        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))?;
-    }
-    Ok(())
+    folder.put("plan.csv", lines.text())?;
+    folder.put("plan.png", map.draw().png(WIDTH_MM))
 }
 
 /// Table of the choices, with the correlation and a comparison with the regular choice.

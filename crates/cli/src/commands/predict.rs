@@ -86,7 +86,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     }
     let factors = arguments.interval.map(|level| factors(&ensemble, level)).transpose()?;
     let made = NewFolder::begin(&arguments.out)?;
-    let folder = OutputFolder { path: made.path(), has_png: !arguments.no_png, stacked: arguments.stacked };
+    let folder = OutputFolder { folder: &made, has_png: !arguments.no_png, stacked: arguments.stacked };
     let mut writer = writer(&folder, &model, count, factors.is_some())?;
     let mut progress = RunProgress::new(verbosity);
     let mut list = writer.header();

@@ -2,7 +2,7 @@
 
 use super::options::position;
 use crate::interrupt::stop_flag;
-use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
+use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
 use pwrfgs::experiment::staged;
@@ -148,7 +148,7 @@ pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Res
     Ok(())
 }
 
-pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<u8> {
+pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()> {
     let begun = Instant::now();
     let stop = stop_flag();
     let (observe, layout) = arguments.output_layout()?;
@@ -162,18 +162,13 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<u8>
         let region = format!("transmitters from {low:?} to {high:?}");
         verbosity.note(&format!("{n} meshes; carrier {hz:e} Hz, receiver at {at:?}, {region}"));
     }
-    let written = RunProgress::during(verbosity, |progress| {
+    RunProgress::during(verbosity, |progress| {
         staged(progress, "simulating", |progress| {
             folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
         })
-    });
-    if matches!(written, Err(Error::Stopped)) {
-        output::note("stopped without output; repeat the command to start again");
-        return Ok(INTERRUPTED);
-    }
-    written?;
+    })?;
     verbosity.note(&summary(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
-    Ok(SUCCESS)
+    Ok(())
 }
 
 /// Describes the data set and the setting to train on it.

@@ -92,6 +92,14 @@ impl NewFolder {
         &self.path
     }
 
+    /// Writes one of its files.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn put(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
+        super::write(&self.path.join(name), bytes)
+    }
+
     /// Renames the folder to its target. An empty folder at the target is replaced.
     ///
     /// # Errors

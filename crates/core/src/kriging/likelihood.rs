@@ -1,7 +1,7 @@
 //! Maximum-likelihood fit of correlation, scales and noise.
 
 use super::{Correlation, CorrelationKind, Mean, Place, Solution, solve};
-use crate::{Real, neighbours};
+use crate::{Real, neighbours, statistics::sorted};
 use rayon::prelude::*;
 
 /// Range of the noise; below it, coinciding positions are dominated by rounding.
@@ -50,8 +50,7 @@ impl HeldOutCases {
             }
         };
         let all: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
-        let mut distances: Vec<f64> = all.iter().map(HeldOutCase::reach_m).filter(|reach| *reach > 0.0).collect();
-        distances.sort_by(f64::total_cmp);
+        let distances = sorted(all.iter().map(HeldOutCase::reach_m).filter(|reach| *reach > 0.0));
         Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, mean }
     }
 

@@ -99,16 +99,26 @@ impl Baseline for Kriging {
     }
 }
 
-/// Trend that is subtracted from every observation.
-#[derive(Clone, Copy)]
-struct Trend<'a> {
+/// Links of `order` after the first, each with the `count` nearest of those before it.
+pub fn preceding(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
+    let place = |i: usize| data.sample(i).tx;
+    let case = |n: usize| {
+        let near = Nearest::new(order[..n].to_vec(), 3, place).find(&place(order[n]), count).1;
+        (order[n], near.into_iter().map(|(_, j)| j).collect())
+    };
+    (1..order.len()).into_par_iter().map(case).collect()
+}
+
+/// Trend that is subtracted from every observation: a path-loss model for received powers, none for others.
+#[derive(Clone, Copy, Debug)]
+pub struct Trend<'a> {
     data: &'a Dataset,
     law: Option<PathLoss>,
 }
 
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
-    fn of(data: &'a Dataset, links: &[usize]) -> Self {
+    pub fn of(data: &'a Dataset, links: &[usize]) -> Self {
         Self { data, law: data.task().is_scalar.then(|| PathLoss::fit(&points(data, links))) }
     }
 
@@ -138,8 +148,7 @@ impl<'a> Trend<'a> {
         let cases: Vec<_> = if is_power {
             let mut order = evenly(all, POWERS);
             rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
-            let case = |n: usize| given(&Nearest::new(order[..n].to_vec(), 3, space_of), order[n], FROM_POWERS);
-            (1..order.len()).into_par_iter().map(case).collect()
+            preceding(self.data, &order, FROM_POWERS)
         } else {
             let (train, validation) = choosing(known);
             let in_time = |i: usize| [f64::from(self.data.sample(i).id)];
@@ -156,15 +165,15 @@ impl<'a> Trend<'a> {
             evenly(&validation, CASES).par_iter().map(case).collect()
         };
         let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
-        let cases = HeldOutCases::new(&cases, Mean::Unknown, |i| place(self.data, i), |_, i| self.picture(i));
+        let cases = HeldOutCases::new(&cases, Mean::Unknown, |i| place(self.data, i), |_, i| self.values(i, PIXELS));
         let correlation = most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1;
         (correlation, cases.variance(&correlation))
     }
 
-    /// About [`PIXELS`] values of link `i` for the fit.
-    fn picture(&self, i: usize) -> Vec<Real> {
+    /// About `most` values of the residual of link `i`.
+    pub fn values(&self, i: usize, most: usize) -> Vec<Real> {
         let Dataset { width, height, .. } = *self.data;
-        let stride = ((width * height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
+        let stride = ((width * height) as f64 / most as f64).sqrt().ceil().max(1.0) as usize;
         let mut pixels = vec![0.0; width.div_ceil(stride) * height.div_ceil(stride)];
         self.residual(i, stride, &mut pixels);
         pixels

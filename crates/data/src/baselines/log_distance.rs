@@ -54,8 +54,7 @@ impl Baseline for LogDistance {
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let mut own = vec![Vec::new(); data.scene.receivers.len()];
-        all_of(known)?.into_iter().for_each(|i| own[data.links[i].receiver].push(i));
+        let own = data.by_receiver(all_of(known)?);
         let own: Vec<Vec<(f64, f64)>> = own.iter().map(|links| points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = own.iter().map(Vec::as_slice).collect();
         let (shared, levels) = PathLoss::with_offsets(&groups);

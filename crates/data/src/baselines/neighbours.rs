@@ -1,6 +1,6 @@
 //! `NearestNeighbours`: mean of the nearest training samples. `NearestCarrier`: the observation at the nearest carrier.
 
-use super::{ByReceiver, ReceiverPredictor, all_of, choosing, of_receivers, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
     Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Receiver, Result, Task, evenly, ssim,
@@ -256,7 +256,7 @@ impl Baseline for NearestCarrier {
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).tx.to_vec());
-        let own = of_receivers(data, &all_of(known)?).into_iter().enumerate();
+        let own = data.by_receiver(all_of(known)?).into_iter().enumerate();
         let known = own.filter(|(_, links)| !links.is_empty()).map(|(receiver, links)| (receiver, lookup(links)));
         Ok(Box::new(CarrierLookup { data, known: known.collect() }))
     }

@@ -4,6 +4,7 @@ use super::*;
 use crate::Arrays;
 use image::{ImageBuffer, Luma};
 use pwrfgs_core::{DataSource as _, Dataset};
+use std::fs;
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 struct Folder(tempfile::TempDir);

@@ -3,6 +3,7 @@
 use super::*;
 use proptest::prelude::*;
 use pwrfgs_core::{Channels as Gains, Pose, Receiver, Sample, Simulation};
+use std::fs;
 
 /// The data set read back from a folder.
 fn again(data: &Dataset) -> Dataset {

@@ -1,6 +1,6 @@
 //! `LeaveReceiverOut` and `RandomLinks`: split links instead of transmitters.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out, part, transmitters};
+use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out_links, part, random_lists};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, did_you_mean};
@@ -62,10 +62,7 @@ impl Split for LeaveReceiverOut {
             }
             test = [others, own].concat();
         }
-        let (_, held) = hold_out(transmitters(data, &known), self.validation, rng);
-        let held: BTreeSet<usize> = held.into_iter().collect();
-        let (validation, mut train): (Vec<usize>, Vec<usize>) =
-            known.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        let (mut train, validation) = hold_out_links(data, known, self.validation, rng);
         train.extend(calibration);
         finish_links(train, validation, test)
     }
@@ -131,10 +128,8 @@ impl Default for RandomLinks {
 #[typetag::serde]
 impl Split for RandomLinks {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let mut all: Vec<usize> = (0..data.len()).collect();
-        rng::shuffle(rng, &mut all);
-        let test = all.split_off(all.len() - part(self.test, all.len()));
-        let (train, validation) = hold_out(all, self.validation, rng);
+        let test = part(self.test, data.len());
+        let (train, validation, test) = random_lists(data.len(), test, self.validation, rng);
         finish_links(train, validation, test)
     }
 

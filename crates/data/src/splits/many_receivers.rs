@@ -31,7 +31,7 @@ fn all_links_of_transmitter_are_in_one_set() {
     let data = three_receivers(40);
     for text in ["Official()", "Random()", "TimeBlock()", "Voxel(size_m: 3)", "Sparse(train: 20)"] {
         let parts = split(text, &data).unwrap();
-        let of = |links: &[usize]| transmitters(&data, links);
+        let of = |links: &[usize]| data.transmitters_of(links);
         let lists = [of(&parts.train), of(&parts.validation), of(&parts.test)];
         assert_eq!(lists.iter().map(Vec::len).sum::<usize>(), 40, "{text}");
         assert_eq!(parts.train.len() + parts.validation.len() + parts.test.len(), data.len(), "{text}");
@@ -46,7 +46,7 @@ fn random_links_split_links_of_transmitter() {
     let data = three_receivers(40);
     let parts = split("RandomLinks()", &data).unwrap();
     assert_eq!((parts.train.len(), parts.validation.len(), parts.test.len()), (72, 8, 20));
-    let (train, test) = (transmitters(&data, &parts.train), transmitters(&data, &parts.test));
+    let (train, test) = (data.transmitters_of(&parts.train), data.transmitters_of(&parts.test));
     assert!(test.iter().filter(|t| train.contains(t)).count() > 10);
     assert_eq!(split("RandomLinks()", &line_of_samples(40)), split("Random()", &line_of_samples(40)));
 }

@@ -1,6 +1,6 @@
 //! Selection of sample pairs for comparison.
 
-use crate::statistics::quantile;
+use pwrfgs_core::statistics::{median, sorted};
 use pwrfgs_core::{Dataset, Real, evenly, neighbours, rng};
 use std::ops::Range;
 
@@ -67,7 +67,7 @@ impl SamplePair {
 /// Pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of 8,192 samples
 /// with any other), and a random part of the distant ones.
 pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
-    let rows = by_receiver(data);
+    let rows = data.by_receiver(0..data.len());
     let of = |own: &Vec<usize>| match lag {
         PairLag::Near => near(data, own),
         PairLag::Far => far(data, own, rows.len()),
@@ -79,13 +79,6 @@ pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     rng::shuffle(&mut rng::stream(0, "repeatability order", 0), &mut pairs);
     pairs.sort_by(|a, b| a.distance.total_cmp(&b.distance));
     pairs
-}
-
-/// Links of each receiver: only observations of the same receiver are comparable.
-fn by_receiver(data: &Dataset) -> Vec<Vec<usize>> {
-    let mut rows = vec![Vec::new(); data.scene.receivers.len()];
-    (0..data.len()).for_each(|i| rows[data.links[i].receiver].push(i));
-    rows
 }
 
 /// Pairs near in time among the links `rows` of one receiver.
@@ -105,8 +98,7 @@ fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<SamplePair> {
     let from: Vec<[Real; 3]> = sampled.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
     // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
-    let mut ends: Vec<f64> = found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()).collect();
-    ends.sort_by(f64::total_cmp);
+    let ends = sorted(found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
     let complete = found.iter().any(|list| list.len() == places.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &SamplePair| pair.ids_apart(data) > FAR_IDS;
@@ -132,19 +124,15 @@ fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = S
 /// Whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order of
 /// time.
 pub fn in_order(data: &Dataset) -> bool {
-    let median = |pairs: Vec<SamplePair>| {
-        let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance).collect();
-        distances.sort_by(f64::total_cmp);
-        quantile(&distances, 0.5)
-    };
-    let own = by_receiver(data).into_iter().max_by_key(Vec::len).unwrap_or_default();
+    let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
+    let own = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
     let next = own.windows(2).map(|two| SamplePair::of(data, two[0], two[1])).collect();
     median(next) < 0.5 * median(unrelated(data))
 }
 
 /// Random pairs of any two samples.
 pub(super) fn unrelated(data: &Dataset) -> Vec<SamplePair> {
-    let rows = by_receiver(data);
+    let rows = data.by_receiver(0..data.len());
     let each = UNRELATED.div_ceil(rows.len());
     rows.iter().flat_map(|rows| drawn(data, rows, each)).collect()
 }

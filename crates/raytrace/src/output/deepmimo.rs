@@ -1,12 +1,11 @@
 //! Scenario of DeepMIMO v4: receivers become base stations, transmitters become users, and paths run from base station to user.
 
-use super::put;
 use crate::path::{Interaction, PropagationPath, angles};
 use crate::recipe::SimulationRecipe;
 use crate::simulator::Simulator;
 use glam::DVec3;
 use pwrfgs_core::npy::npy_header;
-use pwrfgs_core::{Error, Number, Progress, Result};
+use pwrfgs_core::{Error, Number, Progress, Result, check_stopped, files};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::fs::File;
@@ -38,9 +37,7 @@ pub(super) fn write(
     let (mut active, mut most) = (vec![false; users.len()], [0; 4]);
     for (i, station) in stations.iter().enumerate() {
         let trace = |user: &DVec3| {
-            if stop.load(Ordering::Relaxed) {
-                return Err(Error::Stopped);
-            }
+            check_stopped(stop)?;
             let mut paths = station.trace(*user);
             paths.retain(|path| path.gain.norm_sqr() > 0.0); // from behind a patch antenna
             paths.sort_by(|a, b| b.gain.norm_sqr().total_cmp(&a.gain.norm_sqr()));
@@ -66,8 +63,8 @@ pub(super) fn write(
     npz(&folder.join("vertices.npz"), "vertices", &[0, 3], &[])?;
     let sets =
         [("base stations", [stations.len(); 2]), ("users", [users.len(), active.iter().filter(|a| **a).count()])];
-    put(&folder.join("params.json"), parameters(simulator.scene().carrier_hz, most, sets).to_string())?;
-    put(&folder.join("objects.json"), "[]")
+    files::write(&folder.join("params.json"), parameters(simulator.scene().carrier_hz, most, sets).to_string())?;
+    files::write(&folder.join("objects.json"), "[]")
 }
 
 /// Writes the matrices of the paths of all users by name, shape and values.

@@ -10,11 +10,13 @@ use crate::simulator::Simulator;
 use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::{Error, Number, Result, files};
-use pwrfgs_data::{CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv};
+use pwrfgs_core::files::{self, GrowingFile};
+use pwrfgs_core::{Error, Number, Result};
+use pwrfgs_data::{
+    CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv, receiver_yaml,
+};
 use std::fmt::Write as _;
 use std::fs;
-use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 /// File of every path of every transmitter.
@@ -112,7 +114,7 @@ pub(super) struct Files {
     folder: PathBuf,
     layout: OutputLayout,
     /// Array of spectra or channels, unless spectra are images.
-    array: Option<Growing>,
+    array: Option<GrowingFile>,
     /// Table of powers, or of absolute powers of spectra.
     table: Option<(&'static str, String)>,
     /// Metadata of the observations: poses, frequencies, antennas.
@@ -122,7 +124,7 @@ pub(super) struct Files {
     /// Carriers, each with a row per transmitter, Hz; empty for one carrier.
     carriers_hz: Vec<f64>,
     /// Path tables, one per receiver, or none.
-    paths: Vec<(PathTable, Growing)>,
+    paths: Vec<(PathTable, GrowingFile)>,
 }
 
 impl Files {
@@ -135,11 +137,12 @@ impl Files {
     ) -> Result<Self> {
         let (listeners, scene) = (simulator.listeners(), simulator.scene());
         let (links, is_alone) = (samples * listeners.len(), scene.more_receivers.is_empty());
-        let array = |name, header: Vec<u8>| Growing::begin(folder.join(name), &header).map(Some);
+        let array = |name, header: Vec<u8>| GrowingFile::create(folder.join(name), &header).map(Some);
         let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
         let channels = |name| array(name, npy_header_as("<c8", &shape));
         // Only for one receiver; with several, the poses are in another file.
         let gateway = || ("gateway_info.yml", gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose()));
+        let antennas = |own: &PreparedReceiver| own.antennas().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
         let absolute = || (POWER, "id,path_gain_db,low,high\n".to_owned());
         let (array, table, facts) = match layout {
             OutputLayout::Pictures => {
@@ -158,19 +161,24 @@ impl Files {
                 (None, Some((POWERS, names.join(",") + "\n")), Some(("gateway_position.yml", places.collect())))
             }
             OutputLayout::Channels => {
-                let facts = is_alone.then(|| ("receiver.yml", receiver_yaml(simulator, &listeners[0])));
+                let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
+                let (own, hz) = (&listeners[0], scene.frequencies());
+                let facts =
+                    || ("receiver.yml", receiver_yaml(&own.receiver().name, &own.pose(), band, &hz, &antennas(own)));
+                let facts = is_alone.then(facts);
                 (channels(CHANNELS)?, None, facts)
             }
-            OutputLayout::Csi => {
-                let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(DVec3::to_array).collect();
-                (channels("csidata.npy")?, None, Some(("base-station.yml", base_station_yaml(&antennas))))
-            }
+            OutputLayout::Csi => (
+                channels("csidata.npy")?,
+                None,
+                Some(("base-station.yml", base_station_yaml(&antennas(&listeners[0])))),
+            ),
             OutputLayout::DeepMimo => (None, None, None), // written by `deepmimo.rs`
         };
         let table_of = |listener: &PreparedReceiver| {
             let own = format!("paths-{}.csv", listener.receiver().name);
             let path = folder.join(if listeners.len() == 1 { PATHS } else { &own });
-            let file = Growing::begin(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
+            let file = GrowingFile::create(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
             Ok((PathTable::new(simulator.world(), listener.world_from_receiver()), file))
         };
         let paths = if paths { listeners.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
@@ -226,14 +234,14 @@ impl Files {
 
     /// Writes the remaining files.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
-        self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(Growing::finish)?;
+        self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(GrowingFile::finish)?;
         for (name, text) in self.facts.into_iter().chain(self.table).chain([self.positions]) {
-            put(&self.folder.join(name), text)?;
+            files::write(&self.folder.join(name), text)?;
         }
         let rows = self.carriers_hz.len().max(1);
         if !self.carriers_hz.is_empty() {
             let text = self.carriers_hz.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat();
-            put(&self.folder.join(CARRIERS), text.repeat(samples))?;
+            files::write(&self.folder.join(CARRIERS), text.repeat(samples))?;
         }
         for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
             let mut text = String::new();
@@ -244,31 +252,9 @@ impl Files {
                 }
                 .expect("text grows");
             }
-            put(&self.folder.join(name), text)?;
+            files::write(&self.folder.join(name), text)?;
         }
         Ok(())
-    }
-}
-
-/// File that is written incrementally.
-struct Growing {
-    file: BufWriter<fs::File>,
-    path: PathBuf,
-}
-
-impl Growing {
-    fn begin(path: PathBuf, start: &[u8]) -> Result<Self> {
-        let file = fs::File::create(&path).map_err(|e| Error::write(&path, e))?;
-        let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
-        growing.add(start).map(|()| growing)
-    }
-
-    fn add(&mut self, bytes: &[u8]) -> Result<()> {
-        self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
-    }
-
-    fn finish(mut self) -> Result<()> {
-        self.file.flush().map_err(|e| Error::write(&self.path, e))
     }
 }
 
@@ -297,23 +283,6 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
     }
 }
 
-/// Axes of a channel array as YAML.
-fn receiver_yaml(simulator: &Simulator, listener: &PreparedReceiver) -> String {
-    let (scene, pose) = (simulator.scene(), listener.pose());
-    let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
-    let antennas: Vec<String> = listener.antennas().iter().map(|place| list(&place.to_array())).collect();
-    format!(
-        "name: {}\nposition: {}\norientation: {} # quaternion x, y, z, w\ncarrier_hz: {:?}\nspacing_hz: {spacing:?}\n\
-         frequencies_hz: {}\nantennas: [{}] # in the world, metres\n",
-        listener.receiver().name,
-        list(&pose.position),
-        list(&pose.orientation),
-        scene.carrier_hz,
-        list(&scene.frequencies()),
-        antennas.join(", ")
-    )
-}
-
 /// Numbers in brackets, as YAML.
 fn list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
@@ -324,9 +293,5 @@ fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
     PngEncoder::new(&mut bytes)
         .write_image(pixels, WIDTH as u32, HEIGHT as u32, ExtendedColorType::L8)
         .map_err(|e| Error::write(path, std::io::Error::other(e)))?;
-    put(path, bytes)
-}
-
-pub(super) fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
-    fs::write(path, bytes).map_err(|e| Error::write(path, e))
+    files::write(path, bytes)
 }

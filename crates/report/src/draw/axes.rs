@@ -11,6 +11,7 @@ use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind, FontTransform,
 };
+use pwrfgs_core::statistics::bounds;
 use pwrfgs_experiment::text::grouped;
 use std::convert::Infallible;
 
@@ -38,8 +39,7 @@ impl AxisScale {
         scale.ends = if let Some((low, high)) = axis.ends {
             (scale.place(low), scale.place(high))
         } else {
-            let values = values.map(|v| scale.place(v)).filter(|v| v.is_finite());
-            let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+            let (low, high) = bounds(values.map(|v| scale.place(v)).filter(|v| v.is_finite()));
             let air = (0.05 * (high - low)).max(if axis.log { 0.02 } else { 1e-9 });
             (low - air, high + air)
         };

@@ -6,6 +6,7 @@ use crate::canvas::{
     Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, TEXT, VectorPath, WHITE, wrapped,
 };
 use pwrfgs_core::colour::{Rgb, cyclic, sequential};
+use pwrfgs_core::statistics::bounds;
 
 /// Minimum ratio of the shorter to the longer side of a frame, so that a corridor stays visible.
 const FLATTEST: f64 = 0.12;
@@ -39,17 +40,14 @@ impl FloorPlan {
 
     /// Smallest frame with a margin around `places`; a square metre if there are none.
     pub(crate) fn corners(places: impl IntoIterator<Item = Point>) -> [Point; 2] {
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for place in places.into_iter().filter(|place| place.iter().all(|v| v.is_finite())) {
-            for k in 0..2 {
-                (low[k], high[k]) = (low[k].min(place[k]), high[k].max(place[k]));
-            }
-        }
-        if low[0] > high[0] {
+        let is_finite = |place: &Point| place.iter().all(|v| v.is_finite());
+        let places: Vec<Point> = places.into_iter().filter(is_finite).collect();
+        if places.is_empty() {
             return [[-0.5; 2], [0.5; 2]];
         }
-        let air = 0.04 * (high[0] - low[0]).max(high[1] - low[1]).max(0.5);
-        [low.map(|v| v - air), high.map(|v| v + air)]
+        let [x, y] = [0, 1].map(|k| bounds(places.iter().map(|place| place[k])));
+        let air = 0.04 * (x.1 - x.0).max(y.1 - y.0).max(0.5);
+        [[x.0 - air, y.0 - air], [x.1 + air, y.1 + air]]
     }
 
     /// Position on the drawing.
@@ -293,7 +291,7 @@ impl Heatmap<'_> {
             return (0.0, 360.0);
         }
         let finite = self.values.iter().copied().filter(|v| v.is_finite()).map(f64::from);
-        let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        let (low, high) = bounds(finite);
         match high - low {
             gap if gap > 1e-6 * high.abs().max(1e-9) => (low, high),
             _ if low.is_finite() => (low - 0.5, low + 0.5),

@@ -1,7 +1,9 @@
-//! Map of a survey: candidates, known measurements and selected positions.
+//! Maps of a survey (candidates, known measurements and selected positions) and of coverage (strongest power per transmitter
+//! position, and the selected receivers).
 
 use super::plan::FloorPlan;
-use crate::canvas::{BLACK, Canvas, Colour, Paint, Point};
+use crate::canvas::{BLACK, Canvas, Colour, INK, Paint, Point, TEXT, WHITE};
+use pwrfgs_core::statistics::bounds;
 
 /// Size of the numbers.
 const SMALL: f64 = 10.0;
@@ -61,6 +63,61 @@ impl SurveyMap {
     }
 }
 
+/// Radius of a transmitter position: part of its share of the map, smallest and largest.
+const DOT: (f64, f64, f64) = (0.3, 1.2, 9.0);
+
+/// Coverage of selected receivers, seen from above, metres.
+#[derive(Clone, Debug, Default)]
+pub struct CoverageMap {
+    /// Title above the map.
+    pub title: String,
+    /// Positions of transmitters.
+    pub transmitters: Vec<Point>,
+    /// Strongest power of the selected receivers, dBm, per transmitter.
+    pub powers: Vec<f64>,
+    /// Selected receivers, in the order of the table.
+    pub selected: Vec<Point>,
+    /// Receivers that are not selected.
+    pub others: Vec<Point>,
+}
+
+impl CoverageMap {
+    /// Draws the map. Colours run from dark (weakest power) to light (strongest power).
+    pub fn draw(&self) -> Canvas {
+        let framed = [&self.transmitters, &self.selected, &self.others].into_iter().flatten().copied();
+        let plan = FloorPlan::around(framed);
+        let mut map = plan.canvas();
+        let finite = self.powers.iter().copied().filter(|v| v.is_finite());
+        let (low, high) = bounds(finite);
+        let [width, height] = plan.area().1;
+        let (share, least, most) = DOT;
+        let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();
+        for (place, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
+            let colour = Colour::sequential((power - low) / (high - low).max(1e-9));
+            map.circle(plan.place(*place), radius.clamp(least, most), Paint::fill(colour));
+        }
+        for place in &self.others {
+            map.circle(plan.place(*place), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));
+        }
+        self.selected.iter().for_each(|place| plan.receiver(&mut map, *place));
+        plan.numbers(&mut map, &self.selected, TEXT, [8.0, 5.0]);
+        plan.titled(map, &self.title, &self.note((low, high)))
+    }
+
+    /// Explains the marks.
+    fn note(&self, (low, high): (f64, f64)) -> String {
+        let mut words = vec!["squares: selected receivers".to_owned()];
+        if low <= high {
+            let [low, high] = [low, high].map(|v| format!("{v:.0}").replace('-', "−"));
+            words.push(format!("dots: transmitters, strongest power from {low} dBm (dark) to {high} dBm (light)"));
+        }
+        if !self.others.is_empty() {
+            words.push("white circles: other receivers".into());
+        }
+        words.join("; ")
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -79,6 +136,23 @@ mod tests {
             let svg = map.draw().svg("map", "");
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
             assert_eq!(svg.matches(">9<").count(), if map.selected.is_empty() { 0 } else { 3 });
+            assert_eq!(outside::take().1, Vec::<String>::new(), "text leaves the map");
+        }
+    }
+
+    #[test]
+    fn draws_empty_and_full_maps() {
+        let full = CoverageMap {
+            title: "coverage".into(),
+            transmitters: vec![[0.0, 0.0], [1.0, 2.0], [f64::NAN, 0.0], [0.4, 0.1]],
+            powers: vec![-80.0, -60.0, -70.0, f64::NAN],
+            selected: vec![[0.5, 0.5], [0.2, 1.0]],
+            others: vec![[0.2, 0.1]],
+        };
+        for map in [CoverageMap::default(), full] {
+            let svg = map.draw().svg("map", "");
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            assert_eq!(svg.contains("from −80 dBm"), !map.selected.is_empty());
             assert_eq!(outside::take().1, Vec::<String>::new(), "text leaves the map");
         }
     }

@@ -4,8 +4,9 @@ use crate::canvas::{Colour, INK};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine, decimate_steps, phases};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
+use pwrfgs_core::statistics::{self, quantile};
 use pwrfgs_core::{Appearance, Headline};
-use pwrfgs_experiment::{IntervalScores, LoadedRun, record::column, scores::MODEL, statistics::quantile};
+use pwrfgs_experiment::{IntervalScores, LoadedRun, record::column, scores::MODEL};
 
 /// Maximum number of ranges over which the loss is averaged.
 const STRETCHES: usize = 150;
@@ -158,9 +159,7 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
     let mut sorted: Vec<(&String, Vec<f64>)> = Vec::new();
     for (name, _) in &scores.predictors {
         let Some(values) = scores.samples(name, headline.key) else { continue };
-        let mut values = values.to_vec();
-        values.sort_by(f64::total_cmp);
-        sorted.push((name, values));
+        sorted.push((name, statistics::sorted(values.iter().copied())));
     }
     let ends = ends(&headline, &sorted);
     let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex).cycle();

@@ -5,8 +5,8 @@ use crate::draw::plan::{FloorPlan, draw_receiver};
 use crate::draw::spectra::ColourScale;
 use minijinja::{Value, context};
 use pwrfgs_core::colour::{diverging, sequential};
-use pwrfgs_core::evenly;
-use pwrfgs_experiment::{LoadedRun, scores::MODEL, statistics::quantile};
+use pwrfgs_core::statistics::{evenly, quantile, sorted};
+use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 
 /// Maximum number of maps, and of transmitters per map.
 const MAPS: usize = 24;
@@ -97,9 +97,7 @@ impl ErrorScale {
     /// Creates the scale up to the 95th percentile of the absolute errors: a few large errors would make all others
     /// white.
     fn new(errors: &[LinkError], is_positive: bool) -> Self {
-        let mut sizes: Vec<f64> = errors.iter().map(|own| own.error.abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let most = quantile(&sizes, 0.95);
+        let most = quantile(&sorted(errors.iter().map(|own| own.error.abs())), 0.95);
         if is_positive {
             Self::Positive(((20.0 * most).ceil() / 20.0).max(0.05))
         } else {

@@ -6,8 +6,8 @@ use crate::canvas::{BLACK, Colour};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
-use pwrfgs_core::evenly;
-use pwrfgs_experiment::{LoadedRun, statistics::quantile};
+use pwrfgs_core::statistics::{evenly, quantile, sorted};
+use pwrfgs_experiment::LoadedRun;
 
 /// Maximum number of dots of the scatter plot.
 const DOTS: usize = 3_000;
@@ -37,8 +37,7 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
         pairs.push(PowerPair { link, measured: truth.pixels[0] as f64, predicted: prediction.pixels[0] as f64 });
     });
     pairs.retain(|own| own.error().is_finite());
-    let mut errors: Vec<f64> = pairs.iter().map(PowerPair::error).collect();
-    errors.sort_by(f64::total_cmp);
+    let errors = sorted(pairs.iter().map(PowerPair::error));
     let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&pairs)].into_iter().flatten().collect();
     let by_link = pairs.iter().map(|own| LinkError { link: own.link, error: own.error() }).collect();
     context! {

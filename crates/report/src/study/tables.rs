@@ -1,10 +1,8 @@
 //! `Table`: content of a table for all formats of the report, with best values marked.
 
-mod differences;
 mod scores;
 
-pub(super) use differences::differences;
-pub(super) use scores::{further, latency, scores};
+pub(super) use scores::{differences, further, latency, scores};
 
 use super::comparison::{ComparisonRow, RowKind};
 use crate::templates::sentences;

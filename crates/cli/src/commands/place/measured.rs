@@ -1,11 +1,11 @@
 //! Best receivers of a data folder with received powers.
 
-use super::choice::{Choice, Outcome, Place, RANDOM, mean};
+use super::{Choice, Outcome, Place, RANDOM, mean};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
 use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest};
-use pwrfgs::report::draw::coverage::CoverageMap;
+use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{DataSource, Dataset, Error, Result, rng};
 use std::path::Path;

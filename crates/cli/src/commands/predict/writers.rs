@@ -4,12 +4,10 @@ use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::text::field;
 use pwrfgs::model::{Interval, Prepared};
+use pwrfgs_core::files::{GrowingFile, NewFolder};
 use pwrfgs_core::{Error, Image, ImagePlane, Number, Real, Result, Task, gains_of};
 use rayon::prelude::*;
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::{BufWriter, Write as _};
-use std::path::{Path, PathBuf};
 
 /// NumPy type of pairs of 32-bit floats.
 const COMPLEX: &str = "<c8";
@@ -100,7 +98,7 @@ struct Spectra<'a> {
     /// Whether rows have orientations of a moving receiver.
     has_turns: bool,
     has_interval: bool,
-    stacks: Vec<Stack>,
+    stacks: Vec<GrowingFile>,
 }
 
 impl<'a> Spectra<'a> {
@@ -109,7 +107,7 @@ impl<'a> Spectra<'a> {
         let size = [count, plane.height, plane.width];
         let has_spread = model.models().count() > 1;
         let names = [("spectra", true), ("spread", has_spread), ("lower", has_interval), ("upper", has_interval)];
-        let stack = |(name, _)| Stack::floats(folder, &format!("{name}.npy"), size);
+        let stack = |(name, _)| folder.stack(&format!("{name}.npy"), &npy_header(Number::F32, &size));
         let stacks = names.into_iter().filter(|(_, is_written)| folder.stacked && *is_written).map(stack);
         let stacks = stacks.collect::<Result<_>>()?;
         Ok(Self { plane, has_names: model.receivers().len() > 1, has_turns: model.moves(), has_interval, stacks })
@@ -140,7 +138,7 @@ impl Writer for Spectra<'_> {
             };
             images.par_iter().zip(rows).map(one).collect::<Result<Vec<()>>>()?;
             if let Some(stack) = self.stacks.get_mut(k) {
-                images.iter().try_for_each(|image| stack.push_floats(image))?;
+                images.iter().try_for_each(|image| stack.add(&floats(image).collect::<Vec<u8>>()))?;
             }
         }
         list.extend(rows.iter().map(|(row, drawn)| line(self.plane, row, drawn)));
@@ -148,7 +146,7 @@ impl Writer for Spectra<'_> {
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
-        self.stacks.into_iter().try_for_each(Stack::finish)
+        self.stacks.into_iter().try_for_each(GrowingFile::finish)
     }
 }
 
@@ -195,7 +193,7 @@ impl Writer for Powers {
 /// Writer of channels.
 struct Channels {
     task: Task,
-    stacks: Vec<Stack>,
+    stacks: Vec<GrowingFile>,
 }
 
 impl Channels {
@@ -203,9 +201,9 @@ impl Channels {
         let size = [count, model.plane().height / 2, model.plane().width];
         let mut stacks = Vec::new();
         if folder.stacked {
-            stacks.push(Stack::complex(folder, "channels.npy", size)?);
+            stacks.push(folder.stack("channels.npy", &npy_header_as(COMPLEX, &size))?);
             if model.models().count() > 1 {
-                stacks.push(Stack::floats(folder, "spread.npy", size)?);
+                stacks.push(folder.stack("spread.npy", &npy_header(Number::F32, &size))?);
             }
         }
         Ok(Self { task: model.task(), stacks })
@@ -222,12 +220,12 @@ impl Writer for Channels {
             let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
             let spread = spread.as_ref().map(lengths);
             if let Some(stack) = self.stacks.first_mut() {
-                stack.push_complex(&gains)?;
+                stack.add(&pairs(&gains).collect::<Vec<u8>>())?;
             } else {
                 folder.gains(&name, [image.height / 2, image.width], &gains)?;
             }
             match (self.stacks.get_mut(1), &spread) {
-                (Some(stack), Some(spread)) => stack.push_floats(spread)?,
+                (Some(stack), Some(spread)) => stack.add(&floats(spread).collect::<Vec<u8>>())?,
                 (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
                 _ => {}
             }
@@ -237,7 +235,7 @@ impl Writer for Channels {
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
-        self.stacks.into_iter().try_for_each(Stack::finish)
+        self.stacks.into_iter().try_for_each(GrowingFile::finish)
     }
 }
 
@@ -249,7 +247,7 @@ fn lengths(parts: &Image) -> Image {
 
 /// Output folder.
 pub(super) struct OutputFolder<'a> {
-    pub(super) path: &'a Path,
+    pub(super) folder: &'a NewFolder,
     pub(super) has_png: bool,
     /// Whether all spectra or channels are one array.
     pub(super) stacked: bool,
@@ -279,64 +277,23 @@ impl OutputFolder<'_> {
         let shown = Image { pixels: image.pixels.iter().map(|p| gain * p).collect(), ..*image };
         PngEncoder::new(&mut png)
             .write_image(&shown.to_bytes(), image.width as u32, image.height as u32, ExtendedColorType::L8)
-            .map_err(|e| Error::write(self.path, std::io::Error::other(e)))?;
+            .map_err(|e| Error::write(self.folder.path(), std::io::Error::other(e)))?;
         self.put(&format!("{name}.png"), &png)
     }
 
     /// Writes a file.
     pub(super) fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        let path = self.path.join(name);
-        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+        self.folder.put(name, bytes)
+    }
+
+    /// Creates an array that is written row by row.
+    fn stack(&self, name: &str, header: &[u8]) -> Result<GrowingFile> {
+        GrowingFile::create(self.folder.path().join(name), header)
     }
 }
 
 fn name(row: usize) -> String {
     format!("{row:05}")
-}
-
-/// Array `[M, height, width]` of 32-bit or complex numbers, written row by row; may exceed memory.
-struct Stack {
-    path: PathBuf,
-    file: BufWriter<File>,
-}
-
-impl Stack {
-    /// Creates an array of floats.
-    fn floats(folder: &OutputFolder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
-        Self::create(folder, name, &npy_header(Number::F32, &shape))
-    }
-
-    /// Creates an array of complex numbers.
-    fn complex(folder: &OutputFolder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
-        Self::create(folder, name, &npy_header_as(COMPLEX, &shape))
-    }
-
-    fn create(folder: &OutputFolder<'_>, name: &str, header: &[u8]) -> Result<Self> {
-        let path = folder.path.join(name);
-        let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
-        let mut stack = Self { path, file: BufWriter::new(file) };
-        stack.write(header)?;
-        Ok(stack)
-    }
-
-    /// Appends an image.
-    fn push_floats(&mut self, image: &Image) -> Result<()> {
-        self.write(&floats(image).collect::<Vec<u8>>())
-    }
-
-    /// Appends a channel.
-    fn push_complex(&mut self, gains: &[[Real; 2]]) -> Result<()> {
-        self.write(&pairs(gains).collect::<Vec<u8>>())
-    }
-
-    /// Flushes the file.
-    fn finish(mut self) -> Result<()> {
-        self.file.flush().map_err(|e| Error::write(&self.path, e))
-    }
-
-    fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
-    }
 }
 
 /// Bytes of the pixels as 32-bit floats.

@@ -2,6 +2,7 @@
 
 use crate::canvas::{Anchor, Canvas, Colour, Paint, Point, VectorPath};
 use crate::draw::axes::{few_ticks, label};
+use pwrfgs_core::statistics::bounds;
 
 /// Viewing direction, degrees: azimuth from the x axis, elevation above the floor.
 const AZIMUTH: f64 = -58.0;
@@ -35,14 +36,9 @@ pub(crate) struct RoomView {
 impl RoomView {
     /// Creates the view of the box from `low` to `high`, metres, with this text height.
     pub(crate) fn new(low: RoomPoint, high: RoomPoint, text: f64) -> Self {
-        let corners =
-            (0..8).map(|k| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] })));
-        let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for corner in corners {
-            for k in 0..2 {
-                (least[k], most[k]) = (least[k].min(corner[k]), most[k].max(corner[k]));
-            }
-        }
+        let corner = |k: usize| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] }));
+        let [x, y] = [0, 1].map(|axis| bounds((0..8).map(|k| corner(k)[axis])));
+        let (least, most) = ([x.0, y.0], [x.1, y.1]);
         let [left, top, right, bottom] = MARGINS.map(|m| m * text);
         let scale = ((WIDTH - left - right) / (most[0] - least[0])).min(MOST_HEIGHT / (most[1] - least[1]));
         // Narrow boxes are centred.

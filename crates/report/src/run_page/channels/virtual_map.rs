@@ -3,8 +3,9 @@
 use crate::canvas::{Anchor, Canvas, Colour, Paint, WHITE, text_width};
 use crate::draw::plan::{FloorPlan, draw_receiver};
 use minijinja::{Value, context};
-use pwrfgs_core::{Appearance, evenly};
-use pwrfgs_experiment::{LoadedRun, statistics::quantile, text::grouped};
+use pwrfgs_core::Appearance;
+use pwrfgs_core::statistics::{evenly, quantile, sorted};
+use pwrfgs_experiment::{LoadedRun, text::grouped};
 
 /// Maximum numbers of drawn transmitters and surface points, strongest first.
 const SHOWN: usize = 600;
@@ -94,12 +95,7 @@ fn draw(run: &LoadedRun<'_>, found: &[MappedSource], names: [&'static str; 2], a
 
 /// Bounds of the room and its surroundings with mirror images, except the few farthest.
 fn setup(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
-    let sorted = |k: usize| {
-        let mut values: Vec<f64> = places.iter().map(|p| p[k]).collect();
-        values.sort_by(f64::total_cmp);
-        values
-    };
-    let ends = |q: f64| [quantile(&sorted(0), q), quantile(&sorted(1), q)];
+    let ends = |q: f64| [0, 1].map(|k| quantile(&sorted(places.iter().map(|p| p[k])), q));
     FloorPlan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
 }
 

@@ -8,8 +8,9 @@ use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
+use pwrfgs_core::statistics::{quantile, sorted};
 use pwrfgs_core::{Headline, Task};
-use pwrfgs_experiment::{Record, Setting, scores::MODEL, statistics::quantile};
+use pwrfgs_experiment::{Record, Setting, scores::MODEL};
 use std::collections::BTreeMap;
 
 /// Minimum number of test samples per bin, and maximum number of bins.
@@ -77,8 +78,7 @@ fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
     let bin = |k: usize| {
         let part = &pairs[k * pairs.len() / count..(k + 1) * pairs.len() / count];
         let distances: Vec<f64> = part.iter().map(|p| p.0).collect();
-        let mut errors: Vec<f64> = part.iter().map(|p| p.1).collect();
-        errors.sort_by(f64::total_cmp);
+        let errors = sorted(part.iter().map(|p| p.1));
         Bin { distance: quantile(&distances, 0.5), quartiles: [0.25, 0.5, 0.75].map(|q| quantile(&errors, q)) }
     };
     (0..count).map(bin).collect()
@@ -98,8 +98,7 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
     let tail = if headline.higher { 1.0 - INSIDE..=1.0 } else { 0.0..=INSIDE };
     let points = |runs: &[Record], predictor: &str| -> Vec<(f64, f64)> {
         let samples = runs.iter().filter_map(|run| run.scores.by_id(predictor, headline.key));
-        let mut values: Vec<f64> = samples.flat_map(BTreeMap::into_values).filter(|v| v.is_finite()).collect();
-        values.sort_by(f64::total_cmp);
+        let values = sorted(samples.flat_map(BTreeMap::into_values).filter(|v| v.is_finite()));
         let shares = (0..=PLACES).map(|k| k as f64 / PLACES as f64).filter(|share| tail.contains(share));
         if values.is_empty() { Vec::new() } else { shares.map(|share| (quantile(&values, share), share)).collect() }
     };

@@ -1,0 +1,45 @@
+//! Order statistics.
+
+/// Returns at most `count` of `all`, evenly spaced.
+pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
+    let n = all.len().min(count);
+    (0..n).map(|i| all[i * all.len() / n].clone()).collect()
+}
+
+/// Smallest and largest value; infinite for none. NaN is ignored.
+pub fn bounds(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
+    values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+}
+
+/// Values in ascending order.
+pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.into_iter().collect();
+    values.sort_by(f64::total_cmp);
+    values
+}
+
+/// Quantile `q` of ascending values, interpolated; NaN for none.
+pub fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let place = q * last as f64;
+    let (low, part) = (place as usize, place.fract());
+    if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
+}
+
+/// Median of values in any order; NaN for none.
+pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+    quantile(&sorted(values), 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn selects_evenly_spaced_samples() {
+        let part: Vec<usize> = (100..110).collect();
+        assert_eq!(evenly(&part, 3), [100, 103, 106]);
+        assert_eq!(evenly(&part, 50), part);
+        assert!(evenly(&part, 0).is_empty() && evenly::<usize>(&[], 5).is_empty());
+    }
+}
