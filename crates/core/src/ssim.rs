@@ -17,8 +17,8 @@
 //! where ∂m/∂μ₁ includes the μ₁ in the variances. Only the sum of the two variances is needed, so f(P² + G²) is blurred
 //! once for both.
 //!
-//! f is separable: rows first, then columns, both through [`blur`], which adds eleven slices. All loops run over blocks
-//! of [`LANES`] numbers and are compiled once per instruction set (pulp). Every pixel is computed by the same
+//! f is separable: rows first, then columns, both through `blur`, which adds eleven slices. All loops run over blocks
+//! of `LANES` numbers and are compiled once per instruction set (pulp). Every pixel is computed by the same
 //! operations in the same order on all of them, so that results are bit-identical for all machines and numbers of
 //! threads. Innermost loops use indices: `zip`, `array::map` and `array::from_fn` are calls if the parts of a crate are
 //! not optimised together.
