@@ -143,7 +143,7 @@ impl Split for Official {
 /// Random share of the transmitters as the test set, with all links of each.
 ///
 /// The usual split of this field, and the easiest: on a dense trajectory each test sample is close to a training
-/// sample. Use [`TimeBlock`](crate::TimeBlock) or [`Voxel`](crate::Voxel) to test more than interpolation.
+/// sample. Use [`TimeBlock`] or [`Voxel`] to test more than interpolation.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
