@@ -31,7 +31,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit. 50,000 were planned for all features, so further features need deletions.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_530;
-const IN_TOTAL: usize = 54_620;
+const IN_TOTAL: usize = 54_400;
 /// Files, and files of fewer than 50 code lines.
 const FILES: usize = 406;
 const SMALL: usize = 38;
