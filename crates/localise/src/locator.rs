@@ -35,6 +35,8 @@ pub struct Choice {
 pub struct Locator<'a> {
     features: FingerprintFeatures,
     model: &'a dyn Predict,
+    /// The model without the validation samples, if it predicts from samples: it would repeat those that choose.
+    without: Option<Box<dyn Predict + 'a>>,
     fingerprints: Fingerprints,
     receivers: usize,
     /// Power of a receiver that did not hear a transmitter.
@@ -79,7 +81,8 @@ type Truth = (Vec<f32>, [f64; 3]);
 
 impl<'a> Locator<'a> {
     /// Fits to the training links `known.train` of `data`. `shares` are the shares of the model among which the validation
-    /// links choose; without validation links the first is taken.
+    /// links choose; without validation links the first is taken. A model that predicts from samples, such as Kriging, is
+    /// used without the validation links.
     ///
     /// # Errors
     /// Data without positions, or with a moving receiver.
@@ -95,13 +98,15 @@ impl<'a> Locator<'a> {
             return Err(Error::Config(format!("{}: {what}", data.title)));
         }
         let (train, validation) = (data.transmitters_of(known.train), data.transmitters_of(known.validation));
+        let without = if validation.is_empty() { None } else { model.without(known.validation) };
+        let used = without.as_deref().unwrap_or(model);
         let features = FingerprintFeatures::new(data, known.train);
         let weakest = |own: &[Real]| known.train.iter().map(|i| own[*i] as f32).fold(f32::INFINITY, f32::min);
         let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
         let measured = Fingerprints::measured(&features, data, &train, floor);
         let is_used = |share: &f32| *share > 0.0;
         let predicted =
-            shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, model));
+            shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, used));
         let truths = Fingerprints::measured(&features, data, &validation, floor);
         let truths: Vec<Truth> = (0..truths.len()).map(|k| (truths.row(k).to_vec(), truths.positions[k])).collect();
         let mut best: Option<(f64, Choice, Fingerprints, Vec<Vec<f32>>)> = None;
@@ -120,8 +125,19 @@ impl<'a> Locator<'a> {
         let rule = region_rule(&fingerprints.positions, &truths, &misfits, choice.scale, spacing);
         let receivers = data.scene.receivers.len();
         let (is_possible, validation) = (None, truths.len());
-        let mut locator =
-            Self { features, model, fingerprints, receivers, floor, spacing, is_possible, validation, choice, rule };
+        let mut locator = Self {
+            features,
+            model,
+            without,
+            fingerprints,
+            receivers,
+            floor,
+            spacing,
+            is_possible,
+            validation,
+            choice,
+            rule,
+        };
         locator.choose_descent(&truths, error);
         Ok(locator)
     }
@@ -244,7 +260,8 @@ impl<'a> Locator<'a> {
                 let d: Vec<f32> = differences(image).iter().map(|d| 2.0 * d / known as f32).collect();
                 self.features.vjp(image, &d)
             };
-            let (image, d) = self.model.predict_vjp(Query::at(at, receiver), &cotangent)?;
+            let model = self.without.as_deref().unwrap_or(self.model);
+            let (image, d) = model.predict_vjp(Query::at(at, receiver), &cotangent)?;
             sum += differences(&image).iter().map(|d| f64::from(*d).powi(2)).sum::<f64>() / known;
             (0..3).for_each(|k| gradient[k] += d[k]);
         }

@@ -118,3 +118,28 @@ fn derivative_of_features_agrees_with_central_differences() {
         assert!((difference - expected).abs() < 2e-2 * expected.abs(), "{difference} and {expected}");
     }
 }
+
+/// A constant; without samples it is the law.
+struct FromSamples;
+
+impl Predict for FromSamples {
+    fn predict(&self, _: Query<'_>) -> Image {
+        Image { width: 1, height: 1, pixels: vec![-50.0] }
+    }
+
+    fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
+        assert_eq!(links, (1200..1680).collect::<Vec<_>>());
+        Some(Box::new(Law))
+    }
+}
+
+#[test]
+fn model_of_samples_is_used_without_validation_samples() {
+    let (data, [train, validation, _]) = hall();
+    let known = FittingSet { train: &train, validation: &validation };
+    let [without, law] = [&FromSamples as &dyn Predict, &Law].map(|model| {
+        let locator = Locator::fit(&data, known, model, &[1.0]).unwrap();
+        locator.locate(&locator.observations(&data, &[305])[0]).position
+    });
+    assert_eq!(without, law);
+}

@@ -8,13 +8,13 @@ use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
-use pwrfgs::experiment::statistics::quantile;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
 use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, read_pipeline};
 use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::statistics::{quantile, sorted};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
 use rayon::prelude::*;
 use serde_json::json;
@@ -215,9 +215,7 @@ fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> R
 }
 
 fn line(name: &str, errors: Vec<f64>, region: Option<(f64, f64)>) -> Vec<String> {
-    let mut sorted = errors.clone();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let worst = quantile(&sorted, 0.9);
+    let worst = quantile(&sorted(errors.iter().copied()), 0.9);
     let [mean, median] = mean_and_median(errors);
     let [held, area] =
         region.map_or_else(Default::default, |(held, area)| [format!("{} %", fixed(100.0 * held, 1)), fixed(area, 4)]);
