@@ -98,7 +98,8 @@ impl Drop for Served {
 /// Number of the first sample of a run in one of its sets, such as `test`.
 fn first_of(run: &Path, set: &str) -> usize {
     let samples = std::fs::read_to_string(run.join("samples.csv")).unwrap();
-    samples.lines().skip(1).position(|line| line.split(',').any(|field| field == set)).unwrap()
+    let column = samples.lines().next().unwrap().split(',').position(|name| name == "split").unwrap();
+    samples.lines().skip(1).position(|line| line.split(',').nth(column) == Some(set)).unwrap()
 }
 
 #[test]

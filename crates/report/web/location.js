@@ -59,7 +59,7 @@ export function locationSentence({ error_m: error, misfit, part, left_out, no_re
     parts.push(`90 % region of ${number(region.area_m2)} m²${count}, ${region.holds ? "holds" : "misses"} the true position`);
   }
   parts.push(`misfit ${misfit === null ? "infinite" : number(misfit)} (1: typical sample)`);
-  if (left_out) parts.push("training sample, compared without itself");
+  if (left_out) parts.push("training sample, compared without its own fingerprint");
   else if (part === 1) parts.push("validation sample, used to choose the settings");
   if (no_region) parts.push(no_region);
   return parts.join(" · ");

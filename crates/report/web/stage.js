@@ -58,6 +58,11 @@ class StageSide {
   async loadGaussians(tx) {
     const { stage } = this;
     if (!this.room || this.about.baseline || !this.about.gaussians) return;
+    if (stage.locates) {
+      this.room.setGaussians(null); // they would hide the density
+      this.room.setPoints("gaussians", null);
+      return;
+    }
     const snapshot = stage.snapshotOf(this);
     const moves = snapshot === null && ["strength", "contribution"].includes(stage.colouring);
     const contribution = stage.colouring === "contribution";
@@ -76,11 +81,6 @@ class StageSide {
   }
 
   drawGaussians(all, nextIds) {
-    if (this.stage.locates) {
-      this.room.setGaussians(null); // they would hide the density
-      this.room.setPoints("gaussians", null);
-      return;
-    }
     const means = all.get("means");
     const n = means.length / 3;
     const colours = this.stage.coloursOf(all, n, nextIds);
@@ -176,9 +176,7 @@ class StageSide {
   /** Locates the sample of a link, or says what to do if there is none. */
   async locate(link) {
     const { stage } = this;
-    const sample = link === null ? "" : `sample ${stage.ids[link]}`;
-    const isFirst = !this.hasLocated && link !== null;
-    if (isFirst) this.sayLocated(`Locating ${sample}. The first sample takes seconds to minutes, because the model predicts all training positions.`);
+    this.sayLocating(link);
     const found = link === null ? null : await stage.source.locate(this.place, link).catch((error) => error.message);
     if (!stage.locates || stage.link !== link) return;
     const isLocated = Boolean(found?.note);
@@ -194,6 +192,12 @@ class StageSide {
   drawLocated() {
     if (this.room) drawLocation(this.room, this.located, { origin: this.stage.note.origin, rgb: (at) => this.stage.rgb(at) });
     this.stage.find("closer").disabled = !this.stage.sides.some((side) => side.located);
+  }
+
+  /** Explains the wait for the first sample. */
+  sayLocating(link) {
+    if (this.hasLocated || link === null) return;
+    this.sayLocated(`Locating sample ${this.stage.ids[link]}. The first sample takes seconds to minutes, because the model predicts all training positions.`);
   }
 
   sayLocated(text) {
@@ -553,14 +557,20 @@ export class Stage {
 
   /** Locates the selected sample on every side; requests of samples that were left are not shown. */
   async locate() {
-    if (this.isLocating) return;
-    this.isLocating = true;
-    while (this.locates && this.sought !== this.link) {
-      this.sought = this.link;
-      await Promise.all(this.sides.map((side) => side.locate(this.sought)));
-      this.say(this.sides.map((side) => `${side.about.name}: ${side.find("located").textContent}`).join(". "));
+    if (this.isLocating) {
+      if (this.locates) this.sides.forEach((side) => side.sayLocating(this.link));
+      return;
     }
-    this.isLocating = false;
+    this.isLocating = true;
+    try {
+      while (this.locates && this.sought !== this.link) {
+        this.sought = this.link;
+        await Promise.all(this.sides.map((side) => side.locate(this.sought)));
+        this.say(this.sides.map((side) => `${side.about.name}: ${side.find("located").textContent}`).join(". "));
+      }
+    } finally {
+      this.isLocating = false;
+    }
   }
 
   zoomToLocated() {
@@ -708,6 +718,7 @@ export class Stage {
       this.known = await this.source.room();
       this.abouts = this.note.sides = this.known.note.sides;
       this.sides.forEach((own, k) => Object.assign(own, { about: this.abouts[k], hasLocated: false }));
+      this.removeLocated();
       this.offerSnapshots();
       this.offerColours();
       await this.reloadGaussians();

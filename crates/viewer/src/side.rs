@@ -233,7 +233,8 @@ impl ViewPane {
             return Ok(Arc::clone(found));
         }
         // Own threads: predictions of other requests would wait for those that they share.
-        let pool = rayon::ThreadPoolBuilder::new().build().map_err(|e| Error::Config(format!("no threads: {e}")))?;
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build();
+        let pool = threads.map_err(|e| Error::Config(format!("no threads: {e}")))?;
         let fitted = FittedLocator::try_new(predictor, |predictor| {
             let (model, shares): (&dyn Predict, &[f32]) = match &**predictor {
                 Predictor::Model(ready) => (ready.borrow_dependent(), &SHARES),
@@ -251,6 +252,10 @@ impl ViewPane {
         let finished = model.is_file();
         let found = if finished { Some(ready(file::read_ensemble(&model)?)) } else { known.checkpoint(folder)? };
         *self.predictor.write().unwrap_or_else(PoisonError::into_inner) = found.map(Arc::new);
+        // A locator in work is kept by its request; a finished one would keep the replaced model.
+        if let Ok(mut locator) = self.locator.try_lock() {
+            *locator = None;
+        }
         Ok(finished)
     }
 
