@@ -79,13 +79,14 @@ impl SplattedChannel {
         Activation { calibration: Calibration::Physical, replaces_signals, channels: 2 }
     }
 
-    /// Observes the links, with the state for the backward pass.
+    /// Observes the links; keeps the state for the backward pass if `is_training`.
     fn observe(
         &self,
         setup: &MeasurementSetup,
         p: &Parameters<'_>,
         request: &ObservationRequest<'_>,
         prepared: &Cache,
+        is_training: bool,
     ) -> (ForwardOutput, StageTimes) {
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
@@ -104,10 +105,10 @@ impl SplattedChannel {
             let (mut own, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.receiver));
             own.iter_mut().for_each(|v| *v *= level);
             group.scatter(&own, setup.numbers(), &mut numbers);
-            received.push((group, waves, signals));
+            received.extend(is_training.then_some((group, waves, signals)));
         }
         let blending = start.elapsed().as_secs_f64() - network;
-        let cache: Cache = Some(Arc::new(ForwardCache { deltas, received }));
+        let cache = is_training.then(|| Arc::new(ForwardCache { deltas, received }) as _);
         (ForwardOutput { numbers, cache }, StageTimes { network, blending, ..StageTimes::default() })
     }
 
@@ -188,7 +189,7 @@ impl Method for SplattedChannel {
         request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> ForwardOutput {
-        self.observe(setup, p, request, prepared).0
+        self.observe(setup, p, request, prepared, true).0
     }
 
     fn vjp(
@@ -240,7 +241,7 @@ impl Method for SplattedChannel {
         request: &ObservationRequest<'_>,
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(setup, p, request, prepared);
+        let (observed, times) = self.observe(setup, p, request, prepared, false);
         (observed.numbers, times)
     }
 

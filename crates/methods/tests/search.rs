@@ -1,9 +1,9 @@
 //! Tests that the search finds the sources of a channel: positions, gains, rotated arrays; and that the result does not
 //! depend on the number of threads.
 
-use pwrfgs_core::{Method as _, Real, rng};
+use pwrfgs_core::{Real, rng};
+use pwrfgs_methods::MatchingPursuit;
 use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of};
-use pwrfgs_methods::{MatchingPursuit, VirtualTransmitters};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
@@ -127,10 +127,11 @@ fn reports_unsupported_search_input() {
         (ChannelInputs { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
         (links, &h[..], changed(MatchingPursuit { step: 0.0, ..settings() }), "`step`"),
         (links, &h[..], changed(MatchingPursuit { reach: -1.0, ..settings() }), "`reach`"),
+        (links, &h[..], PursuitOptions { order: 4, ..options() }, "`order`"),
+        (links, &h[..], PursuitOptions { peaks: 0, ..options() }, "`peaks`"),
     ] {
         let why = pursue(&links, h, &options, &NEVER, none).unwrap_err();
         assert!(why.contains(word), "{why}");
     }
-    assert!(VirtualTransmitters { order: 4 }.check().unwrap_err().contains("`order`"));
     assert!(pursue(&links, &h, &options(), &NEVER, none).is_ok(), "three links are enough not to panic");
 }

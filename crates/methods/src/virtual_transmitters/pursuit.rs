@@ -6,8 +6,8 @@ use crate::virtual_transmitters::field::field;
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
 use crate::virtual_transmitters::solve::{RefineOptions, gains, refine};
 use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin};
-use crate::virtual_transmitters::{MatchingPursuit, turn};
-use pwrfgs_core::{Initializer as _, Real, rng};
+use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
+use pwrfgs_core::{Initializer as _, Method as _, Real, rng};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -60,6 +60,10 @@ pub fn pursue(
 ) -> Result<VirtualSources, String> {
     links.check_channel(channel)?;
     options.settings.check()?;
+    VirtualTransmitters { order: options.order }.check()?;
+    if options.rows.contains(&0) || options.peaks == 0 {
+        return Err("`rows` and `peaks` have a 0; give 1 or more".into());
+    }
     let all: Vec<usize> = (0..links.positions.len()).collect();
     let hold_out = options.settings.hold_out;
     let folds = if hold_out < 2 { 0 } else { all.len() / hold_out };
