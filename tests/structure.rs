@@ -22,7 +22,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("raytrace", &["core", "data"]),
     ("planning", &["core", "data", "raytrace"]),
     ("train", &["core", "model"]),
-    ("pipeline", &["core", "data", "init", "methods", "metrics", "model", "networks", "raster", "train"]),
+    ("pipeline", &["core", "data", "init", "methods", "metrics", "model", "train"]),
     ("experiment", &["core", "model", "pipeline", "train"]),
     ("report", &["core", "experiment", "model", "pipeline", "train"]),
     ("viewer", &["core", "experiment", "localise", "model", "pipeline", "report", "train"]),

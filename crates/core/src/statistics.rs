@@ -1,4 +1,4 @@
-//! Order statistics.
+//! Order statistics and thinning.
 
 /// Returns at most `count` of `all`, evenly spaced.
 pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
@@ -18,7 +18,10 @@ pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// Quantile `q` of ascending values, interpolated; NaN for none.
+/// Quantile `q` from 0 to 1 of ascending values, interpolated; NaN for none.
+///
+/// # Panics
+/// If `q` is above 1.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = q * last as f64;
@@ -34,6 +37,15 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quantiles_interpolate_and_ignore_the_order_of_values() {
+        let values = sorted([3.0, 1.0, 2.0, 4.0]);
+        assert_eq!(values, [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!([0.0, 0.25, 0.5, 1.0].map(|q| quantile(&values, q)), [1.0, 1.75, 2.5, 4.0]);
+        assert_eq!((median([5.0, 1.0, 3.0]), median([2.0, 1.0]), bounds([2.0, f64::NAN, 1.0])), (3.0, 1.5, (1.0, 2.0)));
+        assert!(quantile(&[], 0.5).is_nan() && median([]).is_nan() && bounds([]).0 > bounds([]).1);
+    }
 
     #[test]
     fn selects_evenly_spaced_samples() {

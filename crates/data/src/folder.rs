@@ -126,7 +126,9 @@ fn places(antennas: &[[f64; 3]]) -> String {
     antennas.iter().map(|place| format!("[{}]", list(place))).collect::<Vec<_>>().join(", ")
 }
 
-/// Content of `receiver.yml`: pose, frequencies and antenna positions in the world frame; metres and Hz.
+/// Content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame (metres), the
+/// carrier and the distance between subcarriers (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]` in the world frame
+/// (metres).
 pub fn receiver_yaml(
     name: &str,
     pose: &Pose,

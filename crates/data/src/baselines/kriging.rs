@@ -99,7 +99,8 @@ impl Baseline for Kriging {
     }
 }
 
-/// Links of `order` after the first, each with the `count` nearest of those before it.
+/// Links of `order` after the first, each with the `count` nearest of those before it: the conditioning sets of the Vecchia
+/// approximation of a likelihood (Vecchia 1988).
 pub fn preceding(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
     let place = |i: usize| data.sample(i).tx;
     let case = |n: usize| {
