@@ -67,7 +67,7 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
             cells: line(random, count, count * transmitters),
         });
         notes.push(format!(
-            "the ascent minus the grid: {} dB, with {} of {} links",
+            "the ascent minus the grid: {} dB, with {} links instead of {}",
             fixed(found.coverage - best.coverage, 2),
             grouped(found.links as i64),
             grouped(links as i64)
