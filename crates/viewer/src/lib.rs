@@ -5,6 +5,7 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod guard;
+mod predictor;
 mod routes;
 mod server;
 mod side;

@@ -1,14 +1,13 @@
 //! `ViewPane`: one half of the page, with a model, a run in progress or a baseline; `ServerState`: state of the server.
 
-use pwrfgs_core::{
-    Baseline, Dataset, Error, Image, MeasurementSetup, Partition, Plugin, Predict, Query, Result, files,
-};
+use crate::predictor::{FittedBaseline, Predictor};
+use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin, Predict, Result, files};
 use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::record::read_series;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::{Facts, Observer, Scores, check_alike, load, read_pipeline};
 use pwrfgs_localise::{Locator, SHARES};
-use pwrfgs_model::{Ensemble, Prepared, file};
+use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::Trainer;
 use self_cell::self_cell;
@@ -16,95 +15,8 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 use tokio::sync::broadcast;
-
-self_cell!(
-    /// Models with values that are computed once.
-    pub(crate) struct PreparedEnsemble {
-        owner: Arc<Ensemble>,
-        #[covariant]
-        dependent: Prepared,
-    }
-);
-
-type BoxedBaseline<'a> = Box<dyn Predict + 'a>;
-
-self_cell!(
-    /// Baseline with the data that it was fitted to.
-    pub(crate) struct FittedBaseline {
-        owner: Arc<Dataset>,
-        #[covariant]
-        dependent: BoxedBaseline,
-    }
-);
-
-/// Model or baseline that predicts.
-pub(crate) enum Predictor {
-    /// Model or ensemble.
-    Model(PreparedEnsemble),
-    /// Fitted baseline.
-    Baseline(FittedBaseline),
-}
-
-/// Prediction.
-pub(crate) struct PredictedImage {
-    pub(crate) image: Image,
-    /// Standard deviation over the members of an ensemble.
-    pub(crate) deviation: Option<Image>,
-    /// Latency of the prediction, milliseconds.
-    pub(crate) ms: f64,
-}
-
-impl Predictor {
-    /// Models, unless it is a baseline.
-    pub(crate) fn ensemble(&self) -> Option<&Arc<Ensemble>> {
-        match self {
-            Self::Model(ready) => Some(ready.borrow_owner()),
-            Self::Baseline(_) => None,
-        }
-    }
-
-    /// Whether the input is a transmitter position, not other features.
-    pub(crate) fn by_position(&self) -> bool {
-        self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.traits().inputs == 3))
-    }
-
-    /// Whether it is a baseline fitted to training and validation samples, which it may store.
-    pub(crate) fn is_fitted(&self) -> bool {
-        matches!(self, Self::Baseline(baseline) if !baseline.borrow_dependent().is_oracle())
-    }
-
-    /// Predicts the observation of a link.
-    pub(crate) fn predict(&self, query: Query<'_>) -> PredictedImage {
-        let begun = Instant::now();
-        let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
-        match self {
-            Self::Baseline(baseline) => {
-                let image = baseline.borrow_dependent().predict(query);
-                PredictedImage { image, deviation: None, ms: ms(begun) }
-            }
-            Self::Model(ready) if ready.borrow_owner().members().len() == 1 => {
-                let (image, _) = ready.borrow_dependent().predict_timed(query);
-                PredictedImage { image, deviation: None, ms: ms(begun) }
-            }
-            Self::Model(ready) => {
-                let (image, deviation, _) = ready.borrow_dependent().predict_with_deviation(query);
-                PredictedImage { image, deviation: Some(deviation), ms: ms(begun) }
-            }
-        }
-    }
-
-    /// Predicts many links, such as powers over a plane.
-    pub(crate) fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
-        match self {
-            Self::Baseline(baseline) => {
-                queries.iter().map(|query| baseline.borrow_dependent().predict(*query)).collect()
-            }
-            Self::Model(ready) => ready.borrow_dependent().predict_many(queries),
-        }
-    }
-}
 
 self_cell!(
     /// Locator with the predictor of its fingerprints.
@@ -160,7 +72,7 @@ impl ViewPane {
             check_alike(&ensemble.prepare(), &known.data)?;
         }
         let (setup, predictor) = match (ensemble, &known) {
-            (Some(ensemble), _) => (ensemble.members()[0].stages.setup.clone(), Some(ready(ensemble))),
+            (Some(ensemble), _) => (ensemble.members()[0].stages.setup.clone(), Some(Predictor::of(ensemble))),
             (None, Some(known)) => {
                 (MeasurementSetup::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
             }
@@ -250,7 +162,8 @@ impl ViewPane {
         let (Some(folder), Some(known)) = (&self.folder, &self.known) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);
         let finished = model.is_file();
-        let found = if finished { Some(ready(file::read_ensemble(&model)?)) } else { known.checkpoint(folder)? };
+        let found =
+            if finished { Some(Predictor::of(file::read_ensemble(&model)?)) } else { known.checkpoint(folder)? };
         *self.predictor.write().unwrap_or_else(PoisonError::into_inner) = found.map(Arc::new);
         // A locator in work is kept by its request; a finished one would keep the replaced model.
         if let Ok(mut locator) = self.locator.try_lock() {
@@ -276,10 +189,6 @@ impl ViewPane {
     }
 }
 
-fn ready(ensemble: Ensemble) -> Predictor {
-    Predictor::Model(PreparedEnsemble::new(Arc::new(ensemble), |own| own.prepare()))
-}
-
 impl LoadedData {
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
@@ -294,7 +203,7 @@ impl LoadedData {
         let Some(bytes) = files::if_found(&path, files::read(&path))? else { return Ok(None) };
         let trainer = Trainer::restore(&self.pipeline.plan()?, &self.data, &self.partition, &bytes);
         let trainer = trainer.map_err(|why| Error::input(&path, why.to_string()))?;
-        Ok(Some(ready(Ensemble::of(trainer.model()))))
+        Ok(Some(Predictor::of(Ensemble::of(trainer.model()))))
     }
 }
 

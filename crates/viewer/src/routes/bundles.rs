@@ -1,7 +1,8 @@
 //! Arrays for the page: room, Gaussians, predictions and measurements.
 
 use super::{QueryParams, RequestError};
-use crate::side::{LoadedData, Predictor, ServerState, ViewPane};
+use crate::predictor::Predictor;
+use crate::side::{LoadedData, ServerState, ViewPane};
 use hyper::StatusCode;
 use pwrfgs_core::{
     Appearance, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters, PixelSubset,
