@@ -1,5 +1,5 @@
-//! Predictions differentiate by the position of the transmitter: models of every method, ensembles, residual processes and
-//! baselines, against central differences of what they predict.
+//! Predictions differentiate by the position of the transmitter and the pose of a moving receiver: models of every method,
+//! ensembles, residual processes and baselines, against central differences of what they predict.
 
 use crate::common::{cloud, plugin};
 use pwrfgs::core::testing::check_vjp;
@@ -104,8 +104,27 @@ fn models_of_every_method_differentiate() {
     let turned = Query { orientation: Some([0.2, -0.1, 0.3, 0.927_361_849_549_570_4]), ..AT.map(f64::from).into() };
     for (network, rest) in [(NETWORK, spherical), (NETWORK, "readout: Magnitude"), (MLP, "readout: Magnitude")] {
         let method = splats(network, rest);
-        check(&format!("{method}, moving"), &model(&method, true, 3).prepare(), turned);
+        let moving = model(&method, true, 3);
+        check(&format!("{method}, moving"), &moving.prepare(), turned);
+        check_pose(&method, &moving.prepare());
     }
+    check_pose("power of a moving receiver", &model(&splats(NETWORK, &format!("readout: {POWER}")), true, 3).prepare());
+    let released = model(&splats(MLP, "readout: Magnitude, calibration: AsReleased"), true, 3);
+    assert!(!released.prepare().has_pose_derivative());
+}
+
+/// Compares the derivative by position and orientation of a moving receiver with central differences.
+fn check_pose(name: &str, ready: &Prepared<'_>) {
+    let query = |x: &[Real]| {
+        let orientation = [3, 4, 5, 6].map(|k| f64::from(x[k]));
+        Query { orientation: Some(orientation), ..world(x).into() }
+    };
+    let vjp = |x: &[Real], d: &[Real]| {
+        let (_, d_position, d_orientation) = ready.predict_pose_vjp(query(x), |_| d.to_vec()).unwrap();
+        d_position.iter().chain(&d_orientation).map(|d| *d as Real).collect()
+    };
+    let pose = [&AT[..], &[0.2, -0.1, 0.3, 0.927_361_85]].concat();
+    check_vjp(&format!("{name}, pose"), &pose, |x| ready.predict_timed(query(x)).0.pixels, vjp, 1e-6, 1e-3);
 }
 
 /// Links at random positions: what a model predicts and a smooth remainder, or powers over distance.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Sequence, Tuple
+from typing import Any, Callable, List, Sequence, Tuple
 
 import numpy as np
 
@@ -102,42 +102,33 @@ def rasterize_with_vjp(
 
     The image is discontinuous where Gaussians swap their depth order, or enter or leave a pixel at an opacity of 1/255. The
     gradient does not include these jumps."""
+    picture, vjp = draw(
+        means, quats, scales, opacities, signals, pose, height, width, projector, rasterizer, elevation_deg
+    )
+    return picture, lambda d_picture: tuple(vjp(d_picture)[:5])  # type: ignore[return-value]
+
+
+def draw(
+    means: Any, quats: Any, scales: Any, opacities: Any, signals: Any, pose: Any, *view: Any
+) -> Tuple[Array, Callable[[Any], List[Array]]]:
+    """As ``rasterize_with_vjp``, with two more gradients: those of position [3] and orientation [4] of the receiver."""
     real = np.float64 if _pwrfgs.real_bytes == 8 else np.float32
     signals = np.asarray(signals)
     waves = np.iscomplexobj(signals)
     if waves:
         signals = np.stack([signals.real, signals.imag], axis=-1).astype(real)
-    drawing = _pwrfgs.draw(
-        means, quats, scales, opacities, signals, as_pose(pose), height, width, projector, rasterizer, elevation_deg
-    )
+    drawing = _pwrfgs.draw(means, quats, scales, opacities, signals, as_pose(pose), *view)
     picture: Array = drawing.image
     if waves:
         picture = picture[0] + 1j * picture[1]  # two channels, also of no Gaussian at all
 
-    def vjp(d_picture: Any) -> Tuple[Array, Array, Array, Array, Array]:
+    def vjp(d_picture: Any) -> List[Array]:
         d_picture = np.asarray(d_picture)
         if waves:
             d_picture = np.stack([d_picture.real, d_picture.imag]).astype(real)
-        means_, quats_, scales_, opacities_, signals_ = drawing.backward(d_picture)
+        found: List[Array] = list(drawing.backward(d_picture))
         if waves:
-            signals_ = signals_[:, 0] + 1j * signals_[:, 1]
-        return means_, quats_, scales_, opacities_, signals_
+            found[4] = found[4][:, 0] + 1j * found[4][:, 1]
+        return found
 
     return picture, vjp
-
-
-def pose_vjp(means: Array, quats: Array, pose: Any, d_means: Array, d_quats: Array) -> Tuple[Array, Array]:
-    """Gradients of position [3] and orientation [4] of the receiver, given those of the Gaussians, for the projector Mercator.
-
-    An image depends only on the Gaussians in the frame of the receiver: to move the receiver is to move all Gaussians the
-    other way. A turn of the receiver by a small vector δ in world axes turns means about the receiver, and quats, by -δ;
-    the orientation q changes by ½ δ q, which gives the gradient across q. The length of q has no effect.
-    """
-    position, orientation = (np.asarray(part, np.float64) for part in pose)
-    means, quats, d_means, d_quats = (np.asarray(part, np.float64) for part in (means, quats, d_means, d_quats))
-    torque = -np.cross(means - position, d_means).sum(axis=0)
-    w, v, d_w, d_v = quats[:, :1], quats[:, 1:], d_quats[:, :1], d_quats[:, 1:]
-    torque -= 0.5 * (w * d_v - d_w * v + np.cross(v, d_v)).sum(axis=0)
-    v, w = orientation[:3], orientation[3]
-    d_orientation = 2.0 * np.append(w * torque + np.cross(torque, v), -torque @ v) / (orientation @ orientation)
-    return -d_means.sum(axis=0), d_orientation

@@ -208,16 +208,19 @@ impl Drawing {
         (!left.is_empty()).then(|| array(py, left.clone(), &[height, width]).map(Bound::into_any)).transpose()
     }
 
-    /// Gradients for (means, quats, scales, opacities, signals), given the gradient `d_image` of the image.
+    /// Gradients for (means, quats, scales, opacities, signals) and for position and orientation of the receiver, given the
+    /// gradient `d_image` of the image. Those of the receiver hold for the projector `Mercator`.
     fn backward<'py>(&self, py: Python<'py>, d_image: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let View { projector, rasterizer, pose, plane } = &self.view;
         let shape = [Some(self.channels), Some(plane.height), Some(plane.width)];
         let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
-        let (d, d_signals) = free(py, || {
+        let (d, d_signals, (d_position, d_orientation)) = free(py, || {
             let found = rasterizer.backward(&self.splats, &self.signals, self.channels, plane, &self.render, &d_pixels);
-            let mut d = projector.project_vjp(&unit(&self.inputs), pose, plane, &self.splats, &found.splats);
+            let primitives = unit(&self.inputs);
+            let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &found.splats);
+            let d_pose = primitives.pose_vjp(pose, &d);
             unit_vjp(&self.inputs, &mut d);
-            Ok((d, found.signals))
+            Ok((d, found.signals, d_pose))
         })?;
         let n = self.inputs.len();
         Ok(vec![
@@ -226,6 +229,8 @@ impl Drawing {
             array(py, d.scales.into_flattened(), &[n, 3])?.into_any(),
             array(py, d.opacities, &[n])?.into_any(),
             array(py, d_signals, &[n, self.channels])?.into_any(),
+            array(py, d_position.to_vec(), &[3])?.into_any(),
+            array(py, d_orientation.to_vec(), &[4])?.into_any(),
         ])
     }
 }

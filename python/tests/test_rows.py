@@ -99,6 +99,11 @@ def test_a_model_of_a_moving_receiver_predicts_at_poses(moving, pipeline, tmp_pa
     assert there.shape == (12, 9, 36) and np.array_equal(model.predict(poses[3]), there[3])
     level = np.concatenate([moving.tx, np.tile([0, 0, 0, 1.0], (12, 1))], axis=1)
     assert np.array_equal(model.predict(moving.tx), model.predict(level)) and not np.array_equal(model.predict(level), there)
+    d = np.random.default_rng(0).normal(size=there.shape)
+    _, slopes = model.predict(poses, vjp=d)
+    assert slopes.shape == (12, 7) and np.allclose(model.predict(level, vjp=d)[1][:, :3], model.predict(moving.tx, vjp=d)[1])
+    lengthwise = (slopes[:, 3:] * moving.orientations).sum(axis=1)
+    assert np.abs(slopes[:, 3:]).max() > 0 and np.abs(lengthwise).max() < 1e-6 * np.abs(slopes).max()
     model.save(tmp_path / "m.safetensors")
     assert np.array_equal(pwrfgs.Model.load(tmp_path / "m.safetensors").predict(poses), there)
     with pytest.raises(pwrfgs.InputError, match="orientations"):

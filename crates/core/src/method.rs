@@ -219,10 +219,13 @@ pub struct MethodVjp {
     /// requested; to request it from a method that [supports](MethodTraits::differentiates_positions) it, set it to zeros.
     /// The position of a moving receiver also changes the geometry, which this includes.
     pub positions: Vec<[Real; 3]>,
+    /// Derivative with respect to the orientations of a moving receiver in the conditions `[T, 4]`, requested in the same
+    /// way from a method that [supports](MethodTraits::differentiates_orientations) it, together with the positions.
+    pub orientations: Vec<[f64; 4]>,
 }
 
 impl MethodVjp {
-    /// Creates zeros for parameters of this size, without the positions.
+    /// Creates zeros for parameters of this size, without positions and orientations.
     pub fn zeros(parameters: &Parameters<'_>) -> Self {
         let n = parameters.cloud.len();
         Self {
@@ -232,6 +235,7 @@ impl MethodVjp {
             weights: vec![0.0; parameters.weights.len()],
             stats: CloudStats::zeros(n),
             positions: Vec::new(),
+            orientations: Vec::new(),
         }
     }
 }
@@ -370,6 +374,8 @@ pub struct MethodTraits<'a> {
     pub stretches: bool,
     /// Whether [`Method::vjp`] supports the derivative by the [positions](MethodVjp::positions).
     pub differentiates_positions: bool,
+    /// Whether [`Method::vjp`] supports the derivative by the [orientations](MethodVjp::orientations).
+    pub differentiates_orientations: bool,
 }
 
 impl MethodTraits<'_> {
@@ -394,6 +400,7 @@ impl Default for MethodTraits<'_> {
             blends: false,
             stretches: false,
             differentiates_positions: false,
+            differentiates_orientations: false,
         }
     }
 }

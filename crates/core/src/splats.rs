@@ -1,6 +1,7 @@
 //! Intermediate forms between a cloud and an image: `Primitives` in space, `Splats` on the image plane.
 
-use crate::{ImagePlane, Real, Sampling};
+use crate::{ImagePlane, Pose, Real, Sampling};
+use glam::{DQuat, DVec3};
 use std::borrow::Cow;
 
 /// Activated and gated Gaussians in space, ready for projection, for one transmitter or for a batch of transmitters
@@ -53,6 +54,30 @@ impl Primitives {
     /// Creates N rows of zeros for gradients.
     pub fn zeros(n: usize) -> Self {
         Self { means: vec![[0.0; 3]; n], scales: vec![[0.0; 3]; n], quats: vec![[0.0; 4]; n], opacities: vec![0.0; n] }
+    }
+
+    /// Returns the derivatives by position and orientation (x, y, z, w) of the receiver, given those `d` of the Gaussians.
+    /// Holds for images that depend only on Gaussians in the frame of the receiver, and for rotations of unit length.
+    ///
+    /// To move the receiver is to move all Gaussians the other way. A turn of the receiver by a small vector δ in world axes
+    /// turns means about the receiver, and rotations, by −δ. The orientation q changes by ½ δ q, which gives the derivative
+    /// across q; the length of q has no effect.
+    pub fn pose_vjp(&self, pose: &Pose, d: &Self) -> ([f64; 3], [f64; 4]) {
+        let vector = |v: [Real; 3]| DVec3::from(v.map(|v| v as f64));
+        let parts = |[w, x, y, z]: [Real; 4]| (w as f64, vector([x, y, z]));
+        let (center, mut position, mut turn) = (DVec3::from(pose.position), DVec3::ZERO, DVec3::ZERO);
+        for (mean, d) in self.means.iter().zip(&d.means) {
+            position -= vector(*d);
+            turn -= (vector(*mean) - center).cross(vector(*d));
+        }
+        for (q, d) in self.quats.iter().zip(&d.quats) {
+            let ((w, v), (d_w, d_v)) = (parts(*q), parts(*d));
+            turn -= 0.5 * (w * d_v - d_w * v + v.cross(d_v));
+        }
+        let q = DQuat::from_array(pose.orientation);
+        let d_axis = q.w * turn + turn.cross(q.xyz());
+        let d_orientation = [d_axis.x, d_axis.y, d_axis.z, -turn.dot(q.xyz())];
+        (position.into(), d_orientation.map(|d| 2.0 * d / q.length_squared()))
     }
 }
 

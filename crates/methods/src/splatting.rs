@@ -224,7 +224,7 @@ impl Splatting {
     }
 
     /// Derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and returns those of
-    /// the splats.
+    /// the splats and of the primitives.
     fn draw_vjp(
         &self,
         view: &ReceiverView,
@@ -233,7 +233,7 @@ impl Splatting {
         deltas: &Deltas,
         d_pixels: &[Real],
         sums: &mut ActivationVjp,
-    ) -> RenderVjp {
+    ) -> (RenderVjp, Primitives) {
         let BlendedSignals { batch, geometry, signals, render } = drawing;
         let (activation, splats) = (self.activation(), &geometry.splats);
         let channels = activation.channels * batch.len();
@@ -246,7 +246,7 @@ impl Splatting {
         activation.geometry_vjp(p.cloud, deltas, batch.start, p.gate, &d_primitives, sums);
         sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
         activation.signals_vjp(p.cloud, deltas, batch.clone(), &d.signals, sums);
-        d
+        (d, d_primitives)
     }
 
     /// Returns the cotangents of the primitives, given those of the splats in pixels of the view's plane.

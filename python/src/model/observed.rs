@@ -58,7 +58,8 @@ impl Model {
         Ok(())
     }
 
-    /// Returns (observations, derivative by the positions `[3]` or `[B, 3]`), given the cotangents of the observations.
+    /// Returns (observations, derivative by positions `[3]` or `[B, 3]` or by poses `[7]` or `[B, 7]`), given the cotangents of the
+    /// observations.
     pub(super) fn differentiated<'py>(
         &self,
         py: Python<'py>,
@@ -70,26 +71,36 @@ impl Model {
             let why = "its network reads link features or is a Python class";
             return Err(wrong(py, &format!("vjp: this model has no derivative by the position, since {why}")));
         }
+        let is_pose = !links.orientations.is_empty();
+        if is_pose && !ready.has_pose_derivative() {
+            let what = "vjp: calibration AsReleased has no derivative by the orientation; give positions [3] or [B, 3]";
+            return Err(wrong(py, what));
+        }
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;
         let (size, of_each) = ((plane.width, plane.height), plane.width * plane.height);
         let d = observation_rows("vjp", cotangents, *task, size, &links.lead)?;
-        let mut slopes: Vec<[f64; 3]> = Vec::new();
+        let mut slopes: Vec<[f64; 7]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
             let all = d[slopes.len() * of_each..].par_chunks_exact(of_each).zip(numbers.par_chunks_exact_mut(of_each));
             let one = |(query, (d, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
-                let found = ready.predict_vjp(*query, |_| d.to_vec());
-                let (image, slope) = found.expect("a model with a derivative");
+                let d = |_: &_| d.to_vec();
+                let found = if is_pose {
+                    ready.predict_pose_vjp(*query, d)
+                } else {
+                    ready.predict_vjp(*query, d).map(|(image, slope)| (image, slope, [0.0; 4]))
+                };
+                let (image, [x, y, z], [qx, qy, qz, qw]) = found.expect("a model with a derivative");
                 numbers.copy_from_slice(&image.pixels);
-                slope
+                [x, y, z, qx, qy, qz, qw]
             };
             slopes.par_extend(queries.par_iter().zip(all).map(one));
         };
         let observed = self.observed(py, links, work)?;
-        let of_tx = |own: &[[f64; 3]]| own.iter().fold([0.0; 3], |sum, d| [0, 1, 2].map(|k| sum[k] + d[k]));
-        let receivers = links.receivers.len();
+        let (receivers, width) = (links.receivers.len(), if is_pose { 7 } else { 3 });
+        let of_tx = |own: &[[f64; 7]]| (0..width).map(|k| own.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
         let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(of_tx).collect();
         let batch = links.lead.len() > usize::from(receivers > 1);
-        let shape = if batch { vec![links.txs.len(), 3] } else { vec![3] };
+        let shape = if batch { vec![links.txs.len(), width] } else { vec![width] };
         Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())
     }
 }

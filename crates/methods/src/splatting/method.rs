@@ -179,6 +179,7 @@ impl Method for Splatting {
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
             differentiates_positions: self.deformation.traits().differentiates_positions,
+            differentiates_orientations: self.calibration == Calibration::Physical,
             ..MethodTraits::default()
         }
     }
@@ -255,16 +256,16 @@ impl Method for Splatting {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
                 group.distances_vjp(&view.pose, request, d_distances, &mut sums.positions);
             }
-            // A spectrum depends on the Gaussians relative to the receiver: its derivative by the position of a moving
-            // receiver, whose links have a geometry each, is that by a common move of all Gaussians the other way.
-            let moved = is_requested && request.conditions.pose(group.row()).is_some();
-            let before = moved.then(|| sum_of(&own.cloud.means));
-            let d = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
+            let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, p, terms, &d_blended, own)
             });
-            if let Some(before) = before {
-                let (after, d_position) = (sum_of(&own.cloud.means), &mut sums.positions[group.row()]);
-                d_position.iter_mut().zip(before).zip(after).for_each(|((sum, before), after)| *sum += before - after);
+            // Links of a moving receiver have a geometry each.
+            if is_requested && request.conditions.moves() {
+                let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
+                (0..3).for_each(|k| sums.positions[group.row()][k] += d_position[k] as Real);
+                if let Some(sum) = sums.orientations.get_mut(group.row()) {
+                    (0..4).for_each(|k| sum[k] += d_orientation[k]);
+                }
             }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
@@ -332,9 +333,4 @@ impl Method for Splatting {
         };
         groups::gaussians(&*self.deformation, self.activation(), setup, p, tx, strengths)
     }
-}
-
-/// Returns the sum of the rows.
-fn sum_of(rows: &[[Real; 3]]) -> [Real; 3] {
-    rows.iter().fold([0.0; 3], |sum, row| [0, 1, 2].map(|k| sum[k] + row[k]))
 }

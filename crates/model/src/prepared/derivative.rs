@@ -1,12 +1,20 @@
-//! Derivative of a prediction by the position of the transmitter: backward through residual processes, mean and method.
+//! Derivative of a prediction by the position of the transmitter or the pose of a moving receiver: backward through residual
+//! processes, mean and method.
 
 use super::{Member, Prepared, mean};
+use crate::Model;
 use pwrfgs_core::{ForwardOutput, Image, MethodVjp, Query, Real};
 
 impl Prepared<'_> {
     /// Returns whether [`Self::predict_vjp`] has a derivative: every model differentiates positions.
     pub fn has_derivative(&self) -> bool {
         self.models().all(|model| model.stages.method.traits().differentiates_positions)
+    }
+
+    /// Returns whether [`Self::predict_pose_vjp`] has a derivative.
+    pub fn has_pose_derivative(&self) -> bool {
+        let differentiates = |model: &Model| model.stages.method.traits().differentiates_orientations;
+        self.has_derivative() && self.models().all(differentiates)
     }
 
     /// Predicts the observation of a link as [`Self::predict_timed`], with the derivative of Σ d·observation by the
@@ -24,7 +32,30 @@ impl Prepared<'_> {
         query: impl Into<Query<'q>>,
         cotangent: impl Fn(&Image) -> Vec<Real>,
     ) -> Option<(Image, [f64; 3])> {
-        let (query, task) = (query.into(), self.task());
+        self.link_vjp(query.into(), cotangent).map(|(image, d_tx, _)| (image, d_tx))
+    }
+
+    /// Predicts as [`Self::predict_vjp`], with the derivatives by position and orientation (x, y, z, w) of a moving
+    /// receiver. The length of the orientation has no effect.
+    ///
+    /// `None` without [a derivative](Self::has_pose_derivative).
+    ///
+    /// # Panics
+    /// If `cotangent` does not return one number per value of the observation.
+    pub fn predict_pose_vjp<'q>(
+        &self,
+        query: impl Into<Query<'q>>,
+        cotangent: impl Fn(&Image) -> Vec<Real>,
+    ) -> Option<(Image, [f64; 3], [f64; 4])> {
+        self.has_pose_derivative().then(|| self.link_vjp(query.into(), cotangent)).flatten()
+    }
+
+    fn link_vjp(
+        &self,
+        query: Query<'_>,
+        cotangent: impl Fn(&Image) -> Vec<Real>,
+    ) -> Option<(Image, [f64; 3], [f64; 4])> {
+        let task = self.task();
         if !self.has_derivative() || !query.features.is_empty() {
             return None;
         }
@@ -37,7 +68,7 @@ impl Prepared<'_> {
         let corrected = self.corrected(predicted.clone(), query);
         let mut d = cotangent(&corrected);
         assert_eq!(d.len(), corrected.pixels.len(), "a cotangent for each value");
-        let mut d_tx = [0.0; 3];
+        let (mut d_tx, mut d_orientation) = ([0.0; 3], [0.0; 4]);
         if let Some(residuals) = self.residuals {
             d_tx = residuals.correct_vjp(&mut d, query, self.members[0].model.stages.origin);
             clamp_vjp(task.has_pixels, &predicted.pixels, &mut d);
@@ -47,9 +78,10 @@ impl Prepared<'_> {
             let mut d: Vec<Real> = d.iter().map(|d| share * d).collect();
             clamp_vjp(several && task.has_pixels, &own.numbers, &mut d);
             let found = member.vjp(query, own, &d);
-            (0..3).for_each(|k| d_tx[k] += found[k]);
+            (0..3).for_each(|k| d_tx[k] += found.0[k]);
+            (0..4).for_each(|k| d_orientation[k] += found.1[k]);
         }
-        Some((corrected, d_tx))
+        Some((corrected, d_tx, d_orientation))
     }
 }
 
@@ -68,14 +100,15 @@ impl Member<'_> {
         self.enter(run)
     }
 
-    /// Returns the derivative by the position, given the cotangents of the observation.
-    fn vjp(&self, query: Query<'_>, observed: ForwardOutput, d: &[Real]) -> [f64; 3] {
+    /// Returns the derivatives by position and orientation, given the cotangents of the observation.
+    fn vjp(&self, query: Query<'_>, observed: ForwardOutput, d: &[Real]) -> ([f64; 3], [f64; 4]) {
         let stages = &self.model.stages;
         let run = || {
             self.with_request(&[query], |p, request| {
-                let mut sums = MethodVjp { positions: vec![[0.0; 3]], ..MethodVjp::zeros(p) };
+                let (positions, orientations) = (vec![[0.0; 3]], vec![[0.0; 4]]);
+                let mut sums = MethodVjp { positions, orientations, ..MethodVjp::zeros(p) };
                 stages.method.vjp(&stages.setup, p, request, observed, d, &mut sums);
-                sums.positions[0].map(|d| d as f64)
+                (sums.positions[0].map(|d| d as f64), sums.orientations[0])
             })
         };
         self.enter(run)
