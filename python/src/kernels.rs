@@ -3,6 +3,7 @@
 use crate::arrays::{array, axes, elevation_of, input_array, numbers, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyUntypedArrayMethods as _;
+use pwrfgs::methods::{normalise, normalise_vjp};
 use pwrfgs_core::{ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
@@ -86,30 +87,15 @@ fn primitives(
         quats: quats.as_chunks().0.to_vec(),
         opacities,
     };
-    match inputs.quats.iter().position(|q| length(*q) == 0.0) {
+    match inputs.quats.iter().position(|q| q.iter().all(|v| *v == 0.0)) {
         Some(i) => Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)"))),
         None => Ok(inputs),
     }
 }
 
-fn length(q: [Real; 4]) -> Real {
-    q.iter().map(|v| v * v).sum::<Real>().sqrt()
-}
-
 /// Normalises rotations.
 fn unit(inputs: &Primitives) -> Primitives {
-    let quats = inputs.quats.iter().map(|q| q.map(|v| v / length(*q))).collect();
-    Primitives { quats, ..inputs.clone() }
-}
-
-/// Vector-Jacobian product of [`unit`]: removes the component along the rotation.
-fn unit_vjp(inputs: &Primitives, d: &mut Primitives) {
-    for (q, d) in inputs.quats.iter().zip(&mut d.quats) {
-        let size = length(*q);
-        let u = q.map(|v| v / size);
-        let along: Real = u.iter().zip(&*d).map(|(u, d)| u * d).sum();
-        *d = std::array::from_fn(|k| (d[k] - along * u[k]) / size);
-    }
+    Primitives { quats: inputs.quats.iter().map(|q| normalise(*q)).collect(), ..inputs.clone() }
 }
 
 /// Project Gaussians to ellipses on the image plane of a receiver. Returns the named tuple `Splats`: means2d [N, 2]
@@ -219,7 +205,7 @@ impl Drawing {
             let primitives = unit(&self.inputs);
             let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &found.splats);
             let d_pose = primitives.pose_vjp(pose, &d);
-            unit_vjp(&self.inputs, &mut d);
+            d.quats.iter_mut().zip(&self.inputs.quats).for_each(|(d, q)| *d = normalise_vjp(*q, *d));
             Ok((d, found.signals, d_pose))
         })?;
         let n = self.inputs.len();

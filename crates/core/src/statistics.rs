@@ -1,4 +1,10 @@
-//! Order statistics and thinning.
+//! Mean, order statistics and thinning.
+
+/// Returns the mean of values; NaN without any.
+pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
+    let (sum, count) = values.into_iter().fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
+    sum / count
+}
 
 /// Returns at most `count` of `all`, evenly spaced.
 pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {

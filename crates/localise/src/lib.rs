@@ -21,12 +21,11 @@ pub use fingerprints::{Fingerprints, NearestFingerprints};
 pub use locator::{Choice, Located, Locator, SHARES};
 pub use region::{Region, RegionRule};
 
-use pwrfgs_core::statistics::median;
+use pwrfgs_core::statistics::{mean, median};
 
 /// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.
 pub fn mean_and_median(errors: Vec<f64>) -> [f64; 2] {
-    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    [mean, median(errors)]
+    [mean(errors.iter().copied()), median(errors)]
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use crate::descent::descend;
 use crate::region::Density;
 use crate::{FingerprintFeatures, Fingerprints, Region, RegionRule, mean_and_median};
+use pwrfgs_core::neighbours::{distance, nearest_other_squared};
 use pwrfgs_core::statistics::{median, sorted};
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
 use rayon::prelude::*;
@@ -305,10 +306,6 @@ fn mean(weights: &[f64], positions: &[[f64; 3]]) -> [f64; 3] {
     sum
 }
 
-fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    pwrfgs_core::neighbours::distance(a, b)
-}
-
 /// Returns the least mean error over sharpnesses, its sharpness, and the scale of the misfits.
 fn sharpness(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>]) -> (f64, f64, f64) {
     let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
@@ -329,7 +326,7 @@ fn sharpness(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>]) -> 
 /// Returns half the median distance of a position to its nearest neighbour; at least 0.1 mm.
 fn spacing(positions: &[[f64; 3]]) -> f64 {
     let points: Vec<[Real; 3]> = positions.iter().map(|p| p.map(|v| v as Real)).collect();
-    let squares = pwrfgs_core::neighbours::nearest_other_squared(&points);
+    let squares = nearest_other_squared(&points);
     let typical = median(squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()));
     if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
 }

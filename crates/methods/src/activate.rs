@@ -191,12 +191,13 @@ fn divided(q: [Real; 4], norm: Real) -> [Real; 4] {
 }
 
 /// Returns q/|q|; the identity for a quaternion close to zero.
-fn normalise(q: [Real; 4]) -> [Real; 4] {
+pub fn normalise(q: [Real; 4]) -> [Real; 4] {
     let norm = dot(q, q).sqrt();
     if norm > 1e-12 { divided(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
-fn normalise_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
+/// Returns the cotangent of q, given that of [`normalise`].
+pub fn normalise_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
     let norm = dot(q, q).sqrt();
     if norm <= 1e-12 {
         return [0.0; 4];

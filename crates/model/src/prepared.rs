@@ -186,7 +186,7 @@ impl Predict for Model {
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
-        self.prepare().predict_vjp(query, cotangent)
+        Predict::predict_vjp(&self.prepare(), query, cotangent)
     }
 }
 
@@ -196,7 +196,7 @@ impl Predict for Prepared<'_> {
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
-        Prepared::predict_vjp(self, query, cotangent)
+        Prepared::predict_vjp(self, query, cotangent).map(|(image, d_tx, _)| (image, d_tx))
     }
 
     /// That of the residual process; `None` without residual processes.

@@ -72,7 +72,7 @@ impl Model {
             return Err(wrong(py, &format!("vjp: this model has no derivative by the position, since {why}")));
         }
         let is_pose = !links.orientations.is_empty();
-        if is_pose && !ready.has_pose_derivative() {
+        if is_pose && !ready.has_orientation_derivative() {
             let what = "vjp: calibration AsReleased has no derivative by the orientation; give positions [3] or [B, 3]";
             return Err(wrong(py, what));
         }
@@ -83,14 +83,10 @@ impl Model {
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
             let all = d[slopes.len() * of_each..].par_chunks_exact(of_each).zip(numbers.par_chunks_exact_mut(of_each));
             let one = |(query, (d, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
-                let d = |_: &_| d.to_vec();
-                let found = if is_pose {
-                    ready.predict_pose_vjp(*query, d)
-                } else {
-                    ready.predict_vjp(*query, d).map(|(image, slope)| (image, slope, [0.0; 4]))
-                };
-                let (image, [x, y, z], [qx, qy, qz, qw]) = found.expect("a model with a derivative");
+                let found = ready.predict_vjp(*query, |_| d.to_vec());
+                let (image, [x, y, z], orientation) = found.expect("a model with a derivative");
                 numbers.copy_from_slice(&image.pixels);
+                let [qx, qy, qz, qw] = orientation.unwrap_or_default();
                 [x, y, z, qx, qy, qz, qw]
             };
             slopes.par_extend(queries.par_iter().zip(all).map(one));

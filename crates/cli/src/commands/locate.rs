@@ -14,7 +14,7 @@ use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, SHARES, me
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::statistics::{quantile, sorted};
+use pwrfgs_core::statistics::{mean, quantile, sorted};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
 use rayon::prelude::*;
 use serde_json::json;
@@ -194,10 +194,7 @@ fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Parti
     let nearest = NearestFingerprints::fit(data, known, locator.features(), locator.floor());
     let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
     lines.push(line(&name, errors(all.par_iter().map(|own| nearest.locate(own)).collect()), None));
-    let centre = {
-        let places = locator.positions();
-        [0, 1, 2].map(|k| places.iter().map(|p| p[k]).sum::<f64>() / places.len() as f64)
-    };
+    let centre = [0, 1, 2].map(|k| mean(locator.positions().iter().map(|p| p[k])));
     lines.push(line("centre of the positions", errors(vec![centre; truths.len()]), None));
     let heading = format!("{}: {} test positions\n", data.title, grouped(test.len() as i64));
     output::result(&(heading + &aligned(&lines, 1)))

@@ -141,9 +141,3 @@ impl Outcome {
         folder.put("place.png", self.map.draw().png(WIDTH_MM))
     }
 }
-
-/// Mean of values; NaN without any.
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
-    sum / count
-}

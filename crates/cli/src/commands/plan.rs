@@ -14,7 +14,7 @@ use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, 
 use pwrfgs::report::draw::survey::SurveyMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
-use pwrfgs_core::statistics::{self, evenly};
+use pwrfgs_core::statistics::{self, evenly, mean};
 use pwrfgs_core::{Dataset, Error, Result, check_stopped};
 use source::{PlaceOptions, Places, places};
 use std::fmt::Write as _;
@@ -244,7 +244,7 @@ fn table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation
     let mut lines = vec![header];
     for choice in choices {
         let mut line = vec![choice.name.clone(), fixed(choice.variance(), 4)];
-        line.extend(task.map(|_| fixed(mean(&choice.scores), 4)));
+        line.extend(task.map(|_| fixed(mean(choice.scores.iter().copied()), 4)));
         lines.push(line);
     }
     let Correlation { scales: [length, ..], noise, .. } = correlation;
@@ -262,10 +262,6 @@ fn table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation
         _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
     }
     text + verdict(&choices[0], &choices[1], gain)
-}
-
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
 }
 
 /// Compares the plan with the regular choice: by scores if there are any, otherwise by variance.

@@ -2,7 +2,6 @@
 //! processes, mean and method.
 
 use super::{Member, Prepared, mean};
-use crate::Model;
 use pwrfgs_core::{ForwardOutput, Image, MethodVjp, Query, Real};
 
 impl Prepared<'_> {
@@ -11,17 +10,18 @@ impl Prepared<'_> {
         self.models().all(|model| model.stages.method.traits().differentiates_positions)
     }
 
-    /// Returns whether [`Self::predict_pose_vjp`] has a derivative.
-    pub fn has_pose_derivative(&self) -> bool {
-        let differentiates = |model: &Model| model.stages.method.traits().differentiates_orientations;
-        self.has_derivative() && self.models().all(differentiates)
+    /// Returns whether [`Self::predict_vjp`] has a derivative by the orientation of a moving receiver.
+    pub fn has_orientation_derivative(&self) -> bool {
+        self.models().all(|model| model.stages.setup.moves && model.stages.method.traits().differentiates_orientations)
     }
 
-    /// Predicts the observation of a link as [`Self::predict_timed`], with the derivative of Σ d·observation by the
-    /// position of the transmitter (metres, world frame). `cotangent` returns d from the observation.
+    /// Predicts the observation of a link as [`Self::predict_timed`], with the derivatives of Σ d·observation by the
+    /// position of the transmitter (metres, world frame) and by the orientation (x, y, z, w) of a moving receiver, if
+    /// [available](Self::has_orientation_derivative). `cotangent` returns d from the observation.
     ///
-    /// For a moving receiver it is the derivative by its position at constant orientation. The derivative of a value that
-    /// is clamped to [0, 1] is 0 outside. Images with the calibration `AsReleased` are clamped as in training.
+    /// For a moving receiver, the first is the derivative by its position at constant orientation. The length of the
+    /// orientation has no effect. The derivative of a value that is clamped to [0, 1] is 0 outside. Images with the
+    /// calibration `AsReleased` are clamped as in training.
     ///
     /// `None` without [a derivative](Self::has_derivative), and for links with features.
     ///
@@ -31,31 +31,8 @@ impl Prepared<'_> {
         &self,
         query: impl Into<Query<'q>>,
         cotangent: impl Fn(&Image) -> Vec<Real>,
-    ) -> Option<(Image, [f64; 3])> {
-        self.link_vjp(query.into(), cotangent).map(|(image, d_tx, _)| (image, d_tx))
-    }
-
-    /// Predicts as [`Self::predict_vjp`], with the derivatives by position and orientation (x, y, z, w) of a moving
-    /// receiver. The length of the orientation has no effect.
-    ///
-    /// `None` without [a derivative](Self::has_pose_derivative).
-    ///
-    /// # Panics
-    /// If `cotangent` does not return one number per value of the observation.
-    pub fn predict_pose_vjp<'q>(
-        &self,
-        query: impl Into<Query<'q>>,
-        cotangent: impl Fn(&Image) -> Vec<Real>,
-    ) -> Option<(Image, [f64; 3], [f64; 4])> {
-        self.has_pose_derivative().then(|| self.link_vjp(query.into(), cotangent)).flatten()
-    }
-
-    fn link_vjp(
-        &self,
-        query: Query<'_>,
-        cotangent: impl Fn(&Image) -> Vec<Real>,
-    ) -> Option<(Image, [f64; 3], [f64; 4])> {
-        let task = self.task();
+    ) -> Option<(Image, [f64; 3], Option<[f64; 4]>)> {
+        let (query, task) = (query.into(), self.task());
         if !self.has_derivative() || !query.features.is_empty() {
             return None;
         }
@@ -81,7 +58,7 @@ impl Prepared<'_> {
             (0..3).for_each(|k| d_tx[k] += found.0[k]);
             (0..4).for_each(|k| d_orientation[k] += found.1[k]);
         }
-        Some((corrected, d_tx, d_orientation))
+        Some((corrected, d_tx, self.has_orientation_derivative().then_some(d_orientation)))
     }
 }
 

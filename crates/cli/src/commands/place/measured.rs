@@ -1,13 +1,13 @@
 //! Best receivers of a data folder with received powers.
 
-use super::{Choice, Outcome, Place, RANDOM, mean};
+use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
 use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::{DataSource, Dataset, Error, Result, rng};
+use pwrfgs_core::{DataSource, Dataset, Error, Result, rng, statistics::mean};
 use std::path::Path;
 
 /// One of so many transmitters is held out without an official split.

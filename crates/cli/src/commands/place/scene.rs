@@ -1,13 +1,13 @@
 //! Receivers at any free position of a simulated scene.
 
-use super::{Choice, Outcome, Place, RANDOM, mean};
+use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped, number};
 use pwrfgs::planning::{Ascent, SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::report::draw::survey::CoverageMap;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, statistics::mean};
 use std::sync::atomic::AtomicBool;
 
 /// Largest number of receivers.
