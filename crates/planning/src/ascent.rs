@@ -1,36 +1,25 @@
 //! `ascend`: positions of receivers by multi-start coordinate ascent on smoothed coverage.
 //!
-//! 1. Traces a few positions of a Halton sequence to a sample of the transmitters.
-//! 2. Starts at the best subsets of these positions.
-//! 3. Moves one receiver along one axis by a step, both ways, and halves the step if no move raises the smoothed coverage.
-//! 4. Scores the end of every start on all transmitters, and returns the best end.
+//! 1. Traces positions of a Halton sequence to a few random transmitters.
+//! 2. Starts at the best subsets of these positions. Moves one receiver along one axis by a step, both ways, and halves the
+//!    step if no move raises the smoothed coverage.
+//! 3. Keeps the best of all subsets traced so far and traces them to more transmitters, with fewer subsets in each round. The
+//!    last round has all transmitters and the exact coverage.
 
 use crate::coverage::{combinations, coverage, soft_coverage};
 use pwrfgs_core::{Result, rng};
+use std::collections::BTreeSet;
 
-/// Settings of the ascent. Defaults trace about 90 positions per receiver to 48 transmitters.
-#[derive(Clone, Copy, Debug)]
-pub struct Ascent {
-    /// Number of receivers.
-    pub count: usize,
-    /// Positions traced before the first move, in addition to 4 per receiver.
-    pub screened: usize,
-    /// Number of starts.
-    pub starts: usize,
-    /// Largest number of transmitters in the sample.
-    pub sample: usize,
-    /// Number of halvings of the step.
-    pub halvings: usize,
-    /// Random seed of the sample.
-    pub seed: u64,
-}
-
-impl Ascent {
-    /// Default settings for `count` receivers.
-    pub fn new(count: usize, seed: u64) -> Self {
-        Self { count, screened: 12, starts: 2, sample: 48, halvings: 3, seed }
-    }
-}
+/// Positions traced before the first move, and more per receiver.
+const SCREENED: (usize, usize) = (44, 4);
+/// Transmitters before the selection.
+const SAMPLE: usize = 24;
+/// Number of starts.
+const STARTS: usize = 2;
+/// Number of halvings of the step.
+const HALVINGS: usize = 3;
+/// Rounds of the selection: number of subsets that are kept, and number of transmitters that are added.
+const ROUNDS: [(usize, usize); 3] = [(16, 64), (8, 128), (3, usize::MAX)];
 
 /// Positions at the end of an ascent.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,130 +30,128 @@ pub struct AscentResult {
     pub powers: Vec<Vec<f64>>,
     /// Coverage over all transmitters, dBm.
     pub coverage: f64,
-    /// Number of receiver positions traced, with a sample of the transmitters or all.
+    /// Number of receiver positions traced, to some of the transmitters or all.
     pub positions: usize,
     /// Number of links traced.
     pub links: usize,
 }
 
-/// Searches receivers between the corners `area` (metres). `trace` returns powers in dBm of a receiver at x and y from the given
-/// ones of `transmitters` transmitters; `None` if the position is not free.
+/// Searches `count` receivers between the corners `area` (metres). `trace` returns powers in dBm of a receiver at x and y from the
+/// given ones of `transmitters` transmitters; `None` if the position is not free. `seed` sets the order of transmitters and the
+/// screened positions. One receiver takes about 60 positions and 5,200 links.
 ///
 /// # Errors
 /// Errors of `trace`. The result is `None` if there are not enough free positions.
 pub fn ascend(
-    settings: &Ascent,
+    count: usize,
+    seed: u64,
     area: [[f64; 2]; 2],
     transmitters: usize,
     trace: impl FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>,
 ) -> Result<Option<AscentResult>> {
-    let mut search = Search { sample: sample(transmitters, settings), area, trace, positions: 0, links: 0 };
-    let screened = search.screen(settings.screened + 4 * settings.count)?;
-    let mut starts: Vec<State> = combinations(screened.len(), settings.count)
-        .unwrap_or_default()
-        .iter()
-        .map(|subset| State::new(subset.iter().map(|&k| screened[k].clone()).collect()))
-        .collect();
-    starts.sort_by(|a, b| b.value.total_cmp(&a.value));
-    starts.truncate(settings.starts);
-    let all: Vec<usize> = (0..transmitters).collect();
-    let size = (0..2).map(|k| area[1][k] - area[0][k]).product::<f64>().sqrt();
-    let first_step = 0.5 * size / (screened.len() as f64).sqrt();
-    let mut best: Option<AscentResult> = None;
-    for start in starts {
-        let end = search.climb(start, first_step, settings.halvings)?;
-        let receivers: Vec<[f64; 2]> = end.receivers.iter().map(|own| own.at).collect();
-        let mut powers = Vec::new();
-        for at in &receivers {
-            powers.extend(search.trace(*at, &all)?);
-        }
-        let coverage = coverage(&slices(&powers));
-        if best.as_ref().is_none_or(|best| coverage > best.coverage) {
-            best = Some(AscentResult { receivers, powers, coverage, positions: 0, links: 0 });
-        }
+    let random = &mut rng::stream(seed, "ascent", 0);
+    let mut order: Vec<usize> = (0..transmitters).collect();
+    rng::shuffle(random, &mut order);
+    let shift = [(); 2].map(|()| rng::uniform_f64(random));
+    let traced = SAMPLE.min(transmitters);
+    let mut search = Search { order, traced, area, trace, places: Vec::new(), subsets: Vec::new(), links: 0 };
+    search.screen(SCREENED.0 + SCREENED.1 * count, shift)?;
+    let screened = search.places.len();
+    for subset in combinations(screened, count).unwrap_or_default() {
+        search.assess(subset);
     }
-    Ok(best.map(|best| AscentResult { positions: search.positions, links: search.links, ..best }))
+    search.subsets.sort_by(Subset::by_value);
+    let size = (0..2).map(|k| area[1][k] - area[0][k]).product::<f64>().sqrt();
+    let first_step = 0.5 * size / (screened as f64).sqrt();
+    for start in search.subsets.iter().take(STARTS).cloned().collect::<Vec<_>>() {
+        search.climb(start, first_step)?;
+    }
+    for (kept, added) in ROUNDS {
+        search.select(kept, added)?;
+    }
+    Ok(search.best())
 }
 
-/// One random transmitter of each of as many equal sections of the list.
-fn sample(transmitters: usize, settings: &Ascent) -> Vec<usize> {
-    let count = transmitters.min(settings.sample);
-    let mut random = rng::stream(settings.seed, "sample of transmitters", 0);
-    let bound = |k: usize| k * transmitters / count;
-    (0..count).map(|k| bound(k) + rng::below(&mut random, bound(k + 1) - bound(k))).collect()
-}
-
-fn slices(powers: &[Vec<f64>]) -> Vec<&[f64]> {
-    powers.iter().map(Vec::as_slice).collect()
-}
-
-/// Receiver with its powers from the sample.
+/// Receiver position with its powers from the traced transmitters.
 #[derive(Clone, Debug)]
 struct Traced {
     at: [f64; 2],
     powers: Vec<f64>,
 }
 
-/// Receivers with their smoothed coverage.
+/// Receivers, as sorted indices of traced positions, with their coverage.
 #[derive(Clone, Debug)]
-struct State {
-    receivers: Vec<Traced>,
+struct Subset {
+    receivers: Vec<usize>,
     value: f64,
 }
 
-impl State {
-    fn new(receivers: Vec<Traced>) -> Self {
-        let value = soft_coverage(&receivers.iter().map(|own| &own.powers[..]).collect::<Vec<_>>());
-        Self { receivers, value }
+impl Subset {
+    /// Order of falling values.
+    fn by_value(&self, other: &Self) -> std::cmp::Ordering {
+        other.value.total_cmp(&self.value).then_with(|| self.receivers.cmp(&other.receivers))
     }
 }
 
 struct Search<F> {
-    sample: Vec<usize>,
+    /// Random order of the transmitters.
+    order: Vec<usize>,
+    /// Number of transmitters of this order that are traced.
+    traced: usize,
     area: [[f64; 2]; 2],
     trace: F,
-    positions: usize,
+    places: Vec<Traced>,
+    subsets: Vec<Subset>,
     links: usize,
 }
 
 impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
-    fn trace(&mut self, at: [f64; 2], transmitters: &[usize]) -> Result<Option<Vec<f64>>> {
-        let powers = (self.trace)(at, transmitters)?;
-        if powers.is_some() {
-            self.positions += 1;
-            self.links += transmitters.len();
-        }
-        Ok(powers)
-    }
-
-    fn traced(&mut self, at: [f64; 2]) -> Result<Option<Traced>> {
-        let sample = std::mem::take(&mut self.sample);
-        let powers = self.trace(at, &sample);
-        self.sample = sample;
-        Ok(powers?.map(|powers| Traced { at, powers }))
-    }
-
-    /// Free positions of the Halton sequence, at most `count`.
-    fn screen(&mut self, count: usize) -> Result<Vec<Traced>> {
-        let mut found = Vec::new();
+    /// Traces free positions of the Halton sequence, at most `count`.
+    fn screen(&mut self, count: usize, shift: [f64; 2]) -> Result<()> {
+        let [low, high] = self.area;
         for k in 1..=20 * count {
-            let part = [2, 3].map(|base| halton(k, base));
-            let at = [0, 1].map(|axis| self.area[0][axis] + part[axis] * (self.area[1][axis] - self.area[0][axis]));
-            found.extend(self.traced(at)?);
-            if found.len() == count {
+            let part = [0, 1].map(|axis| (halton(k, [2, 3][axis]) + shift[axis]).fract());
+            self.place([0, 1].map(|axis| low[axis] + part[axis] * (high[axis] - low[axis])))?;
+            if self.places.len() == count {
                 break;
             }
         }
-        Ok(found)
+        Ok(())
+    }
+
+    /// Index of the position `at`, traced at the first call; `None` if it is not free or outside.
+    fn place(&mut self, at: [f64; 2]) -> Result<Option<usize>> {
+        let is_here = |own: &Traced| (0..2).all(|k| (own.at[k] - at[k]).abs() < 1e-6);
+        let found = self.places.iter().position(is_here);
+        if found.is_some() || (0..2).any(|k| !(self.area[0][k]..=self.area[1][k]).contains(&at[k])) {
+            return Ok(found);
+        }
+        let Some(powers) = (self.trace)(at, &self.order[..self.traced])? else { return Ok(None) };
+        self.links += powers.len();
+        self.places.push(Traced { at, powers });
+        Ok(Some(self.places.len() - 1))
+    }
+
+    /// Computes the coverage of a subset: exact if all transmitters are traced in the selection, otherwise smoothed.
+    fn value(&self, receivers: &[usize], is_exact: bool) -> f64 {
+        let powers: Vec<&[f64]> = receivers.iter().map(|&k| &self.places[k].powers[..]).collect();
+        if is_exact { coverage(&powers) } else { soft_coverage(&powers) }
+    }
+
+    fn assess(&mut self, mut receivers: Vec<usize>) -> Subset {
+        receivers.sort_unstable();
+        let subset = Subset { value: self.value(&receivers, false), receivers };
+        self.subsets.push(subset.clone());
+        subset
     }
 
     /// Coordinate ascent.
-    fn climb(&mut self, mut state: State, mut step: f64, halvings: usize) -> Result<State> {
-        for _ in 0..=halvings {
+    fn climb(&mut self, mut subset: Subset, mut step: f64) -> Result<()> {
+        for _ in 0..=HALVINGS {
             loop {
                 let mut has_moved = false;
-                for k in 0..2 * state.receivers.len() {
-                    has_moved |= self.walk(&mut state, (k / 2, k % 2), step)?;
+                for k in 0..2 * subset.receivers.len() {
+                    has_moved |= self.walk(&mut subset, (k / 2, k % 2), step)?;
                 }
                 if !has_moved {
                     break;
@@ -172,27 +159,62 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
             }
             step /= 2.0;
         }
-        Ok(state)
+        Ok(())
     }
 
     /// Moves a receiver along an axis, one way or the other, if that raises the value.
-    fn walk(&mut self, state: &mut State, (receiver, axis): (usize, usize), step: f64) -> Result<bool> {
+    fn walk(&mut self, subset: &mut Subset, (receiver, axis): (usize, usize), step: f64) -> Result<bool> {
         for way in [step, -step] {
-            let mut at = state.receivers[receiver].at;
+            let mut at = self.places[subset.receivers[receiver]].at;
             at[axis] += way;
-            if !(self.area[0][axis]..=self.area[1][axis]).contains(&at[axis]) {
-                continue;
-            }
-            let Some(moved) = self.traced(at)? else { continue };
-            let mut receivers = state.receivers.clone();
+            let Some(moved) = self.place(at)? else { continue };
+            let mut receivers = subset.receivers.clone();
             receivers[receiver] = moved;
-            let next = State::new(receivers);
-            if next.value > state.value {
-                *state = next;
+            let next = self.assess(receivers);
+            if next.value > subset.value {
+                *subset = next;
                 return Ok(true);
             }
         }
         Ok(false)
+    }
+
+    /// Keeps the best subsets and traces them to more transmitters.
+    fn select(&mut self, kept: usize, added: usize) -> Result<()> {
+        self.subsets.sort_by(Subset::by_value);
+        self.subsets.dedup_by(|a, b| a.receivers == b.receivers);
+        self.subsets.truncate(kept);
+        let to = self.traced.saturating_add(added).min(self.order.len());
+        let used: BTreeSet<usize> = self.subsets.iter().flat_map(|own| own.receivers.iter().copied()).collect();
+        for k in used {
+            let powers = (self.trace)(self.places[k].at, &self.order[self.traced..to])?.unwrap_or_default();
+            self.links += powers.len();
+            self.places[k].powers.extend(powers);
+        }
+        self.traced = to;
+        for k in 0..self.subsets.len() {
+            self.subsets[k].value = self.value(&self.subsets[k].receivers, to == self.order.len());
+        }
+        self.subsets.sort_by(Subset::by_value);
+        Ok(())
+    }
+
+    /// The best subset, after the selection.
+    fn best(&self) -> Option<AscentResult> {
+        let best = self.subsets.first()?;
+        let receivers: Vec<&Traced> = best.receivers.iter().map(|&k| &self.places[k]).collect();
+        let in_order = |own: &&Traced| {
+            let mut powers = vec![0.0; self.order.len()];
+            self.order.iter().zip(&own.powers).for_each(|(&t, power)| powers[t] = *power);
+            powers
+        };
+        Some(AscentResult {
+            receivers: receivers.iter().map(|own| own.at).collect(),
+            powers: receivers.iter().map(in_order).collect(),
+            coverage: best.value,
+            positions: self.places.len(),
+            links: self.links,
+        })
     }
 }
 
@@ -210,39 +232,45 @@ fn halton(mut k: usize, base: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// Ascent in an empty box of 8 m x 6 m: received power falls with 20 log10 of the distance.
-    fn in_box(settings: &Ascent) -> AscentResult {
-        let grid: Vec<[f64; 2]> =
-            (0..32 * 24).map(|k| [0.125 + 0.25 * f64::from(k % 32), 0.125 + 0.25 * f64::from(k / 32)]).collect();
-        let trace = |[x, y]: [f64; 2], which: &[usize]| {
-            let power = |&t: &usize| -10.0 * ((x - grid[t][0]).powi(2) + (y - grid[t][1]).powi(2) + 1.0).log10();
-            Ok(Some(which.iter().map(power).collect()))
-        };
-        ascend(settings, [[0.0, 0.0], [8.0, 6.0]], grid.len(), trace).unwrap().unwrap()
+    const TRANSMITTERS: usize = 32 * 24;
+
+    /// Powers in an empty box of 8 m x 6 m: they fall with 20 log10 of the distance.
+    fn powers([x, y]: [f64; 2], which: &[usize]) -> Vec<f64> {
+        let at = |t: usize| [(t % 32) as f64, (t / 32) as f64].map(|k| 0.125 + 0.25 * k);
+        let power = |[a, b]: [f64; 2]| -10.0 * ((x - a).powi(2) + (y - b).powi(2) + 1.0).log10();
+        which.iter().map(|&t| power(at(t))).collect()
+    }
+
+    fn in_box(count: usize, seed: u64) -> AscentResult {
+        let trace = |at: [f64; 2], which: &[usize]| Ok(Some(powers(at, which)));
+        ascend(count, seed, [[0.0, 0.0], [8.0, 6.0]], TRANSMITTERS, trace).unwrap().unwrap()
     }
 
     #[test]
     fn one_receiver_in_empty_box_ends_near_middle() {
-        let result = in_box(&Ascent { sample: 768, ..Ascent::new(1, 0) });
-        let [x, y] = result.receivers[0];
-        assert!((x - 4.0).abs() < 0.3 && (y - 3.0).abs() < 0.3, "({x}, {y})");
-        let sampled = in_box(&Ascent::new(1, 0));
-        assert!(result.coverage - sampled.coverage < 0.5, "{} and {}", result.coverage, sampled.coverage);
-        assert!(sampled.links * 90 < 768 * 768, "{}", sampled.links);
+        let all: Vec<usize> = (0..TRANSMITTERS).collect();
+        let middle = coverage(&[&powers([4.0, 3.0], &all)]);
+        for seed in 0..4 {
+            let result = in_box(1, seed);
+            assert_eq!(result.powers[0], powers(result.receivers[0], &all));
+            assert_eq!(result.coverage, coverage(&[&result.powers[0]]));
+            assert!(result.coverage > middle - 0.5, "{} and {middle}", result.coverage);
+            assert!(result.links * 100 < TRANSMITTERS * TRANSMITTERS, "{}", result.links);
+        }
     }
 
     #[test]
     fn two_receivers_share_the_long_side() {
-        let result = in_box(&Ascent::new(2, 0));
+        let result = in_box(2, 0);
         let mut x = [result.receivers[0][0], result.receivers[1][0]];
         x.sort_by(f64::total_cmp);
         assert!((1.0..3.2).contains(&x[0]) && (4.8..7.0).contains(&x[1]), "{:?}", result.receivers);
-        assert!(result.coverage > in_box(&Ascent::new(1, 0)).coverage + 1.0);
+        assert!(result.coverage > in_box(1, 0).coverage + 1.0);
     }
 
     #[test]
     fn no_free_position_gives_no_result() {
-        let found = ascend(&Ascent::new(1, 0), [[0.0; 2], [1.0; 2]], 5, |_, _| Ok(None));
+        let found = ascend(1, 0, [[0.0; 2], [1.0; 2]], 5, |_, _| Ok(None));
         assert_eq!(found.unwrap(), None);
     }
 }

@@ -14,7 +14,7 @@ mod posterior;
 mod scene;
 mod survey;
 
-pub use ascent::{Ascent, AscentResult, ascend};
+pub use ascent::{AscentResult, ascend};
 pub use coverage::{
     Subset, best_subset, combinations, coverage, coverage_of, greedy_subset, random_subsets, soft_coverage, strongest,
 };

@@ -1,6 +1,6 @@
 //! Floor of a simulated scene: a grid of positions, and powers between receivers and transmitters on it.
 
-use crate::ascent::{Ascent, AscentResult, ascend};
+use crate::ascent::{AscentResult, ascend};
 use glam::DVec3;
 use pwrfgs_core::{Error, Result, check_stopped, statistics};
 use pwrfgs_raytrace::world::{Triangle, World, from_scene};
@@ -144,13 +144,13 @@ impl SceneCoverage {
         Ok(powers)
     }
 
-    /// Searches receiver positions with the largest coverage.
+    /// Searches positions of `count` receivers with the largest coverage.
     ///
     /// # Errors
     /// No free position, or [`Error::Stopped`] if `stop` is set.
-    pub fn ascend(&self, settings: &Ascent, stop: &AtomicBool) -> Result<AscentResult> {
+    pub fn ascend(&self, count: usize, seed: u64, stop: &AtomicBool) -> Result<AscentResult> {
         let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|place| place[k])));
-        let found = ascend(settings, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
+        let found = ascend(count, seed, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
             check_stopped(stop)?;
             let receiver = self.simulator.receiver_at([x, y, self.mount]).ok();
             Ok(receiver.map(|receiver| self.powers(&receiver, which.par_iter().copied())))

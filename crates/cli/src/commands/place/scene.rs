@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped, number};
-use pwrfgs::planning::{Ascent, SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest};
+use pwrfgs::planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{Error, Result, statistics::mean};
@@ -28,8 +28,7 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
             return Err(Error::Config(what));
         }
     }
-    let settings = Ascent::new(count, arguments.seed);
-    let found = staged(progress, "ascent", |_| floor.ascend(&settings, stop))?;
+    let found = staged(progress, "ascent", |_| floor.ascend(count, arguments.seed, stop))?;
     let at = |[x, y]: [f64; 2]| (String::new(), [x, y, floor.mount()]);
     let line = |coverage: f64, positions: usize, links: usize| {
         vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
