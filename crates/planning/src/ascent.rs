@@ -11,7 +11,7 @@ use pwrfgs_core::{Result, rng};
 use std::collections::BTreeSet;
 
 /// Positions traced before the first move, and more per receiver.
-const SCREENED: (usize, usize) = (44, 4);
+const SCREENED: (usize, usize) = (36, 4);
 /// Transmitters before the selection.
 const SAMPLE: usize = 24;
 /// Number of starts.
@@ -38,7 +38,7 @@ pub struct AscentResult {
 
 /// Searches `count` receivers between the corners `area` (metres). `trace` returns powers in dBm of a receiver at x and y from the
 /// given ones of `transmitters` transmitters; `None` if the position is not free. `seed` sets the order of transmitters and the
-/// screened positions. One receiver takes about 60 positions and 5,200 links.
+/// screened positions. One receiver takes about 60 positions.
 ///
 /// # Errors
 /// Errors of `trace`. The result is `None` if there are not enough free positions.
