@@ -11,15 +11,15 @@ use pwrfgs_core::{Result, rng};
 use std::collections::BTreeSet;
 
 /// Positions traced before the first move, and more per receiver.
-const SCREENED: (usize, usize) = (36, 4);
+const SCREENED: (usize, usize) = (20, 4);
 /// Transmitters before the selection.
-const SAMPLE: usize = 24;
+const SAMPLE: usize = 40;
 /// Number of starts.
 const STARTS: usize = 2;
 /// Number of halvings of the step.
-const HALVINGS: usize = 3;
+const HALVINGS: usize = 2;
 /// Rounds of the selection: number of subsets that are kept, and number of transmitters that are added.
-const ROUNDS: [(usize, usize); 3] = [(16, 64), (8, 128), (3, usize::MAX)];
+const ROUNDS: [(usize, usize); 2] = [(10, 96), (3, usize::MAX)];
 
 /// Positions at the end of an ascent.
 #[derive(Clone, Debug, PartialEq)]
