@@ -39,13 +39,12 @@ pub struct Locator<'a> {
     /// The model without the validation samples, if it predicts from samples: it would repeat those that choose.
     without: Option<Box<dyn Predict + 'a>>,
     fingerprints: Fingerprints,
-    receivers: usize,
     /// Power of a receiver that did not hear a transmitter.
     floor: f32,
     /// Half the distance between neighbouring training positions, metres.
     spacing: f64,
     /// Area of [`Self::within`].
-    is_possible: Option<Box<dyn Fn([f64; 2]) -> bool + Send + Sync + 'a>>,
+    area: Option<Box<dyn Fn([f64; 2]) -> bool + Send + Sync + 'a>>,
     /// Number of validation positions.
     pub validation: usize,
     /// Settings.
@@ -124,23 +123,10 @@ impl<'a> Locator<'a> {
             best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
         let spacing = spacing(&fingerprints.positions);
         let rule = region_rule(&fingerprints.positions, &truths, &misfits, choice.scale, spacing);
-        let receivers = data.scene.receivers.len();
-        let (is_possible, validation) = (None, truths.len());
-        let mut locator = Self {
-            features,
-            model,
-            without,
-            fingerprints,
-            receivers,
-            floor,
-            spacing,
-            is_possible,
-            validation,
-            choice,
-            rule,
-        };
-        locator.choose_descent(&truths, error);
-        Ok(locator)
+        let (area, validation) = (None, truths.len());
+        let mut own = Self { features, model, without, fingerprints, floor, spacing, area, validation, choice, rule };
+        own.choose_descent(&truths, error);
+        Ok(own)
     }
 
     /// Restricts fingerprints and estimates to positions that satisfy `is_possible`, a convex area of the floor.
@@ -149,7 +135,7 @@ impl<'a> Locator<'a> {
     /// No training position does.
     pub fn within(mut self, is_possible: impl Fn([f64; 2]) -> bool + Send + Sync + 'a) -> Result<Self> {
         self.fingerprints = self.fingerprints.filtered(|[x, y, _]| is_possible([x, y]));
-        self.is_possible = Some(Box::new(is_possible));
+        self.area = Some(Box::new(is_possible));
         if self.fingerprints.is_empty() {
             return Err(Error::Config("no training position is inside; give an area around some of them".into()));
         }
@@ -219,7 +205,7 @@ impl<'a> Locator<'a> {
         let weights = weights(misfits, self.choice.sharpness / self.choice.scale);
         let mean = mean(&weights, &self.fingerprints.positions);
         let found = if self.choice.descends { self.descended(observation, &weights, mean) } else { None };
-        let is_possible = |[x, y, _]: &[f64; 3]| self.is_possible.as_ref().is_none_or(|own| own([*x, *y]));
+        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|own| own([*x, *y]));
         found.filter(is_possible).unwrap_or(mean)
     }
 
@@ -248,8 +234,7 @@ impl<'a> Locator<'a> {
         let is_heard = |v: &&f32| !v.is_nan() && (!is_scalar || **v > self.floor);
         let known = observation.iter().filter(is_heard).count().max(1) as f64;
         let (mut sum, mut gradient) = (0.0, [0.0; 3]);
-        for receiver in 0..self.receivers {
-            let own = &observation[receiver * count..][..count];
+        for (receiver, own) in observation.chunks_exact(count).enumerate() {
             if !own.iter().any(|v| is_heard(&v)) {
                 continue;
             }
