@@ -40,7 +40,7 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
         *tensors, settings = given
         means, quats, scales, opacities, signals, position, orientation = map(_array, tensors)
         # The kernels normalise nearly normalised quaternions themselves, and reject zero.
-        length = np.linalg.norm(orientation)
+        length = float(np.linalg.norm(orientation))
         length = 1.0 if length == 0 or abs(length - 1) < 1e-3 else length
         pose = position, orientation / length
         picture, vjp = draw(means, quats, scales, opacities, signals, pose, *settings.values())
