@@ -102,22 +102,24 @@ def rasterize_with_vjp(
 
     The image is discontinuous where Gaussians swap their depth order, or enter or leave a pixel at an opacity of 1/255. The
     gradient does not include these jumps."""
-    picture, vjp = draw(
-        means, quats, scales, opacities, signals, pose, height, width, projector, rasterizer, elevation_deg
+    picture, vjp = rasterize_with_pose_vjp(
+        means, quats, scales, opacities, signals, pose,
+        height=height, width=width, projector=projector, rasterizer=rasterizer, elevation_deg=elevation_deg,
     )
     return picture, lambda d_picture: tuple(vjp(d_picture)[:5])  # type: ignore[return-value]
 
 
-def draw(
-    means: Any, quats: Any, scales: Any, opacities: Any, signals: Any, pose: Any, *view: Any
+def rasterize_with_pose_vjp(
+    means: Any, quats: Any, scales: Any, opacities: Any, signals: Any, pose: Any, **view: Any
 ) -> Tuple[Array, Callable[[Any], List[Array]]]:
-    """As ``rasterize_with_vjp``, with two more gradients: those of position [3] and orientation [4] of the receiver."""
+    """As ``rasterize_with_vjp``, with two more gradients: those of position [3] and orientation [4] of the receiver.
+    ``view`` holds the other arguments."""
     real = np.float64 if _pwrfgs.real_bytes == 8 else np.float32
     signals = np.asarray(signals)
     waves = np.iscomplexobj(signals)
     if waves:
         signals = np.stack([signals.real, signals.imag], axis=-1).astype(real)
-    drawing = _pwrfgs.draw(means, quats, scales, opacities, signals, as_pose(pose), *view)
+    drawing = _pwrfgs.draw(means, quats, scales, opacities, signals, as_pose(pose), **view)
     picture: Array = drawing.image
     if waves:
         picture = picture[0] + 1j * picture[1]  # two channels, also of no Gaussian at all

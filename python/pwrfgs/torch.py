@@ -10,7 +10,7 @@ import numpy as np
 
 from . import _pwrfgs, _strategies
 from ._errors import InputError, missing
-from ._kernels import as_pose, draw
+from ._kernels import as_pose, rasterize_with_pose_vjp
 from ._types import Array, Receiver
 from ._values import plugin_text
 
@@ -43,7 +43,7 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
         length = float(np.linalg.norm(orientation))
         length = 1.0 if length == 0 or abs(length - 1) < 1e-3 else length
         pose = position, orientation / length
-        picture, vjp = draw(means, quats, scales, opacities, signals, pose, *settings.values())
+        picture, vjp = rasterize_with_pose_vjp(means, quats, scales, opacities, signals, pose, **settings)
         ctx.like = [x.new_empty(0) for x in tensors]
         ctx.vjp = lambda d: [*(found := vjp(d))[:6], found[6] / length]
         return _like(picture, tensors[4])
@@ -128,7 +128,7 @@ def predict(model: _pwrfgs.Model, tx: Any, receiver: Any = None) -> Any:
     or its poses x, y, z, qx, qy, qz, qw, [7] or [B, 7]; the length of an orientation, 1 within 0.001, has no effect.
 
     The weights of the model have no gradient. A model of link features, or with a network in Python, has no gradient in
-    ``tx``, which the backward pass reports. Computes on the CPU for tensors on any device."""
+    ``tx``, and the calibration ``AsReleased`` has none in orientations; the backward pass reports it. Computes on the CPU for tensors on any device."""
     _check("tx", tx, (torch.float32, torch.float64))
     if tx.dim() not in (1, 2) or tx.shape[-1] not in (3, 7):
         raise InputError(f"tx has shape {list(tx.shape)}, expected [3] or [B, 3], or poses [7] or [B, 7]")

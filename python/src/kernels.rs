@@ -3,7 +3,7 @@
 use crate::arrays::{array, axes, elevation_of, input_array, numbers, room};
 use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyUntypedArrayMethods as _;
-use pwrfgs::methods::{normalise, normalise_vjp};
+use pwrfgs::methods::{normalise_quat, normalise_quat_vjp};
 use pwrfgs_core::{ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
@@ -87,7 +87,7 @@ fn primitives(
         quats: quats.as_chunks().0.to_vec(),
         opacities,
     };
-    match inputs.quats.iter().position(|q| q.iter().all(|v| *v == 0.0)) {
+    match inputs.quats.iter().position(|q| q.iter().map(|v| v * v).sum::<Real>().sqrt() <= 1e-12) {
         Some(i) => Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)"))),
         None => Ok(inputs),
     }
@@ -95,7 +95,7 @@ fn primitives(
 
 /// Normalises rotations.
 fn unit(inputs: &Primitives) -> Primitives {
-    Primitives { quats: inputs.quats.iter().map(|q| normalise(*q)).collect(), ..inputs.clone() }
+    Primitives { quats: inputs.quats.iter().map(|q| normalise_quat(*q)).collect(), ..inputs.clone() }
 }
 
 /// Project Gaussians to ellipses on the image plane of a receiver. Returns the named tuple `Splats`: means2d [N, 2]
@@ -205,7 +205,7 @@ impl Drawing {
             let primitives = unit(&self.inputs);
             let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &found.splats);
             let d_pose = primitives.pose_vjp(pose, &d);
-            d.quats.iter_mut().zip(&self.inputs.quats).for_each(|(d, q)| *d = normalise_vjp(*q, *d));
+            d.quats.iter_mut().zip(&self.inputs.quats).for_each(|(d, q)| *d = normalise_quat_vjp(*q, *d));
             Ok((d, found.signals, d_pose))
         })?;
         let n = self.inputs.len();

@@ -189,8 +189,8 @@ impl Model {
     /// `tx`.
     ///
     /// With `vjp`, the gradient of a real loss in the observations (their shape; ∂/∂Re + i ∂/∂Im for channels), it gives
-    /// (observations, gradient in `tx`, in its shape). For a moving receiver this is the gradient in its positions or its poses,
-    /// where the length of an orientation has no effect. A model of link features, or with a network in Python, has none;
+    /// (observations, gradient in `tx`, in its shape). For a moving receiver this is the gradient in its positions or its poses;
+    /// the length of an orientation has no effect. A model of link features, or with a network in Python, has none;
     /// the calibration `AsReleased` has none in orientations.
     #[pyo3(signature = (tx=None, receiver=None, *, features=None, vjp=None))]
     fn predict<'py>(

@@ -130,7 +130,7 @@ def test_derivatives_in_the_pose_by_central_differences(rasterizer):
     def image(pose):
         return pwrfgs.rasterize(**given, pose=(pose[:3], pose[3:] / np.linalg.norm(pose[3:])), **settings)
 
-    _, vjp = pwrfgs._kernels.draw(*given.values(), POSE, 24, 96, "Mercator", rasterizer, (0.0, 90.0))
+    _, vjp = pwrfgs._kernels.rasterize_with_pose_vjp(**given, pose=POSE, **settings, projector="Mercator", elevation_deg=(0.0, 90.0))
     for k in range(7):
         slope = (image(flat + step * (np.arange(7) == k)) - image(flat - step * (np.arange(7) == k))) / (2 * step)
         # A pixel where a Gaussian crosses 1/255 between the two ends is a step, not a slope.

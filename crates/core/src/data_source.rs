@@ -154,8 +154,8 @@ pub trait Predict: Send + Sync {
         None
     }
 
-    /// Returns the predictor with the same parameters and without the samples `links` (ascending); `None` if it does not
-    /// predict from samples.
+    /// Returns the predictor with the same parameters and without the samples `links` (ascending); `None` if it
+    /// cannot leave samples out.
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
         None
     }

@@ -125,19 +125,6 @@ impl LinkInputs {
         Conditions::new(self.width, &self.values).turned(&self.orientations).at_carriers(&self.carriers)
     }
 
-    /// Returns the inputs with these links only.
-    #[must_use]
-    pub fn of_links(&self, links: Vec<Link>) -> Self {
-        let Self { width, values, orientations, carriers, links: _ } = self;
-        Self {
-            width: *width,
-            values: values.clone(),
-            orientations: orientations.clone(),
-            carriers: carriers.clone(),
-            links,
-        }
-    }
-
     /// Returns the request for these values of all links.
     pub fn request<'a>(&'a self, pixels: PixelSubset<'a>) -> ObservationRequest<'a> {
         ObservationRequest { conditions: self.conditions(), links: &self.links, pixels }

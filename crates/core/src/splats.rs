@@ -56,8 +56,8 @@ impl Primitives {
         Self { means: vec![[0.0; 3]; n], scales: vec![[0.0; 3]; n], quats: vec![[0.0; 4]; n], opacities: vec![0.0; n] }
     }
 
-    /// Returns the derivatives by position and orientation (x, y, z, w) of the receiver, given those `d` of the Gaussians.
-    /// Holds for images that depend only on Gaussians in the frame of the receiver, and for rotations of unit length.
+    /// Returns the derivatives by position `[3]` (1/metre, world frame) and orientation `[4]` (x, y, z, w) of the receiver at
+    /// `pose`, given those `d` of the Gaussians, of which it reads `means` and `quats` (w, x, y, z). Holds for images that depend only on Gaussians in the frame of the receiver, and for rotations of unit length.
     ///
     /// To move the receiver is to move all Gaussians the other way. A turn of the receiver by a small vector δ in world axes
     /// turns means about the receiver, and rotations, by −δ. The orientation q changes by ½ δ q, which gives the derivative

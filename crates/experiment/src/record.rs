@@ -7,7 +7,8 @@ use crate::samples::TestSamples;
 use crate::scores::Scores;
 use crate::text::{Lines, csv_rows, damaged};
 use pwrfgs_core::files::{self, read_text};
-use pwrfgs_core::{Dataset, Error, Partition, Result, statistics::sorted};
+use pwrfgs_core::statistics::{mean, sorted};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use std::path::{Path, PathBuf};
@@ -170,7 +171,7 @@ impl Confidence {
         let group = |k: usize| {
             let rows = &order[k * order.len() / count..(k + 1) * order.len() / count];
             let errors = sorted(rows.iter().map(|&i| self.errors[i]));
-            (rows.iter().map(|&i| self.spreads[i]).sum::<f64>() / rows.len() as f64, errors)
+            (mean(rows.iter().map(|&i| self.spreads[i])), errors)
         };
         (0..count).map(group).filter(|(_, errors)| !errors.is_empty()).collect()
     }
@@ -215,8 +216,7 @@ fn ranks(values: &[f64]) -> Vec<f64> {
 
 /// Pearson correlation.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-    let (mean_a, mean_b) = (mean(a), mean(b));
+    let (mean_a, mean_b) = (mean(a.iter().copied()), mean(b.iter().copied()));
     let product =
         |f: &dyn Fn(f64, f64) -> f64| -> f64 { a.iter().zip(b).map(|(a, b)| f(a - mean_a, b - mean_b)).sum() };
     product(&|a, b| a * b) / (product(&|a, _| a * a) * product(&|_, b| b * b)).sqrt()

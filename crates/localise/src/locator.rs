@@ -36,7 +36,7 @@ pub struct Choice {
 pub struct Locator<'a> {
     features: FingerprintFeatures,
     model: &'a dyn Predict,
-    /// The model without the validation samples, if it predicts from samples: it would repeat those that choose.
+    /// The model without the validation samples, if it can leave them out: it would repeat those that choose.
     without: Option<Box<dyn Predict + 'a>>,
     fingerprints: Fingerprints,
     /// Power of a receiver that did not hear a transmitter.
@@ -81,8 +81,8 @@ type Truth = (Vec<f32>, [f64; 3]);
 
 impl<'a> Locator<'a> {
     /// Fits to the training links `known.train` of `data`. `shares` are the shares of the model among which the validation
-    /// links choose; without validation links the first is taken. A model that predicts from samples, such as Kriging, is
-    /// used without the validation links.
+    /// links choose; without validation links the first is taken. A model that can leave samples out ([`Predict::without`]),
+    /// such as Kriging, is used without the validation links.
     ///
     /// # Errors
     /// Data without positions, or with a moving receiver.

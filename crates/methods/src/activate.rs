@@ -70,9 +70,9 @@ impl Activation {
                 let s = cloud.log_scales[i][k].exp() + d_scale[k];
                 out.scales[i][k] = m * if self.calibration == Calibration::Physical { s.max(SCALE_FLOOR) } else { s };
             }
-            let sum = add(normalise(cloud.quats[i]), d_quat);
+            let sum = add(normalise_quat(cloud.quats[i]), d_quat);
             out.quats[i] = match self.calibration {
-                Calibration::Physical => normalise(sum),
+                Calibration::Physical => normalise_quat(sum),
                 Calibration::AsReleased => sum,
             };
             out.opacities[i] = m * sigmoid(cloud.opacity_logits[i]);
@@ -111,12 +111,12 @@ impl Activation {
             let mut d_quat = d.quats[i];
             if self.calibration == Calibration::Physical {
                 let delta = deltas.quats.get(b * n + i).copied().unwrap_or_default();
-                d_quat = normalise_vjp(add(normalise(cloud.quats[i]), delta), d_quat);
+                d_quat = normalise_quat_vjp(add(normalise_quat(cloud.quats[i]), delta), d_quat);
             }
             if let Some(row) = d_deltas.quats.get_mut(b * n + i) {
                 *row = add(*row, d_quat);
             }
-            d_cloud.quats[i] = add(d_cloud.quats[i], normalise_vjp(cloud.quats[i], d_quat));
+            d_cloud.quats[i] = add(d_cloud.quats[i], normalise_quat_vjp(cloud.quats[i], d_quat));
             let o = sigmoid(cloud.opacity_logits[i]);
             d_gate[i] += d.opacities[i] * o;
             d_cloud.opacity_logits[i] += m * d.opacities[i] * o * (1.0 - o);
@@ -190,14 +190,14 @@ fn divided(q: [Real; 4], norm: Real) -> [Real; 4] {
     [q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm]
 }
 
-/// Returns q/|q|; the identity for a quaternion close to zero.
-pub fn normalise(q: [Real; 4]) -> [Real; 4] {
+/// Returns q/|q| of a quaternion w, x, y, z; the identity for a quaternion close to zero.
+pub fn normalise_quat(q: [Real; 4]) -> [Real; 4] {
     let norm = dot(q, q).sqrt();
     if norm > 1e-12 { divided(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
-/// Returns the cotangent of q, given that of [`normalise`].
-pub fn normalise_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
+/// Returns the cotangent of q, given that of [`normalise_quat`].
+pub fn normalise_quat_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
     let norm = dot(q, q).sqrt();
     if norm <= 1e-12 {
         return [0.0; 4];

@@ -12,7 +12,7 @@ mod splatted_channel;
 mod splatting;
 pub mod virtual_transmitters;
 
-pub use activate::{Activation, ActivationVjp, Calibration, normalise, normalise_vjp};
+pub use activate::{Activation, ActivationVjp, Calibration, normalise_quat, normalise_quat_vjp};
 pub use nerf2::Nerf2;
 pub use readout::Readout;
 pub use splatted_channel::SplattedChannel;

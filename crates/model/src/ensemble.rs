@@ -1,7 +1,7 @@
 //! `Ensemble`: several models of one scene that predict together.
 
 use crate::{IntervalCalibration, Model, Prepared, Residuals, TrainingDistances};
-use pwrfgs_core::{Appearance, Dataset, Error, ImagePlane, Origin, Real, Result};
+use pwrfgs_core::{Appearance, Dataset, Error, FittingSet, ImagePlane, Origin, Real, Result};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
 /// each clamped to [0, 1]; a single model predicts without clamping. The deviation between models measures uncertainty:
@@ -97,6 +97,18 @@ impl Ensemble {
         let base = Self::named(members.iter().map(member).collect()).map_err(Error::Config)?;
         let residuals = self.residuals.as_ref().map(|own| own.of_links(&base, data, links)).transpose()?;
         Ok(base.with_residuals(residuals))
+    }
+
+    /// Returns the models with residual processes that know only the training links of `data`, since validation links that they
+    /// know cannot choose settings. `None` if they know none.
+    ///
+    /// # Errors
+    /// As [`Residuals::updated`].
+    pub fn without_validation(&self, data: &Dataset, known: FittingSet<'_>) -> Result<Option<Self>> {
+        if self.residuals.is_none() || known.validation.is_empty() {
+            return Ok(None);
+        }
+        self.held_out(&(0..self.members.len()).collect::<Vec<_>>(), data, known.train).map(Some)
     }
 
     /// Returns the residual processes, if any.

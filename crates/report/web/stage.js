@@ -68,8 +68,10 @@ class StageSide {
     const contribution = stage.colouring === "contribution";
     const asked = snapshot === null ? { tx: moves ? tx : null, receiver: stage.receiver, contribution } : { snapshot };
     const all = await stage.source.gaussians(this.place, asked);
+    const nextIds = await this.nextIds(snapshot);
+    if (stage.locates) return; // chosen during the load
     this.gaussians = all;
-    this.drawGaussians(all, await this.nextIds(snapshot));
+    this.drawGaussians(all, nextIds);
   }
 
   /** IDs of the Gaussians in the next snapshot; null if unknown. */

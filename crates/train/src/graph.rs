@@ -63,7 +63,7 @@ impl Batch {
         let BatchPixels::Own(places) = &self.places else { return None };
         let parts = self.inputs.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
         let part = |((links, places), truths): ((&[_], &[usize]), &[Real])| Self {
-            inputs: self.inputs.of_links(links.to_vec()),
+            inputs: LinkInputs { links: links.to_vec(), ..self.inputs.clone() },
             places: BatchPixels::Own(places.to_vec()),
             truths: truths.to_vec(),
         };

@@ -49,7 +49,7 @@ pub struct ViewPane {
     pub(crate) surfaces: Vec<[[f64; 3]; 3]>,
     predictor: RwLock<Option<Arc<Predictor>>>,
     /// Locator of one of the predictors, fitted by the first request.
-    locator: Mutex<Option<Arc<FittedLocator>>>,
+    locator: Mutex<Option<(Arc<Predictor>, Arc<FittedLocator>)>>,
 }
 
 impl ViewPane {
@@ -141,20 +141,24 @@ impl ViewPane {
     /// Locator of `predictor`. The first call fits it, which takes up to minutes; meanwhile other calls wait.
     pub(crate) fn locator(&self, known: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
         let mut own = self.locator.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = own.as_ref().filter(|found| Arc::ptr_eq(found.borrow_owner(), &predictor)) {
+        if let Some((_, found)) = own.as_ref().filter(|(of, _)| Arc::ptr_eq(of, &predictor)) {
             return Ok(Arc::clone(found));
         }
+        let fair = predictor.ensemble().map(|own| own.without_validation(&known.data, known.partition.known()));
+        let fair = fair.transpose()?.flatten().map(|own| Arc::new(Predictor::of(own)));
+        let fair = fair.unwrap_or_else(|| Arc::clone(&predictor));
         // Own threads: predictions of other requests would wait for those that they share.
         let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build();
         let pool = threads.map_err(|e| Error::Config(format!("no threads: {e}")))?;
-        let fitted = FittedLocator::try_new(predictor, |predictor| {
+        let fitted = FittedLocator::try_new(fair, |predictor| {
             let (model, shares): (&dyn Predict, &[f32]) = match &**predictor {
                 Predictor::Model(ready) => (ready.borrow_dependent(), &SHARES),
                 Predictor::Baseline(baseline) => (baseline.borrow_dependent().as_ref(), &[1.0]),
             };
             pool.install(|| Locator::fit(&known.data, known.partition.known(), model, shares))
         })?;
-        Ok(Arc::clone(own.insert(Arc::new(fitted))))
+        let (_, fitted) = own.insert((predictor, Arc::new(fitted)));
+        Ok(Arc::clone(fitted))
     }
 
     /// Reads the model or the checkpoint again; returns whether the run is finished.

@@ -73,7 +73,7 @@ impl Model {
         }
         let is_pose = !links.orientations.is_empty();
         if is_pose && !ready.has_orientation_derivative() {
-            let what = "vjp: calibration AsReleased has no derivative by the orientation; give positions [3] or [B, 3]";
+            let what = "vjp: this model has no derivative by the orientation (calibration AsReleased); give positions [3] or [B, 3]";
             return Err(wrong(py, what));
         }
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;

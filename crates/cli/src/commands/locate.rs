@@ -100,8 +100,9 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let pipeline = read_pipeline(&path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let (data, partition) = RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
-    let model = ensemble.prepare();
-    check_alike(&model, &data)?;
+    check_alike(&ensemble.prepare(), &data)?;
+    let fair = ensemble.without_validation(&data, partition.known())?;
+    let model = fair.as_ref().unwrap_or(&ensemble).prepare();
     let locator = RunProgress::during(verbosity, |progress| {
         progress.on_stage("fingerprints", 0, 0);
         Locator::fit(&data, partition.known(), &model, &SHARES)

@@ -62,7 +62,7 @@ pub fn pursue(
     options.settings.check()?;
     VirtualTransmitters { order: options.order }.check()?;
     if options.rows.contains(&0) || options.peaks == 0 {
-        return Err("`rows` and `peaks` have a 0; give 1 or more".into());
+        return Err("`rows` or `peaks` has a 0; give 1 or more".into());
     }
     let all: Vec<usize> = (0..links.positions.len()).collect();
     let hold_out = options.settings.hold_out;

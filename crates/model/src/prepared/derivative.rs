@@ -82,10 +82,11 @@ impl Member<'_> {
         let stages = &self.model.stages;
         let run = || {
             self.with_request(&[query], |p, request| {
-                let (positions, orientations) = (vec![[0.0; 3]], vec![[0.0; 4]]);
+                let turns = stages.method.traits().differentiates_orientations;
+                let (positions, orientations) = (vec![[0.0; 3]], vec![[0.0; 4]; usize::from(turns)]);
                 let mut sums = MethodVjp { positions, orientations, ..MethodVjp::zeros(p) };
                 stages.method.vjp(&stages.setup, p, request, observed, d, &mut sums);
-                (sums.positions[0].map(|d| d as f64), sums.orientations[0])
+                (sums.positions[0].map(|d| d as f64), sums.orientations.first().copied().unwrap_or_default())
             })
         };
         self.enter(run)

@@ -4,8 +4,8 @@ use super::*;
 use crate::tensors::Tensors;
 use crate::{Ensemble, HeldOutScores, IntervalCalibration, Model, Stages, file};
 use pwrfgs_core::{
-    Dataset, Error, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _, Sample, Spectra,
-    kriging::CorrelationKind, rng,
+    Dataset, Error, FittingSet, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _,
+    Sample, Spectra, kriging::CorrelationKind, rng,
 };
 use pwrfgs_methods as _;
 use std::sync::atomic::AtomicBool;
@@ -175,6 +175,20 @@ fn calibrated(whole: &Ensemble, data: &Dataset) -> Ensemble {
         vec![HeldOutScores::of(data.task(), &shown, ready.deviation(query).unwrap_or(1.0), &data.image(i))]
     };
     whole.clone().with_calibration(IntervalCalibration::new(&held.iter().map(score).collect::<Vec<_>>()))
+}
+
+#[test]
+fn validation_links_are_unknown_to_models_that_choose_by_them() {
+    let base = Ensemble::of(model(0.0));
+    let data = data(&base, smooth);
+    let whole = base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap()));
+    let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i: &usize| i.is_multiple_of(4));
+    let known = FittingSet { train: &train, validation: &validation };
+    let links = |own: &Ensemble| own.residuals().unwrap().processes()[0].as_ref().unwrap().len();
+    let fair = whole.without_validation(&data, known).unwrap().unwrap();
+    assert_eq!((links(&whole), links(&fair)), (200, 150));
+    assert!(base.without_validation(&data, known).unwrap().is_none());
+    assert!(whole.without_validation(&data, FittingSet { validation: &[], ..known }).unwrap().is_none());
 }
 
 #[test]
