@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
 
 mod bad_input;
+mod claims;
 mod commands;
 mod common;
 mod control;

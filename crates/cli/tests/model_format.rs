@@ -4,11 +4,12 @@ use crate::common::{SMALL, python, refuse, succeed, write};
 use pwrfgs::methods::Calibration::{AsReleased, Physical};
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::tensors::Tensors;
-use pwrfgs::model::{Ensemble, Model, Stages, file};
+use pwrfgs::model::{Ensemble, Model, Stages, compress, file};
 use pwrfgs_core::{
     GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Task, Vec3,
     rng,
 };
+use regex::Regex;
 use std::path::Path;
 use std::process::Command;
 
@@ -222,6 +223,36 @@ fn numpy_predicts_from_documented_format() {
     pairs.extend(["both.safetensors", "both"].map(String::from));
     pairs.chunks_exact(2).for_each(|pair| predict(here, &pair[0], &pair[1]));
     assert_eq!(predicted_again(python, here, &pairs), pairs.len() + 8, "two positions a model, at each carrier");
+}
+
+/// Tensors in the bytes of a file, with their numbers of axes, that the tables of `docs/model-format.md` do not list.
+pub(crate) fn unlisted(bytes: &[u8]) -> Vec<String> {
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/model-format.md")).unwrap();
+    let (page, _) = page.split_once("## From the file to a spectrum").unwrap();
+    let axes = |shape: &str| shape.split(", ").count();
+    let row = Regex::new(r"(?m)^\| `([a-z_.<>]+)` \| \[([^\]]+)\] \|").unwrap();
+    let placeholder = Regex::new("<[a-z]+>").unwrap();
+    let rows = row.captures_iter(&page).map(|row| {
+        let name = placeholder.replace_all(&row[1].replace('.', r"\."), ".+").into_owned();
+        (Regex::new(&format!(r"^(members\.\d+\.)?{name}$")).unwrap(), axes(&row[2]))
+    });
+    let rows: Vec<(Regex, usize)> = rows.collect();
+    assert!(rows.len() > 10, "{rows:?}");
+    let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let header: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
+    let tensors = header.into_iter().filter(|(name, _)| name != "__metadata__");
+    let tensors = tensors.map(|(name, tensor)| (name, tensor["shape"].as_array().unwrap().len()));
+    let is_listed = |name: &str, axes: usize| rows.iter().any(|(row, own)| *own == axes && row.is_match(name));
+    tensors.filter(|(name, axes)| !is_listed(name, *axes)).map(|(name, axes)| format!("{name}, {axes} axes")).collect()
+}
+
+#[test]
+fn page_lists_every_tensor() {
+    let listed = |bytes: &[u8]| assert_eq!(unlisted(bytes), [""; 0]);
+    models().for_each(|model| listed(&file::to_bytes(&model)));
+    listed(&file::to_bytes(&virtual_transmitters(2)));
+    let small = models().find_map(|model| compress::to_bytes(&model, compress::Bits::Eight).ok());
+    listed(&small.unwrap());
 }
 
 #[test]

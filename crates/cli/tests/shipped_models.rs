@@ -2,7 +2,7 @@
 //! `NumPy` predicts from its file what the program does.
 
 use crate::common::{python, succeed, write};
-use crate::model_format::{NO_PYTHON, predict, predicted_again};
+use crate::model_format::{NO_PYTHON, predict, predicted_again, unlisted};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::{NoopObserver, load, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, compress, file};
@@ -117,6 +117,7 @@ fn numpy_predicts_from_model_of_every_shipped_pipeline() {
                 ensemble
             }
         };
+        assert_eq!(unlisted(&std::fs::read(here.join(&saved)).unwrap()), [""; 0], "{name}");
         if ensemble.members()[0].stages.method.traits().inputs == 3 {
             predict(here, &saved, &name);
             expected += 2 * ensemble.prepare().receivers().len();

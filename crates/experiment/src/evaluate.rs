@@ -111,8 +111,9 @@ fn note_of(residuals: &Residuals) -> String {
     let of = |process: &ResidualProcess| {
         let ProcessFit { trend, correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
         let [x, y, z, noise] = [x, y, z, noise].map(number);
-        let law = trend.path_loss.map_or_else(String::new, |_| format!(" + {} x path loss", 1.0 - trend.share));
-        format!("{} x prediction{law}, {} with {x}, {y}, {z} m, noise {noise}", trend.share, kind.words())
+        let law = trend.path_loss.map_or_else(String::new, |_| format!(", of the path loss {}", 1.0 - trend.share));
+        let share = format!("share of the model b = {}{law}", trend.share);
+        format!("{share}, {} with {x}, {y}, {z} m, noise {noise}", kind.words())
     };
     let mut notes: Vec<String> = residuals.processes().iter().flatten().map(of).collect();
     notes.dedup();

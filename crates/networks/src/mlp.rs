@@ -25,8 +25,7 @@ use serde::{Deserialize, Serialize};
 /// two heads that do not affect the spectrum are left out).
 ///
 /// With `outputs: Signals` only the signals depend on the transmitter. A whole batch then shares one projection and one
-/// depth sort, which is several times faster. Smaller networks are faster too; the cost is proportional to `depth ·
-/// width²`.
+/// depth sort. Smaller networks are faster: their cost is proportional to `depth · width²`.
 ///
 /// Centres receive no gradient through the network (the released code detaches them): `d_means` is unchanged.
 ///

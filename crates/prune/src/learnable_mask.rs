@@ -26,8 +26,8 @@ const COLUMN: &str = "mask_logits";
 /// therefore close about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
 ///
 /// Use this pruner if training shall find the number of Gaussians for a quality. A larger lambda keeps fewer Gaussians
-/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). The paper does not give threshold and initial logit; their values
-/// are those of Compact-3DGS.
+/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). The threshold of 0.01 is that of the paper. The paper gives
+/// neither initial logit nor learning rate; their values are those of Compact-3DGS.
 ///
 /// To fix the number beforehand, set `training.target_count`. The target then decides how many Gaussians are kept, and
 /// the masks decide which: each prune step keeps an equal share of them, those with the largest m. Until then, as many

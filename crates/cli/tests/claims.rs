@@ -1,0 +1,130 @@
+//! Claims of README, pages and headers that a machine can check, against their sources.
+
+use crate::prose::{files, pages, root};
+use regex::Regex;
+use std::path::{Path, PathBuf};
+
+fn text(name: impl AsRef<Path>) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap()
+}
+
+/// Lines of the code blocks of a page, without their comments.
+fn code(page: &str) -> Vec<&str> {
+    let blocks = page.split("```").skip(1).step_by(2);
+    blocks.flat_map(str::lines).map(|line| line.split(" #").next().unwrap().trim_end()).collect()
+}
+
+/// Means over three seeds of SSIM and η, from the single runs in `docs/lab/curve.md`.
+fn means(runs: &str, gaussians: &str, method: &str) -> Option<[f64; 2]> {
+    let row = format!(r"(?m)^\| {gaussians} \| {method} \| \d \| ([\d.]+) / [\d.]+ \| [\d.]+ \| ([\d.]+) \|");
+    let rows: Vec<[f64; 2]> = Regex::new(&row)
+        .unwrap()
+        .captures_iter(runs)
+        .map(|found| [&found[1], &found[2]].map(|number| number.parse().unwrap()))
+        .collect();
+    (rows.len() == 3).then(|| [0, 1].map(|k| rows.iter().map(|row| row[k]).sum::<f64>() / 3.0))
+}
+
+#[test]
+fn readme_heads_with_means_of_learned_masks() {
+    let (readme, runs) = (text("README.md"), text("docs/lab/curve.md"));
+    for gaussians in ["500", "157", "80", "24", "8"] {
+        let row = readme.lines().find(|line| line.starts_with(&format!("| {gaussians} |")));
+        let cells: Vec<&str> = row.unwrap_or_else(|| panic!("no row of N = {gaussians}")).split(" | ").collect();
+        let [masks, eta] = means(&runs, gaussians, "`LearnableMask`").unwrap();
+        let [light, wrfgs] = ["`LightGaussian`", "WRF-GS"].map(|method| means(&runs, gaussians, method));
+        // The page rounds the seeds, too.
+        let columns = [(1, Some(masks), 2e-4), (2, Some(eta), 6e-4), (4, light.map(|m| m[0]), 2e-4)];
+        for (column, mean, rounding) in columns.into_iter().chain([(5, wrfgs.map(|m| m[0]), 2e-4)]) {
+            let cell = cells[column].trim_end_matches(" |");
+            let is_mean = mean.map_or(cell == "–", |mean| (cell.parse::<f64>().unwrap() - mean).abs() < rounding);
+            assert!(is_mean, "N = {gaussians}, column {column}: {cell}, expected {mean:?}");
+        }
+    }
+}
+
+#[test]
+fn readme_links_its_terms_where_they_first_occur() {
+    let readme = text("README.md");
+    let prose: Vec<&str> = readme.lines().filter(|line| !line.starts_with("![")).collect();
+    for term in ["η", "noise ceiling", "Kriged residuals", "Kriging"] {
+        let line = prose.iter().find(|line| line.contains(term)).unwrap();
+        assert!(line.contains(&format!("[{term}](docs/")), "{term} is not linked where it first occurs: {line}");
+    }
+    assert!(!readme.contains("residuals Kriged"), "one thing has one name");
+}
+
+#[test]
+fn readme_names_the_commands_of_a_clone() {
+    let readme = text("README.md");
+    let commands = code(&readme);
+    assert!(commands.contains(&"tests/all.sh"), "no test command: {commands:#?}");
+    assert!(text(".ci/run").lines().any(|line| line == "tests/all.sh"), ".ci/run does not call it as it stands in README");
+    assert!(readme.contains("cargo run --release --locked -- run quickstart\n"));
+    // The package that cargo runs in the root, with one program. `shipped.rs` runs the quickstart.
+    assert!(text("Cargo.toml").contains("\ndefault-members = [\"crates/cli\"]\n"));
+    assert_eq!(text("crates/cli/Cargo.toml").matches("[[bin]]").count(), 1);
+}
+
+#[test]
+fn readme_cites_software_and_paper() {
+    let (readme, citation) = (text("README.md"), text("CITATION.cff"));
+    let title = Regex::new("(?m)^    title: \"(P-WRFGS.*)\"$").unwrap().captures(&citation).unwrap()[1].to_owned();
+    for part in ["@software{", "@misc{", &title, concat!("version = {", env!("CARGO_PKG_VERSION"), "}"), "2605.15324"] {
+        assert!(code(&readme).iter().any(|line| line.contains(part)), "no `{part}` in the BibTeX of README");
+    }
+}
+
+#[test]
+fn every_cargo_install_is_locked() {
+    let mut found: Vec<PathBuf> = [".ci/run", "tests/all.sh", "tests/python.sh"].map(|name| root().join(name)).into();
+    [".md", ".ron", ".py"].iter().for_each(|ending| files(&root(), ending, &mut found));
+    files(&root().join(".github/workflows"), ".yml", &mut found);
+    let command = Regex::new("cargo install [^\n`]*").unwrap();
+    let texts: Vec<String> = found.iter().map(|path| std::fs::read_to_string(path).unwrap()).collect();
+    let commands: Vec<&str> = texts.iter().flat_map(|text| command.find_iter(text)).map(|found| found.as_str()).collect();
+    assert!(commands.len() >= 4, "{commands:#?}");
+    let free: Vec<_> = commands.iter().filter(|command| !command.contains("--locked")).collect();
+    assert!(free.is_empty(), "other crates than those of Cargo.lock: {free:#?}");
+}
+
+#[test]
+fn headers_name_pages_that_have_their_results() {
+    let mut found = Vec::new();
+    ["experiments", "pipelines"].iter().for_each(|folder| files(&root().join(folder), ".ron", &mut found));
+    let (page, file) = (Regex::new(r"docs/[\w/-]+\.md").unwrap(), Regex::new(r"([\w-]+)\.ron").unwrap());
+    let (mut followed, mut wrong) = (0, Vec::new());
+    for path in found {
+        let own = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        let header = std::fs::read_to_string(&path).unwrap();
+        let header = header.lines().take_while(|line| line.starts_with("//")).collect::<Vec<_>>().join("\n");
+        let named = file.captures_iter(&header).map(|found| found[1].to_owned());
+        let names: Vec<String> = named.chain([own.clone()]).collect();
+        // Pages of data and advice hold no results.
+        let others = ["docs/data.md", "docs/simulator.md", "docs/guide.md"];
+        for page in page.find_iter(&header).map(|found| found.as_str()).filter(|page| !others.contains(page)) {
+            followed += 1;
+            let content = text(page);
+            let is_named = |name: &String| {
+                let mark = format!(r"[`/ ]{name}(\.ron)?[` ,)]");
+                Regex::new(&mark).unwrap().is_match(&content)
+            };
+            if !names.iter().any(is_named) {
+                wrong.push(format!("{own}.ron names {page}, which does not name it"));
+            }
+        }
+    }
+    assert!(followed > 30, "only {followed} pages named");
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn scores_of_kriged_residuals_have_their_share() {
+    for page in pages() {
+        let content = std::fs::read_to_string(&page).unwrap();
+        let rows = content.lines().filter(|line| line.starts_with('|') && line.contains("esiduals Kriged") || line.starts_with('|') && line.contains("Kriged residuals"));
+        for row in rows.filter(|row| Regex::new(r"\| [*]*-?\d+\.\d{2}").unwrap().is_match(row)) {
+            assert!(row.contains("b = "), "{}: a score without the share b of the model: {row}", page.display());
+        }
+    }
+}
