@@ -82,7 +82,8 @@ test_site() {
     PATH=$(cd "$env/bin" && pwd):$PATH PYTHONPATH=$target/python-package/f32 \
         python -B site/build.py "$run" "$target/site" --program "$program"
     "$env/bin/check-jsonschema" --builtin-schema vendor.github-workflows .github/workflows/*.yml
-    "$env/bin/zizmor" --offline -q .github/workflows
+    "$env/bin/check-jsonschema" --builtin-schema vendor.dependabot .github/dependabot.yml
+    "$env/bin/zizmor" --offline -q .github
 }
 
 # Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.

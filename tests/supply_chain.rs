@@ -1,5 +1,5 @@
 //! What is linked: known licences, the one registry, and no crate twice but for the reasons in `deny.toml`. `cargo deny` looks
-//! at advisories too, which need a data base.
+//! at advisories too, which need a data base. What releases: jobs with rights run no code of others, and tools are pinned.
 
 use pwrfgs::core::testing::skipped;
 use serde_json::Value;
@@ -63,5 +63,81 @@ fn licences_sources_and_duplicates_match_deny_toml() {
     for package in metadata["packages"].as_array().unwrap() {
         let licence = package["license"].as_str().unwrap_or_default();
         assert!(is_allowed(licence, &allowed), "{}: `{licence}` is not allowed in deny.toml", package["name"]);
+    }
+}
+
+/// A file of the folder `.github`.
+fn of_github(name: &str) -> String {
+    std::fs::read_to_string(format!("{}/.github/{name}", env!("CARGO_MANIFEST_DIR"))).unwrap()
+}
+
+/// Jobs of a workflow: the first line of each is its name.
+fn jobs(workflow: &str) -> Vec<String> {
+    let (_, jobs) = workflow.split_once("\njobs:\n").unwrap();
+    let mut found: Vec<String> = Vec::new();
+    for line in jobs.lines().filter(|line| !line.trim_start().starts_with('#')) {
+        if line.starts_with("  ") && !line.starts_with("   ") {
+            found.push(String::new());
+        }
+        found.last_mut().unwrap().extend([line.trim(), "\n"]);
+    }
+    found
+}
+
+/// Parts of commands that run code of others: build scripts, packages, tests.
+const FOREIGN: [&str; 9] =
+    ["pip ", "build", "cargo test", "cargo run", "cargo install", "cargo package", "docker", "tests/", ".ci/"];
+
+#[test]
+fn jobs_with_rights_run_no_code_of_others() {
+    let mut with_rights = Vec::new();
+    for name in ["ci.yml", "release.yml"] {
+        let workflow = of_github(&format!("workflows/{name}"));
+        assert!(workflow.contains("\npermissions:\n  contents: read\n"), "{name}: the default must be to read");
+        for job in jobs(&workflow).iter().filter(|job| job.contains(": write") || job.contains("token }}")) {
+            let commands = job.lines().filter(|line| !line.contains("uses:") && !line.contains(": write"));
+            for command in commands {
+                let is_foreign = FOREIGN.iter().any(|part| command.contains(part));
+                let publishes = command.contains("cargo publish") && !command.contains("--no-verify");
+                assert!(!is_foreign && !publishes, "{name}, {}: {command}", job.lines().next().unwrap());
+            }
+            with_rights.push(job.lines().next().unwrap().to_owned());
+        }
+    }
+    assert_eq!(with_rights, ["release:", "crates:", "python:", "pages:"]);
+}
+
+#[test]
+fn tools_of_release_are_pinned_with_hashes() {
+    let workflow = of_github("workflows/release.yml");
+    for job in jobs(&workflow) {
+        // Packages that a check installs cannot change what is already uploaded.
+        let before = job.split("uses: actions/upload").next().unwrap();
+        for command in before.lines().filter(|line| line.contains("pip install")) {
+            assert!(command.contains("--require-hashes") || command.contains("--no-index"), "{command}");
+        }
+    }
+    for name in ["build", "site"] {
+        let lock = of_github(&format!("release/{name}.txt"));
+        let pinned: BTreeSet<&str> = lock
+            .split("\n\n")
+            .flat_map(str::lines)
+            .filter(|line| line.contains("==") && line.ends_with('\\'))
+            .map(|line| line.split("==").next().unwrap())
+            .collect();
+        assert!(lock.matches("--hash=sha256:").count() >= pinned.len());
+        let wanted = of_github(&format!("release/{name}.in"));
+        for line in wanted.lines().filter(|line| !line.starts_with('#')) {
+            let tool = line.split(['[', '=', '>']).next().unwrap();
+            assert!(pinned.contains(tool), "{name}.txt does not pin {tool}");
+        }
+    }
+    let release = jobs(&workflow).into_iter().find(|job| job.starts_with("release:")).unwrap();
+    let steps = ["sha256sum -- *", "uses: actions/attest-build-provenance@", "gh release create"]
+        .map(|step| release.find(step));
+    assert!(steps.is_sorted() && steps[0].is_some(), "checksums, then the attestation, then the release: {steps:?}");
+    let updates = of_github("dependabot.yml");
+    for ecosystem in ["github-actions", "cargo", "pip"] {
+        assert!(updates.contains(&format!("package-ecosystem: {ecosystem}\n")), "{ecosystem}");
     }
 }

@@ -59,7 +59,10 @@ fn readme_names_the_commands_of_a_clone() {
     let readme = text("README.md");
     let commands = code(&readme);
     assert!(commands.contains(&"tests/all.sh"), "no test command: {commands:#?}");
-    assert!(text(".ci/run").lines().any(|line| line == "tests/all.sh"), ".ci/run does not call it as it stands in README");
+    assert!(
+        text(".ci/run").lines().any(|line| line == "tests/all.sh"),
+        ".ci/run does not call it as it stands in README"
+    );
     assert!(readme.contains("cargo run --release --locked -- run quickstart\n"));
     // The package that cargo runs in the root, with one program. `shipped.rs` runs the quickstart.
     assert!(text("Cargo.toml").contains("\ndefault-members = [\"crates/cli\"]\n"));
@@ -82,7 +85,8 @@ fn every_cargo_install_is_locked() {
     files(&root().join(".github/workflows"), ".yml", &mut found);
     let command = Regex::new("cargo install [^\n`]*").unwrap();
     let texts: Vec<String> = found.iter().map(|path| std::fs::read_to_string(path).unwrap()).collect();
-    let commands: Vec<&str> = texts.iter().flat_map(|text| command.find_iter(text)).map(|found| found.as_str()).collect();
+    let commands: Vec<&str> =
+        texts.iter().flat_map(|text| command.find_iter(text)).map(|found| found.as_str()).collect();
     assert!(commands.len() >= 4, "{commands:#?}");
     let free: Vec<_> = commands.iter().filter(|command| !command.contains("--locked")).collect();
     assert!(free.is_empty(), "other crates than those of Cargo.lock: {free:#?}");
@@ -122,7 +126,10 @@ fn headers_name_pages_that_have_their_results() {
 fn scores_of_kriged_residuals_have_their_share() {
     for page in pages() {
         let content = std::fs::read_to_string(&page).unwrap();
-        let rows = content.lines().filter(|line| line.starts_with('|') && line.contains("esiduals Kriged") || line.starts_with('|') && line.contains("Kriged residuals"));
+        let rows = content.lines().filter(|line| {
+            line.starts_with('|') && line.contains("esiduals Kriged")
+                || line.starts_with('|') && line.contains("Kriged residuals")
+        });
         for row in rows.filter(|row| Regex::new(r"\| [*]*-?\d+\.\d{2}").unwrap().is_match(row)) {
             assert!(row.contains("b = "), "{}: a score without the share b of the model: {row}", page.display());
         }
