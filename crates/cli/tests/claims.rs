@@ -70,6 +70,12 @@ fn readme_names_the_commands_of_a_clone() {
 }
 
 #[test]
+fn release_counts_the_crates() {
+    let crates = text("Cargo.toml").lines().filter(|line| line.contains(" = { path = \"")).count();
+    assert!(text("CONTRIBUTING.md").contains(&format!("environment `crates-io` for each of the {crates} crates")));
+}
+
+#[test]
 fn readme_cites_software_and_paper() {
     let (readme, citation) = (text("README.md"), text("CITATION.cff"));
     let title = Regex::new("(?m)^    title: \"(P-WRFGS.*)\"$").unwrap().captures(&citation).unwrap()[1].to_owned();
