@@ -84,9 +84,9 @@ fn jobs(workflow: &str) -> Vec<String> {
     found
 }
 
-/// Parts of commands that run code of others: build scripts, packages, tests.
-const FOREIGN: [&str; 9] =
-    ["pip ", "build", "cargo test", "cargo run", "cargo install", "cargo package", "docker", "tests/", ".ci/"];
+/// Parts of commands that run code of others: build scripts and packages.
+const FOREIGN: [&str; 8] =
+    ["pip ", "cargo build", "cargo test", "cargo run", "cargo install", "cargo package", "docker", "python"];
 
 #[test]
 fn jobs_with_rights_run_no_code_of_others() {
@@ -95,13 +95,13 @@ fn jobs_with_rights_run_no_code_of_others() {
         let workflow = of_github(&format!("workflows/{name}"));
         assert!(workflow.contains("\npermissions:\n  contents: read\n"), "{name}: the default must be to read");
         for job in jobs(&workflow).iter().filter(|job| job.contains(": write") || job.contains("token }}")) {
-            let commands = job.lines().filter(|line| !line.contains("uses:") && !line.contains(": write"));
-            for command in commands {
+            let (name_of, commands) = job.split_once('\n').unwrap();
+            for command in commands.lines() {
                 let is_foreign = FOREIGN.iter().any(|part| command.contains(part));
                 let publishes = command.contains("cargo publish") && !command.contains("--no-verify");
-                assert!(!is_foreign && !publishes, "{name}, {}: {command}", job.lines().next().unwrap());
+                assert!(!is_foreign && !publishes, "{name}, {name_of} {command}");
             }
-            with_rights.push(job.lines().next().unwrap().to_owned());
+            with_rights.push(name_of.to_owned());
         }
     }
     assert_eq!(with_rights, ["release:", "crates:", "python:", "pages:"]);
