@@ -1,5 +1,6 @@
 //! Claims of README, pages and headers that a machine can check, against their sources.
 
+use crate::common::{call, stdout};
 use crate::prose::{files, pages, root};
 use regex::Regex;
 use std::path::{Path, PathBuf};
@@ -41,6 +42,31 @@ fn readme_heads_with_means_of_learned_masks() {
             assert!(is_mean, "N = {gaussians}, column {column}: {cell}, expected {mean:?}");
         }
     }
+}
+
+#[test]
+fn readme_compares_times_as_the_table_does() {
+    let results = text("docs/results.md");
+    let times = |row: &str| -> (String, Vec<f64>) {
+        let row = results.lines().find(|line| line.starts_with(row)).unwrap();
+        let cell = row.split(" | ").nth(3).unwrap();
+        (format!("{cell} ms"), cell.split(" to ").map(|time| time.parse().unwrap()).collect())
+    };
+    let rows = ["| `s23-laptop.ron` | 157", "| Kriging on s23", "| 5-NN on s23"];
+    let [(model, own), (kriging, others), (neighbours, _)] = rows.map(times);
+    assert!(own[0] > others[1], "the model is not slower than Kriging any more");
+    let sentence = format!("A prediction takes {model}, slower than Kriging ({kriging}) and 5-NN ({neighbours})");
+    assert!(text("README.md").contains(&sentence), "README lacks: {sentence}");
+}
+
+#[test]
+fn comments_and_pages_state_what_the_paper_and_the_scene_have() {
+    let mask = stdout(&call(&root(), &["plugins", "LearnableMask"]));
+    let words = mask.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("The threshold of 0.01 is that of the paper."), "{words}");
+    let results = text("docs/results.md");
+    let carriers = results.split("### Several carriers").nth(1).unwrap().split("\n## ").next().unwrap();
+    assert!(carriers.contains("The array shrinks with the wavelength"));
 }
 
 #[test]
