@@ -191,7 +191,7 @@ fn evaluates(here: &Path, scores: &str) {
         succeed(here, &["evaluate", model, "--set", "data=Teacher(seed: 3, width: 48, height: 12, samples: 20)"]);
     assert!(stdout(&other).contains("ssim"), "{}", stdout(&other));
     refuse(here, &["evaluate", model, "--set", "data=Teacher(samples: 20)"], 2, &["48 x 12 pixels", "360 x 90 pixels"]);
-    refuse(here, &["evaluate", model, "--out", "again"], 2, &["again is not a new folder and not empty (it holds `"]);
+    refuse(here, &["evaluate", model, "--out", "again"], 2, &["again is not empty (it holds `"]);
     refuse(here, &["evaluate", "lonely/m.safetensors"], 2, &["m.safetensors", "--pipeline"]);
 }
 

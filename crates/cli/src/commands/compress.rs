@@ -6,7 +6,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::model::{Model, compress, file};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Error, Query, Result, Task, evenly};
 use std::path::PathBuf;
 
@@ -48,7 +48,7 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     let model = ensemble.into_only().ok_or_else(|| Error::input(&arguments.model, several()))?;
     let after = compress::to_bytes(&model, arguments.bits)?;
     let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
-    write_atomically(&arguments.out, &after)?;
+    create(&arguments.out, &after)?;
     let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
     verbosity.note(&format!(
         "whole file {} kB instead of {} kB, in {}",

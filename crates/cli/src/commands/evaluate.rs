@@ -11,7 +11,7 @@ use pwrfgs::experiment::{Facts, Machine, Session, evaluate as score, load as loa
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Dataset, Error, Result, files::refuse_foreign};
+use pwrfgs_core::{Dataset, Error, Result, files::NewFolder};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -51,9 +51,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         return Err(Error::input(first, format!("no {PIPELINE} next to this model; set --pipeline FILE")));
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
-    if let Some(out) = &arguments.out {
-        refuse_foreign(out, "a new folder")?;
-    }
+    let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let mut progress = RunProgress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
@@ -71,8 +69,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         let rank = number(confidence.rank_correlation());
         _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
     }
-    if let Some(out) = &arguments.out {
-        std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
+    if let (Some(folder), Some(out)) = (folder, &arguments.out) {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::here(),
@@ -81,7 +78,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             ..Facts::default()
         };
         let (found, context) = ((&scores, confidence.as_ref()), (&data, &partition, &ensemble));
-        write_results(out, (&pipeline, &facts), context, found, pwrfgs::PAGE)?;
+        write_results(folder.path(), (&pipeline, &facts), context, found, pwrfgs::PAGE)?;
+        folder.publish()?;
         if pwrfgs::PAGE.is_some() {
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }

@@ -5,7 +5,7 @@ use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::{Ensemble, file};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -79,7 +79,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         ));
     }
     for ((path, _), bytes) in files.iter().zip(made) {
-        write_atomically(path, &bytes)?;
+        create(path, &bytes)?;
         let what =
             if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
         verbosity.note(&format!("{what} in {}", path.display()));

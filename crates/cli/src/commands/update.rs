@@ -7,7 +7,7 @@ use clap::Args;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{check_alike, staged};
 use pwrfgs::model::file;
-use pwrfgs_core::files::check_new_file;
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
         return Err(Error::input(&arguments.data, "no link at a receiver with a residual process"));
     }
     let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
-    file::write_ensemble(&arguments.out, &updated)?;
+    create(&arguments.out, &file::ensemble_to_bytes(&updated))?;
     let things = data.task().counted[usize::from(added != 1)];
     let out = arguments.out.display();
     verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));

@@ -7,7 +7,7 @@ use clap::Args;
 use pwrfgs::experiment::with_run;
 use pwrfgs::report::room_page;
 use pwrfgs::viewer::{ViewPane, view as show};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{Baseline, Error, Result};
@@ -74,7 +74,7 @@ fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     check_new_file(file)?;
     let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
     let (page, predicts) = made?;
-    write_atomically(file, page.as_bytes())?;
+    create(file, page.as_bytes())?;
     let content =
         if predicts { "the model predicts in the page" } else { "the page contains stored data and does not predict" };
     verbosity.note(&format!("{content}: {}", file.display()));

@@ -1,6 +1,7 @@
 //! `NewFolder`: atomic creation of a folder.
 
-use super::refuse_occupied;
+use super::held::lock_unused;
+use super::{parent, refuse_occupied};
 use crate::{Error, Result};
 use std::fs::{self, File};
 use std::mem;
@@ -36,10 +37,10 @@ impl NewFolder {
     /// # Errors
     /// `out` is not empty or has no folder name, or writing fails.
     pub fn begin(out: &Path) -> Result<Self> {
-        if out.file_name().is_none() || out.is_symlink() {
-            return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
+        if let Some(_unused) = lock_unused(&out.join(LOCK)) {
+            let _ = fs::remove_file(out.join(LOCK)); // the process was killed while it published the folder
         }
-        refuse_occupied(out)?;
+        check_target(out)?;
         Self::next_to(out)
     }
 
@@ -49,7 +50,7 @@ impl NewFolder {
     /// Writing fails.
     pub fn next_to(out: &Path) -> Result<Self> {
         static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may create the same folder twice concurrently
-        let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let parent = parent(out);
         let name = short_name(out);
         fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
         clear(parent, Some(&name));
@@ -103,13 +104,13 @@ impl NewFolder {
     /// Renames the folder to its target. An empty folder at the target is replaced.
     ///
     /// # Errors
-    /// Renaming fails.
+    /// As [`Self::begin`], if something has appeared at the target since; renaming fails.
     pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
         let _held = under_way(); // a folder emptied by `abandon_all` must not be published
         // If the target is missing or not empty, the rename reports the relevant error.
         let _ = fs::remove_dir(&self.out);
-        fs::rename(&self.path, &self.out).map_err(refuse)?;
+        fs::rename(&self.path, &self.out).map_err(|e| check_target(&self.out).err().unwrap_or_else(|| refuse(e)))?;
         fs::remove_file(self.out.join(LOCK)).map_err(refuse)
     }
 }
@@ -119,6 +120,14 @@ impl Drop for NewFolder {
         under_way().retain(|path| *path != self.path);
         let _ = fs::remove_dir_all(&self.path); // already renamed if published; otherwise the next start retries
     }
+}
+
+/// Rejects a target that is not empty or has no folder name.
+fn check_target(out: &Path) -> Result<()> {
+    if out.file_name().is_none() || out.is_symlink() {
+        return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
+    }
+    refuse_occupied(out)
 }
 
 fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
@@ -187,7 +196,7 @@ mod tests {
         let again = NewFolder::begin(&out).unwrap(); // the same folder, concurrently
         fs::write(folder.path().join("x"), "2").unwrap();
         folder.publish().unwrap();
-        assert!(again.publish().is_err(), "the first is there");
+        assert!(again.publish().unwrap_err().is_input(), "the first is there");
         assert_eq!((names(&here.path().join("a")), names(&out)), (vec!["data".into()], vec!["x".into()]));
         assert!(NewFolder::begin(&out).unwrap_err().to_string().contains("is not empty (it holds `x`)"));
         assert!(NewFolder::begin(Path::new("/")).is_err());
