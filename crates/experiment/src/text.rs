@@ -46,6 +46,16 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if negative { format!("−{text}") } else { text }
 }
 
+/// Joins the first `most` names by commas, followed by the number of the others.
+pub fn listed<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
+    let more = names.len().saturating_sub(most);
+    let mut text = String::new();
+    for name in names.take(most) {
+        text = text + if text.is_empty() { "" } else { ", " } + name.as_ref();
+    }
+    if more > 0 { format!("{text} and {more} more") } else { text }
+}
+
 /// Quotes a CSV field, also against interpretation as a formula by spreadsheets.
 pub fn field(name: &str) -> String {
     let name = cell(name);

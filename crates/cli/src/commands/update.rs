@@ -1,6 +1,7 @@
 //! `pwrfgs update`: adds new measurements to the residual process of a trained model.
 
 use super::init::unknown_folder;
+use super::options::read_models;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
@@ -20,9 +21,9 @@ become known links. Nothing is trained: the Gaussians, the network and the corre
 The data need the observations, receivers and frequencies of the model.
 
 EXAMPLES
-  pwrfgs update runs/lab/model.safetensors --data data/today --out today.safetensors")]
+  pwrfgs update runs/lab --data data/today --out today.safetensors")]
 pub(crate) struct Update {
-    /// Trained model with a residual process (model.safetensors of a run)
+    /// Run folder or model file, with a residual process
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Folder of new data (layouts in docs/data.md)
@@ -35,7 +36,7 @@ pub(crate) struct Update {
 
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
-    let model = file::read_ensemble(&arguments.model)?;
+    let model = read_models(std::slice::from_ref(&arguments.model))?;
     let Some(residuals) = model.residuals() else {
         let what = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
         return Err(Error::input(&arguments.model, what));

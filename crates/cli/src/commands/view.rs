@@ -4,7 +4,7 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::with_run;
+use pwrfgs::experiment::{model_file, with_run};
 use pwrfgs::report::room_page;
 use pwrfgs::viewer::{ViewPane, view as show};
 use pwrfgs_core::files::{check_new_file, create};
@@ -71,6 +71,7 @@ fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     if Path::new(run).is_file() {
         return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
     }
+    model_file(Path::new(run))?; // a clear error for the folder of a sweep
     check_new_file(file)?;
     let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
     let (page, predicts) = made?;
