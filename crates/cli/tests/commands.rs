@@ -232,7 +232,7 @@ fn commands_accept_run_folder_as_model() {
         let words = |arguments: &[String]| arguments.iter().map(String::as_str).collect::<Vec<_>>().join("\n");
         let call = |arguments: &[String]| stdout(&succeed(here, &words(arguments).split('\n').collect::<Vec<_>>()));
         let printed = call(&folder);
-        if command != "view" {
+        if ["locate", "export", "compress", "update"].contains(&command) {
             assert_eq!(printed.replace("-1", "-2"), call(&file).replace("-1", "-2"), "{command}");
         }
         let refuse = |model: &str, expected: &[&str]| {

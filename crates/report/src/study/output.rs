@@ -39,10 +39,11 @@ struct Owned {
 /// # Errors
 /// If the reference does not exist, the folder is not a report, or a file cannot be written.
 pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
-    refuse_links(out)?;
-    let before = owned(out)?;
+    let check = || refuse_links(out).and_then(|()| owned(out));
+    check()?; // before the figures are drawn
     let page = StudyPage::new(study, reference, observer)?;
     let files = files(&page)?;
+    let before = check()?; // another program may have written there meanwhile
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
         let path = out.join(foreign);
