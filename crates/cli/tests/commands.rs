@@ -222,21 +222,15 @@ fn commands_accept_run_folder_as_model() {
         ("view", "run", &["--save"]),
     ];
     for (command, run, options) in commands {
-        let with = |model: &str, out: &str| {
-            let arguments: Vec<String> =
-                [command, model].iter().chain(options).chain([&out]).map(|text| (*text).to_owned()).collect();
-            arguments
-        };
-        let [folder, file] =
-            [with(run, &format!("{command}-1")), with(&format!("{run}/model.safetensors"), &format!("{command}-2"))];
-        let words = |arguments: &[String]| arguments.iter().map(String::as_str).collect::<Vec<_>>().join("\n");
-        let call = |arguments: &[String]| stdout(&succeed(here, &words(arguments).split('\n').collect::<Vec<_>>()));
-        let printed = call(&folder);
+        let [first, second, file] =
+            [format!("{command}-1"), format!("{command}-2"), format!("{run}/model.safetensors")];
+        let printed = stdout(&succeed(here, &[&[command, run], options, &[&*first]].concat()));
         if ["locate", "export", "compress", "update"].contains(&command) {
-            assert_eq!(printed.replace("-1", "-2"), call(&file).replace("-1", "-2"), "{command}");
+            let of_file = stdout(&succeed(here, &[&[command, &*file], options, &[&*second]].concat()));
+            assert_eq!(printed, of_file.replace(&second, &first), "{command}");
         }
         let refuse = |model: &str, expected: &[&str]| {
-            refuse(here, &words(&with(model, "no")).split('\n').collect::<Vec<_>>(), 2, expected);
+            refuse(here, &[&[command, model], options, &["no"]].concat(), 2, expected);
         };
         refuse("sweep", &["sweep: folder of a sweep", "name one of its runs: joined, seed=0"]);
         refuse("begun", &["begun: this run has no model.safetensors yet", "`pwrfgs run`"]);
@@ -246,8 +240,8 @@ fn commands_accept_run_folder_as_model() {
     for command in ["export", "compress", "update"] {
         assert!(bytes(&format!("{command}-1")) == bytes(&format!("{command}-2")), "{command}");
     }
-    succeed(here, &["predict", "run", "sweep/seed=0", "--tx", "0.3,0.1,0.9", "--out", "pair"]);
-    assert!(here.join("pair/00001-spread.npy").is_file(), "an ensemble of two run folders");
+    let pair = ["predict", "run", "sweep/seed=0", "--tx", "0.3,0.1,0.9", "--out", "no"];
+    refuse(here, &pair, 2, &["models 1 and 2 of the ensemble are the same model"]);
     refuse(here, &["view", "sweep"], 2, &["name one of its runs: joined, seed=0"]);
     refuse(here, &["plan", "sweep", "--count", "1"], 2, &["name one of its runs: joined, seed=0"]);
     refuse(here, &["run", "sweep"], 2, &["name one of its runs: seed=0"]);
