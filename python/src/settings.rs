@@ -7,7 +7,7 @@ use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs_core::Result;
 use pwrfgs_core::docs::{DocBody, DocKind, Docs};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::plugin::{PluginFamily, inventory, ron_options, to_ron};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -75,7 +75,7 @@ impl Pipeline {
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         free(py, || {
             check_new_file(&path)?;
-            write_atomically(&path, rebased(&self.now(), &self.base)?.to_ron().as_bytes())
+            create(&path, rebased(&self.now(), &self.base)?.to_ron().as_bytes())
         })
     }
 

@@ -123,6 +123,9 @@ def test_gaussians_and_files(model, tmp_path):
     (tmp_path / "junk.safetensors").write_bytes(b"junk")
     with pytest.raises(pwrfgs.InputError) as told:
         pwrfgs.Model.load(tmp_path / "junk.safetensors")
+    (tmp_path / "sweep.json").write_text('{"name": "x", "runs": [{"folder": "seed=0", "labels": [], "seed": 0}]}')
+    with pytest.raises(pwrfgs.InputError, match="name one of its runs: seed=0"):
+        pwrfgs.Model.load(tmp_path)
     assert told.value.path == str(tmp_path / "junk.safetensors")
 
 

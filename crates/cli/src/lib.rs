@@ -27,7 +27,7 @@ use std::process::ExitCode;
 EXAMPLES
   pwrfgs run quickstart                                 # about a minute, no download
   pwrfgs run quickstart --scale 0.25 --set seed=1 --out runs/short
-  pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
+  pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --out predicted
   pwrfgs plugins                                        # names that a pipeline can use
 
 EXIT CODES

@@ -1,5 +1,5 @@
 //! What each verb does when all is well, and that nothing of the user's is overwritten.
-use crate::common::{SMALL, call, refuse, stderr, stdout, succeed, write};
+use crate::common::{SMALL, call, copy_small_run, measured, refuse, stderr, stdout, succeed, write};
 use pwrfgs::model::{Model, file};
 use pwrfgs_core::testing::npy;
 use std::path::Path;
@@ -191,8 +191,61 @@ fn evaluates(here: &Path, scores: &str) {
         succeed(here, &["evaluate", model, "--set", "data=Teacher(seed: 3, width: 48, height: 12, samples: 20)"]);
     assert!(stdout(&other).contains("ssim"), "{}", stdout(&other));
     refuse(here, &["evaluate", model, "--set", "data=Teacher(samples: 20)"], 2, &["48 x 12 pixels", "360 x 90 pixels"]);
-    refuse(here, &["evaluate", model, "--out", "again"], 2, &["again is not a new folder and not empty (it holds `"]);
+    refuse(here, &["evaluate", model, "--out", "again"], 2, &["again is not empty (it holds `"]);
     refuse(here, &["evaluate", "lonely/m.safetensors"], 2, &["m.safetensors", "--pipeline"]);
+}
+
+#[test]
+fn commands_accept_run_folder_as_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    copy_small_run(here, "run");
+    copy_small_run(here, "sweep/seed=0");
+    copy_small_run(here, "sweep/joined");
+    write(
+        &here.join("sweep/sweep.json"),
+        "{\"name\":\"x\",\"runs\":[{\"folder\":\"seed=0\",\"labels\":[],\"seed\":0}]}",
+    );
+    write(&here.join("begun/pipeline.ron"), SMALL);
+    std::fs::create_dir(here.join("empty")).unwrap();
+    measured(&here.join("lab"));
+    let set = ["--set", "residuals=Kriged()", "--set", "split=Official(validation: 0.5)"];
+    succeed(here, &[&["run", "lab/p.ron", "--out", "kriged", "-q"][..], &set].concat());
+    let commands: [(&str, &str, &[&str]); 8] = [
+        ("predict", "run", &["--tx", "0.3,0.1,0.9", "--no-png", "--out"]),
+        ("map", "run", &["--plane", "z=0.5", "--step", "1", "--out"]),
+        ("locate", "run", &["--out"]),
+        ("export", "run", &["--npz"]),
+        ("compress", "run", &["--out"]),
+        ("evaluate", "run", &["--out"]),
+        ("update", "kriged", &["--data", "lab/data", "--out"]),
+        ("view", "run", &["--save"]),
+    ];
+    for (command, run, options) in commands {
+        let [first, second, file] =
+            [format!("{command}-1"), format!("{command}-2"), format!("{run}/model.safetensors")];
+        let printed = stdout(&succeed(here, &[&[command, run], options, &[&*first]].concat()));
+        if ["locate", "export", "compress", "update"].contains(&command) {
+            let of_file = stdout(&succeed(here, &[&[command, &*file], options, &[&*second]].concat()));
+            assert_eq!(printed, of_file.replace(&second, &first), "{command}");
+        }
+        let refuse = |model: &str, expected: &[&str]| {
+            refuse(here, &[&[command, model], options, &["no"]].concat(), 2, expected);
+        };
+        refuse("sweep", &["sweep: folder of a sweep", "name one of its runs: joined, seed=0"]);
+        refuse("begun", &["begun: this run has no model.safetensors yet", "`pwrfgs run`"]);
+        refuse("empty", &["empty: not a run folder", "name a run folder or a model file"]);
+    }
+    let bytes = |name: &str| std::fs::read(here.join(name)).unwrap();
+    for command in ["export", "compress", "update"] {
+        assert!(bytes(&format!("{command}-1")) == bytes(&format!("{command}-2")), "{command}");
+    }
+    let pair = ["predict", "run", "sweep/seed=0", "--tx", "0.3,0.1,0.9", "--out", "no"];
+    refuse(here, &pair, 2, &["models 1 and 2 of the ensemble are the same model"]);
+    refuse(here, &["view", "sweep"], 2, &["name one of its runs: joined, seed=0"]);
+    refuse(here, &["plan", "sweep", "--count", "1"], 2, &["name one of its runs: joined, seed=0"]);
+    refuse(here, &["run", "sweep"], 2, &["name one of its runs: seed=0"]);
+    refuse(here, &["inspect", "sweep"], 2, &["name one of its runs: seed=0"]);
 }
 
 #[test]

@@ -110,6 +110,14 @@ fn init_selects_voxel_split_without_lists_and_finds_points() {
         text.contains("split: Voxel(") && text.contains("room.xyz (4 points)") && text.contains("PointCloud("),
         "{text}"
     );
+    let edge = |text: &str| text.split("size_m: ").nth(1).unwrap().split([',', ')']).next().unwrap().to_owned();
+    let starred = |set: &[&str]| {
+        let table = stdout(&succeed(here, &[&["inspect", "data", "-q"], set].concat()));
+        table.lines().find(|line| line.contains(") *  ")).unwrap_or_else(|| panic!("no star in {table}")).to_owned()
+    };
+    let line = starred(&[]);
+    assert!(line.starts_with("Voxel(") && edge(&line) == edge(&text), "{line}");
+    assert!(starred(&["--set", "split=TimeBlock()"]).starts_with("TimeBlock("), "--set is stronger");
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
     let few: Vec<&str> = few.iter().flat_map(|set| ["--set", set]).collect();
     succeed(here, &[&["run", "deep/p.ron", "-q"][..], &few].concat());

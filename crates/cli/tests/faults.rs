@@ -2,7 +2,7 @@
 //! same bytes. `faults/shim.c` is put before the C library and does it; it needs `cc`, which Rust links with anyway.
 //!
 //! Here a spread of the calls is tried; with `PWRFGS_FAULTS=all` every one.
-use crate::common::{pwrfgs, stderr, succeed, write};
+use crate::common::{call, files, measured, pwrfgs, stderr, succeed, write};
 use crate::resume::{curve, events};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -84,6 +84,20 @@ pub(crate) fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
     names.map(|name| (name.clone(), content(&name))).collect()
 }
 
+/// Temporary files, and the marks of folders in progress, in a folder and below it.
+pub(crate) fn temporaries(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        let (path, name) = (entry.path(), entry.file_name().into_string().unwrap());
+        if name.starts_with('.') && (name.ends_with(".tmp") || name.contains("pwrfgs-lock")) {
+            found.push(path);
+        } else if path.is_dir() {
+            found.extend(temporaries(&path));
+        }
+    }
+    found
+}
+
 /// A folder with the pipeline and the shim, and calls of a whole run that are to go wrong.
 struct Faults {
     folder: tempfile::TempDir,
@@ -156,4 +170,61 @@ fn reports_full_disk_at_any_write_and_run_resumes() {
             assert!(is_reported && !message.contains("panicked"), "{out}: {message}");
         }
     });
+}
+
+/// Each command is killed before calls that change a file, and started again.
+#[test]
+fn next_start_removes_what_killed_command_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let Some(shim) = shim(here) else { return };
+    measured(here);
+    let validated = ["--set", "residuals=Kriged()", "--set", "split=Official(validation: 0.5)"];
+    succeed(here, &[&["run", "p.ron", "--out", "kriged", "-q"][..], &validated].concat());
+    write(&here.join("tiny.ron"), TINY);
+    succeed(here, &["run", "tiny.ron", "--out", "r", "-q"]);
+    let all = std::env::var_os("PWRFGS_FAULTS").is_some_and(|which| which == "all");
+    let commands: [(&[&str], usize); 7] = [
+        (&["compress", "r", "--out", "new"], 1),
+        (&["export", "r", "--npz", "new"], 1),
+        (&["view", "r", "--save", "new"], 2),
+        (&["update", "kriged", "--data", "data", "--out", "new"], 2),
+        (&["predict", "r", "--tx", "0.3,0.1,0.9", "--out", "new"], 2),
+        (&["evaluate", "r", "--out", "new"], 4),
+        (&["report", "r", "--out", "new"], 23),
+    ];
+    let out = here.join("new");
+    // Files in a folder have times.
+    let content = || {
+        if out.is_dir() {
+            files(&out).into_keys().map(|path| (path, Vec::new())).collect()
+        } else {
+            BTreeMap::from([(out.clone(), std::fs::read(&out).unwrap())])
+        }
+    };
+    let remove = || std::fs::remove_dir_all(&out).or_else(|_| std::fs::remove_file(&out)).unwrap();
+    for (arguments, spread) in commands {
+        let kill = |at: usize| {
+            let mut command = pwrfgs(here);
+            command.args(arguments).args(["-q", "--threads", "1"]).env("LD_PRELOAD", &shim).env("FAULT_MODE", "kill");
+            command.env("FAULT_AT", at.to_string()).env("FAULT_COUNT", here.join("count")).output().unwrap()
+        };
+        assert!(kill(0).status.success(), "{arguments:?}");
+        let Ok(count) = std::fs::read_to_string(here.join("count")) else { return }; // LD_PRELOAD is not heeded here
+        let (count, whole) = (count.trim().parse::<usize>().unwrap(), content());
+        remove();
+        println!("{arguments:?}: {count} calls");
+        for at in (1..=count).step_by(if all { 1 } else { spread }) {
+            assert!(kill(at).status.code().is_none(), "{arguments:?}, call {at}");
+            if arguments[0] == "report" && out.join("report.html").exists() {
+                assert!(whole.keys().all(|path| path.exists()), "call {at}: the page is last");
+            }
+            let again = call(here, arguments);
+            let is_complete = ["exists; choose", "is not empty"].iter().any(|why| stderr(&again).contains(why));
+            assert!(again.status.success() || is_complete, "{arguments:?}, call {at}: {}", stderr(&again));
+            assert!(content() == whole, "{arguments:?}, call {at}");
+            assert_eq!(temporaries(here), [] as [PathBuf; 0], "{arguments:?}, call {at}");
+            remove();
+        }
+    }
 }

@@ -77,6 +77,22 @@ fn rejects_folder_without_data() {
     let here = folder.path();
     write(&here.join("small.ron"), SMALL);
     write(&here.join("notes/a.txt"), "mine");
+    write(&here.join("links.csv"), "x,y,z,receiver,rx_x,rx_y,rx_z,dbm\n1,2,1,hall,0,0,2,-61\n2,2,1,hall,0,0,2,-64\n");
+    write(&here.join("s.NPY"), "");
+    refuse(
+        here,
+        &["inspect", "links.csv"],
+        2,
+        &["links.csv: is a file", "`pwrfgs import --links links.csv --out FOLDER`"],
+    );
+    refuse(here, &["inspect", "s.NPY"], 2, &["s.NPY: is a file", "`pwrfgs import --spectra s.NPY --out FOLDER`"]);
+    succeed(here, &["import", "--links", "links.csv", "--out", "data", "-q"]);
+    refuse(
+        here,
+        &["inspect", "data/tx_pos.csv"],
+        2,
+        &["data/tx_pos.csv: is a file; give the folder of the data, data"],
+    );
     refuse(here, &["inspect", "notes"], 2, &["notes", "received powers or channels", "name a data folder"]);
     refuse(here, &["inspect", "nowhere.ron"], 2, &["nowhere.ron"]);
     refuse(

@@ -1,7 +1,7 @@
 //! Processes that meet at one folder: one is held before a call, another goes on, and then the first. Whatever the call, the
 //! folder ends as if they had come one after the other. `faults/shim.c` holds a process, so nothing here depends on speed.
-use crate::common::{call, pwrfgs, stderr, stdout, succeed, write};
-use crate::faults::{TINY, end_of, faulty, shim};
+use crate::common::{call, measured, pwrfgs, stderr, stdout, succeed, write};
+use crate::faults::{TINY, end_of, faulty, shim, temporaries};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Output, Stdio};
@@ -257,4 +257,84 @@ fn run_works_on_file_system_without_hard_links() {
     let output = faulty(here, &place.shim, "out", ("unlinked", 0));
     assert!(output.status.success(), "{}", stderr(&output));
     assert!(end_of(&here.join("out")) == end_of(&here.join("whole")));
+}
+
+#[test]
+fn new_file_never_replaces_file_that_appears_meanwhile() {
+    let Some(place) = Place::new() else { return };
+    let here = place.here();
+    measured(here);
+    let validated = ["--set", "residuals=Kriged()", "--set", "split=Official(validation: 0.5)"];
+    succeed(here, &[&run("p.ron", "kriged")[..], &validated].concat());
+    succeed(here, &run("a.ron", "r"));
+    let commands: [&[&str]; 5] = [
+        &["compress", "r", "--out"],
+        &["export", "r", "--npz"],
+        &["view", "r", "--save"],
+        &["update", "kriged", "--data", "data", "--out"],
+        &["compare", "data", "--split-csv"],
+    ];
+    for command in commands {
+        let mut refused = 0;
+        for at in 1.. {
+            let name = format!("{}-{at}.new", command[0]);
+            let mut process = place.start(&[command, &[&*name]].concat(), (&name, at));
+            let (is_held, file) = (process.is_held(), here.join(&name));
+            let appears = is_held && !file.exists();
+            if appears {
+                write(&file, "mine");
+            }
+            let output = process.end();
+            let message = format!("{name}: {}", stderr(&output));
+            assert_eq!(output.status.code(), Some(if appears { 2 } else { 0 }), "{message}");
+            assert!(!appears || message.contains("exists; choose another name"), "{message}");
+            assert_eq!(std::fs::read(&file).unwrap() == b"mine", appears, "{message}");
+            refused += usize::from(appears);
+            if !is_held {
+                break;
+            }
+        }
+        assert!(refused >= 2, "{command:?}: only {refused} calls before the file has its name");
+        assert_eq!(temporaries(here), [] as [PathBuf; 0], "{command:?}");
+    }
+}
+
+#[test]
+fn folder_that_appears_meanwhile_is_invalid_input() {
+    let Some(place) = Place::new() else { return };
+    let here = place.here();
+    measured(here);
+    succeed(here, &run("a.ron", "r"));
+    let import = ["import", "--spectra", "data/spectrum", "--tx", "data/tx_pos.csv", "--elevation", "-90,90"];
+    let commands: [&[&str]; 4] = [
+        &["predict", "r", "--tx", "0.3,0.1,0.9", "--no-png"],
+        &["evaluate", "r"],
+        &["plan", "data", "--count", "2"],
+        &[&import[..], &["--receiver", "0,0,0", "--orientation", "0,0,0,1"]].concat(),
+    ];
+    for command in commands {
+        let mut refused = 0;
+        for at in 1.. {
+            // The temporary name begins with a full stop, so only calls on the final path are counted.
+            let name = format!("/{}-{at}", command[0]);
+            let out = here.join(&name[1..]);
+            let mut process = place.start(&[command, &["--out", out.to_str().unwrap()]].concat(), (&name, at));
+            let is_held = process.is_held();
+            let appears = is_held && !out.exists();
+            if appears {
+                write(&out.join("mine"), "mine");
+            }
+            let output = process.end();
+            let message = format!("{name}: {}", stderr(&output));
+            assert_eq!(output.status.code(), Some(if appears { 2 } else { 0 }), "{message}");
+            assert!(!appears || message.contains("is not empty (it holds `mine`)"), "{message}");
+            assert!(!appears || std::fs::read_dir(&out).unwrap().count() == 1, "{message}");
+            refused += usize::from(appears);
+            if !is_held {
+                break;
+            }
+        }
+        assert!(refused >= 3, "{command:?}: only {refused} calls before the folder has its name");
+        assert_eq!(temporaries(here), [] as [PathBuf; 0], "{command:?}");
+    }
 }

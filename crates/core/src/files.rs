@@ -1,15 +1,16 @@
 //! File access: atomic writes, text with positions for errors, and protection of folders of other programs.
 
+mod atomic;
 mod held;
 mod new_folder;
 
+pub use atomic::{check_new_file, create, remove, remove_temporaries, replace, write_atomically, write_new};
 pub use held::{HeldFolder, lock, try_lock};
 pub use new_folder::NewFolder;
 
 use crate::{Error, Result};
 use sha2::{Digest as _, Sha256};
 use std::fs::{self, DirEntry, File, FileType};
-use std::hash::{BuildHasher as _, RandomState};
 use std::io::{self, BufWriter, ErrorKind, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -18,8 +19,6 @@ use std::path::{Path, PathBuf};
 pub const MAX_TEXT: u64 = 1 << 28;
 /// Maximum size of a binary file that is read whole, bytes: 16 GiB.
 pub const MAX_NUMBERS: u64 = 1 << 34;
-/// Number of bytes of a file name that its temporary file repeats; file systems allow 255.
-const LONGEST_NAME: usize = 200;
 
 /// Opens a file for reading. All readers of the toolkit use this function: opening a named pipe would otherwise block
 /// until another process writes to it.
@@ -132,13 +131,18 @@ fn is_bad(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
 }
 
+/// Folder of a file, `.` for a name alone.
+fn parent(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// Rejects a path at which no file can be created: as [`check_place`], and the folder of the file must exist.
 ///
 /// # Errors
 /// [`Error::Input`] names the missing folder.
 pub fn check_file_place(path: &Path) -> Result<()> {
     check_place(path)?;
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = parent(path);
     if path.is_dir() || path.file_name().is_none() {
         return Err(Error::input(path, "is a folder; choose the name of a file"));
     }
@@ -149,94 +153,6 @@ pub fn check_file_place(path: &Path) -> Result<()> {
         path,
         format!("the folder `{}` does not exist; create it, or choose another path", parent.display()),
     ))
-}
-
-/// Rejects a path at which no new file can be created: as [`check_file_place`], and the path must not exist.
-///
-/// # Errors
-/// [`Error::Config`] if the path exists, else as [`check_file_place`].
-pub fn check_new_file(path: &Path) -> Result<()> {
-    // Includes broken links, which may point anywhere.
-    if path.symlink_metadata().is_ok() {
-        return Err(Error::Config(format!("{} exists; choose another name or remove it", path.display())));
-    }
-    check_file_place(path)
-}
-
-/// Writes a file atomically: readers see either the old or the complete new content. Uses a synced temporary file in
-/// the same folder, which is then renamed.
-///
-/// # Errors
-/// [`Error::Write`]; the old file is then unchanged.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace(path, bytes, |_| ()).map(drop)
-}
-
-/// Writes a file as [`write_atomically`] does and returns it open. `prepare` receives the temporary file before the
-/// rename, for example to lock it.
-///
-/// # Errors
-/// As [`write_atomically`].
-pub fn replace(path: &Path, bytes: &[u8], prepare: impl FnOnce(&File)) -> Result<File> {
-    let publish = |file: &File, temporary: &Path| {
-        prepare(file);
-        fs::rename(temporary, path)
-    };
-    write_beside(path, bytes, publish).map_err(|e| Error::write(path, e))
-}
-
-/// Writes a new file atomically. Returns `false` if the path exists and leaves it unchanged: of several processes that
-/// write the same file at once, one gets `true`.
-///
-/// # Errors
-/// [`Error::Write`].
-pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
-    if path.symlink_metadata().is_ok() {
-        return Ok(false);
-    }
-    let written = write_beside(path, bytes, |_, temporary| match fs::hard_link(temporary, path) {
-        Ok(()) => {
-            let _ = fs::remove_file(temporary); // unless the process that holds the folder has removed it
-            Ok(())
-        }
-        // The process that holds the folder has removed the temporary file meanwhile.
-        Err(e) if e.kind() == ErrorKind::NotFound => Err(ErrorKind::AlreadyExists.into()),
-        // The file system has no links: the file is created first, and its content follows.
-        Err(e) if [ErrorKind::PermissionDenied, ErrorKind::Unsupported].contains(&e.kind()) => {
-            let mut file = File::create_new(path)?;
-            let filled = file.write_all(bytes).and_then(|()| file.sync_all());
-            let _ = fs::remove_file(if filled.is_ok() { temporary } else { path });
-            filled
-        }
-        Err(e) => Err(e),
-    });
-    match written {
-        Ok(_) => Ok(true),
-        Err(e) if e.kind() == ErrorKind::AlreadyExists => Ok(false),
-        Err(e) => Err(Error::write(path, e)),
-    }
-}
-
-/// Writes `bytes` to a synced temporary file next to `path`, which `publish` renames; returns the open file.
-fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) -> io::Result<()>) -> io::Result<File> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // temporary names are longer
-    // Random instead of the process ID: on a shared disk, processes of two machines may have equal IDs.
-    let number = RandomState::new().hash_one(std::process::id()) as u32;
-    let temporary = path.with_file_name(format!(".{name}.{number}.tmp"));
-    let mut file = File::create_new(&temporary)?;
-    let written = file.write_all(bytes).and_then(|()| file.sync_all()).and_then(|()| publish(&file, &temporary));
-    if let Err(e) = written {
-        let _ = fs::remove_file(&temporary);
-        return Err(e);
-    }
-    // The name is durable only after the folder is synced; on file systems without folder sync, the file still has its
-    // name.
-    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-        #[expect(clippy::disallowed_methods, reason = "a folder of our own")]
-        let _ = File::open(folder).and_then(|folder| folder.sync_all());
-    }
-    Ok(file)
 }
 
 /// Writes a file of a folder that no other process reads yet.
@@ -279,18 +195,6 @@ impl GrowingFile {
     /// [`Error::Write`].
     pub fn finish(mut self) -> Result<()> {
         self.file.flush().map_err(|e| Error::write(&self.path, e))
-    }
-}
-
-/// Removes temporary files of `names` that killed processes left in `folder`, for example `.run.json.123.tmp`. The
-/// caller holds the lock that writers of these files need. Files that cannot be removed are ignored.
-pub fn remove_temporaries(folder: &Path, names: &[&str]) {
-    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let found = entry.file_name().to_string_lossy().into_owned();
-        let parts = found.strip_prefix('.').and_then(|found| found.strip_suffix(".tmp")?.rsplit_once('.'));
-        if parts.is_some_and(|(name, number)| names.contains(&name) && number.bytes().all(|b| b.is_ascii_digit())) {
-            _ = fs::remove_file(entry.path());
-        }
     }
 }
 
@@ -383,33 +287,6 @@ fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn replaces_file_atomically_without_temporary_files() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.txt");
-        write_atomically(&path, b"old").unwrap();
-        write_atomically(&path, b"new").unwrap();
-        assert_eq!(fs::read(&path).unwrap(), b"new");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-        assert!(!write_atomically(&folder.path().join("missing/a.txt"), b"").unwrap_err().is_input());
-    }
-
-    #[test]
-    fn new_file_never_replaces_existing_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.txt");
-        let made: Vec<bool> = std::thread::scope(|scope| {
-            let write = |k: u8| write_new(&folder.path().join("a.txt"), &[k; 9]).unwrap();
-            let all: Vec<_> = (0..8).map(|k| scope.spawn(move || write(k))).collect();
-            all.into_iter().map(|one| one.join().unwrap()).collect()
-        });
-        let first = made.iter().position(|made| *made).unwrap() as u8;
-        assert_eq!(made.iter().filter(|made| **made).count(), 1, "{made:?}");
-        assert_eq!(fs::read(&path).unwrap(), [first; 9]);
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
-        assert!(write_new(&folder.path().join("missing/a.txt"), b"").is_err());
-    }
 
     #[test]
     fn digest_matches_sha256sum() {

@@ -286,7 +286,7 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
     }
     Ok(format!(
         "{}{refused}note: mean {key} of baselines on up to {TESTED} test {}; nearest training: median distance from a test \
-         transmitter; *: the split of the pipeline, or the default for a folder of data\n",
+         transmitter; *: the split of the pipeline, or of `pwrfgs init` for a folder of data\n",
         aligned(&lines, 1),
         data.task().counted[1]
     ))

@@ -110,10 +110,7 @@ impl RunFolder {
         };
         facts.write(self.path())?;
         if self.state == RunState::ScoredOtherwise {
-            self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron().as_bytes(), |file| {
-                // A file system without locks is accepted.
-                _ = file.try_lock();
-            })?;
+            self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron().as_bytes())?;
         }
         Ok(facts)
     }
@@ -213,8 +210,7 @@ fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
     Pipeline { baselines: other.baselines.clone(), metrics: other.metrics.clone(), ..pipeline.clone() }
 }
 
-/// Removes temporary files of killed starts, such as `.checkpoint.safetensors.123.tmp`; the lock guarantees that they
-/// are unused. Failures are ignored.
+/// Removes temporary files of killed starts, such as `.checkpoint.safetensors.123.tmp`. Failures are ignored.
 fn remove_leftovers(folder: &Path) {
     files::remove_temporaries(folder, &UNSEALED.into_iter().chain(sealed()).collect::<Vec<_>>());
 }

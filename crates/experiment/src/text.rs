@@ -46,6 +46,13 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if negative { format!("−{text}") } else { text }
 }
 
+/// Joins the first `most` names by commas, followed by the number of the others.
+pub fn listed<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
+    let more = names.len().saturating_sub(most);
+    let shown = names.take(most).map(|name| name.as_ref().to_owned()).collect::<Vec<_>>().join(", ");
+    if more > 0 { format!("{shown} and {more} more") } else { shown }
+}
+
 /// Quotes a CSV field, also against interpretation as a formula by spreadsheets.
 pub fn field(name: &str) -> String {
     let name = cell(name);

@@ -5,7 +5,7 @@ use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin,
 use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::record::read_series;
 use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_experiment::{Facts, Observer, Scores, check_alike, load, read_pipeline};
+use pwrfgs_experiment::{Facts, Observer, Scores, check_alike, load, model_file, read_pipeline};
 use pwrfgs_localise::{Locator, SHARES};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
@@ -58,14 +58,11 @@ impl ViewPane {
     /// # Errors
     /// If files are missing or damaged, or if the data do not fit the model.
     pub fn open(path: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        let (folder, model) = if path.is_dir() {
-            (path.to_owned(), path.join(MODEL_FILE))
-        } else {
-            (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
-        };
+        let folder = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new("")) }.to_owned();
         let pipeline = folder.join(PIPELINE);
-        let finished = model.is_file() || !path.is_dir();
-        let ensemble = finished.then(|| file::read_ensemble(&model)).transpose()?;
+        let is_unfinished = path.is_dir() && pipeline.is_file() && !path.join(MODEL_FILE).is_file();
+        let read = || file::read_ensemble(&model_file(path)?);
+        let ensemble = (!is_unfinished).then(read).transpose()?;
         let known =
             pipeline.is_file().then(|| LoadedData::load(&pipeline, &folder, observer)).transpose()?.map(Arc::new);
         if let (Some(ensemble), Some(known)) = (&ensemble, &known) {
@@ -76,10 +73,7 @@ impl ViewPane {
             (None, Some(known)) => {
                 (MeasurementSetup::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
             }
-            (None, None) => {
-                let what = format!("not a run folder: neither {MODEL_FILE} nor {PIPELINE} found");
-                return Err(Error::input(path, what));
-            }
+            (None, None) => return Err(Error::input(path, "the run was removed meanwhile; name another")),
         };
         let is_run = path.is_dir() || folder.join(PIPELINE).is_file();
         let name = if is_run { &folder } else { path };

@@ -4,6 +4,7 @@ use super::Model;
 use crate::arrays::{axes, elevation_of, numbers, place, places};
 use crate::border::{free, plugin, wrong};
 use crate::strategies::cloud_of;
+use pwrfgs::experiment::model_file;
 use pwrfgs::model::{Ensemble, Stages, TrainingPositions, file};
 use pwrfgs_core::{
     Conditions, Dataset as Data, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Result, Sample,
@@ -18,15 +19,13 @@ const MOST_PIXELS: usize = 1 << 24;
 
 /// Model files or run folders; several form an ensemble.
 pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
-    let file_in = |path: &PathBuf| {
-        if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() }
-    };
+    let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
     if let [path] = paths {
-        return file::read_ensemble(&file_in(path));
+        return read(path);
     }
     let mut members = Vec::new();
     for path in paths {
-        let ensemble = file::read_ensemble(&file_in(path))?;
+        let ensemble = read(path)?;
         if ensemble.residuals().is_some() {
             let what = "has a residual process, which predicts for this model alone; load it as the only model";
             return Err(Error::input(path, what));

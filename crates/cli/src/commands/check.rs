@@ -1,18 +1,19 @@
 //! `pwrfgs check`: validates a pipeline and estimates memory and time. `pwrfgs inspect`: summarises data before
 //! training.
 
-use super::init::name_of;
+use super::init::{is_table, name_of, suggested_split, unknown_folder};
 use super::options::{ChangeOptions, named};
 use crate::output::{self, Verbosity};
 use crate::progress::{RunProgress, memory, pace};
 use clap::Args;
 use pwrfgs::experiment::inspect::{inspect as summary, length};
+use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::text::{aligned, duration, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, data_warnings, preview, read_pipeline, staged};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::train::{Rays, TimeEstimate};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
-use pwrfgs_core::{Error, Result, recognise};
+use pwrfgs_core::{DataSource, Dataset, Error, Plugin, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -144,9 +145,8 @@ pub(crate) struct Inspect {
 }
 
 pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
-    let pipeline = pipeline(&arguments.data, &arguments.set)?;
     let text = RunProgress::during(verbosity, |progress| {
-        let data = staged(progress, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
+        let (pipeline, data) = opened(&arguments.data, &arguments.set, progress)?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
         data_warnings(&data, partition.as_ref()).iter().for_each(|warning| progress.on_warning(warning));
         summary(&pipeline, &data, progress)
@@ -154,20 +154,37 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     output::result(&text?)
 }
 
-/// Pipeline that `path` names, or one with all defaults for the data in that folder.
-fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
+/// Pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that folder; and its data.
+fn opened(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pipeline, Dataset)> {
+    let mut load = |source: &Plugin<dyn DataSource>| staged(observer, "spectra", |bar| source.load(Path::new(""), bar));
     let Some(source) = recognise(path) else {
-        let pipeline = named(path).map_err(|_neither| {
-            let what = "neither data (spectra, received powers or channels) nor a run found; name a data folder, a pipeline \
-                        file or a run folder (layouts: docs/data.md)";
-            Error::input(path, what)
-        });
-        return read_pipeline(&pipeline?.0, set);
+        let pipeline = read_pipeline(&pipeline_file(path)?, set)?;
+        let data = load(&pipeline.data)?;
+        return Ok((pipeline, data));
     };
+    let ron = |source: &Plugin<dyn DataSource>| try_to_ron(source).map_err(|why| Error::input(path, why));
+    let (root, data) = (ron(&source)?, load(&source)?);
+    // Data without any valid split are described too.
+    let split = suggested_split(&data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
     // Missing fields then get the defaults for this kind of data.
-    let data = try_to_ron(&source).map_err(|why| Error::input(path, why))?;
-    let text = format!("Pipeline(name: {:?}, data: {data}, initializer: Random())", name_of(path));
+    let text = format!("Pipeline(name: {:?}, data: {root}, {split}initializer: Random())", name_of(path));
     let mut pipeline = Pipeline::parse(&text, path)?;
     pipeline.set_all(set)?;
-    Ok(pipeline)
+    let data = if ron(&pipeline.data)? == root { data } else { load(&pipeline.data)? };
+    Ok((pipeline, data))
+}
+
+/// Pipeline file that `path` names.
+fn pipeline_file(path: &Path) -> Result<PathBuf> {
+    if is_table(path) {
+        return Err(unknown_folder(path));
+    }
+    match named(path) {
+        Err(_neither) if !path.join(LISTING).is_file() => {
+            let what = "neither data (spectra, received powers or channels) nor a run found; name a data folder, a pipeline \
+                        file or a run folder (layouts: docs/data.md)";
+            Err(Error::input(path, what))
+        }
+        found => Ok(found?.0),
+    }
 }

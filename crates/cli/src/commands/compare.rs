@@ -9,7 +9,7 @@ use clap::Args;
 use pwrfgs::data::Predictions;
 use pwrfgs::experiment::sweep::{Experiment, ListedRun, Listing, PlannedRun, SweepPlan, check};
 use pwrfgs::experiment::{CEILING, distinct, samples, scores::MODEL};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::plugin::{name_of as plugin_name, registered};
 use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
 use std::path::{Path, PathBuf};
@@ -56,7 +56,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
-        write_atomically(path, samples::to_csv(&survey.data, &partition, &[]).as_bytes())?;
+        create(path, samples::to_csv(&survey.data, &partition, &[]).as_bytes())?;
         let [train, validation, test] = partition.sizes();
         output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);

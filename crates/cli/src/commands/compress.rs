@@ -1,12 +1,13 @@
 //! `pwrfgs compress`: writes a smaller model file.
 
+use super::options::read_models;
 use crate::output::Verbosity;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::model::{Model, compress, file};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Error, Query, Result, Task, evenly};
 use std::path::PathBuf;
 
@@ -22,10 +23,10 @@ of predictions at up to 200 training positions. Ensembles are refused: compress 
 The calibration for predict --interval is left out, since it is that of the exact predictions.
 
 EXAMPLES
-  pwrfgs compress runs/quickstart/model.safetensors --out small.safetensors
+  pwrfgs compress runs/quickstart --out small.safetensors
   pwrfgs evaluate small.safetensors --pipeline runs/quickstart/pipeline.ron")]
 pub(crate) struct Compress {
-    /// Trained model (model.safetensors of a run)
+    /// Run folder or model file
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Model file to write; must not exist
@@ -38,7 +39,7 @@ pub(crate) struct Compress {
 
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
-    let ensemble = file::read_ensemble(&arguments.model)?;
+    let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     if ensemble.residuals().is_some() {
         return Err(Error::input(&arguments.model, "has a residual process, expected a model without one"));
     }
@@ -48,7 +49,7 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     let model = ensemble.into_only().ok_or_else(|| Error::input(&arguments.model, several()))?;
     let after = compress::to_bytes(&model, arguments.bits)?;
     let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
-    write_atomically(&arguments.out, &after)?;
+    create(&arguments.out, &after)?;
     let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
     verbosity.note(&format!(
         "whole file {} kB instead of {} kB, in {}",

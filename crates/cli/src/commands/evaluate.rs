@@ -6,12 +6,14 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
-use pwrfgs::experiment::text::number;
-use pwrfgs::experiment::{Facts, Machine, Session, evaluate as score, load as load_data, read_pipeline, write_results};
+use pwrfgs::experiment::text::{listed, number};
+use pwrfgs::experiment::{
+    Facts, Machine, Session, evaluate as score, load as load_data, model_file, read_pipeline, write_results,
+};
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Dataset, Error, Result, files::refuse_foreign};
+use pwrfgs_core::{Dataset, Error, Result, files::NewFolder};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -23,12 +25,12 @@ Several models are scored as an ensemble: the mean of their predictions, spectra
 They need a common test set: use runs whose split does not depend on the seed.
 
 EXAMPLES
-  pwrfgs evaluate runs/quickstart/model.safetensors
-  pwrfgs evaluate runs/quickstart/model.safetensors --set 'metrics=[Ssim(), L1()]' --out scored
-  pwrfgs evaluate runs/s23-laptop/model.safetensors --set data.root=data/s23
-  pwrfgs evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors")]
+  pwrfgs evaluate runs/quickstart
+  pwrfgs evaluate runs/quickstart --set 'metrics=[Ssim(), L1()]' --out scored
+  pwrfgs evaluate runs/s23-laptop --set data.root=data/s23
+  pwrfgs evaluate runs/blocks/seed-0 runs/blocks/seed-1")]
 pub(crate) struct Evaluate {
-    /// Trained model (model.safetensors of a run); several form an ensemble
+    /// Run folder or model file; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// Pipeline file [default: pipeline.ron next to the first model]
@@ -43,17 +45,16 @@ pub(crate) struct Evaluate {
 }
 
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
-    let ensemble = read_models(&arguments.models)?;
-    let first = &arguments.models[0];
-    let beside = first.parent().unwrap_or(Path::new("")).join(PIPELINE);
+    let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
+    let ensemble = read_models(&models)?;
+    let first = &models[0];
+    let beside = first.with_file_name(PIPELINE);
     let path = arguments.pipeline.as_ref().unwrap_or(&beside);
     if arguments.pipeline.is_none() && !path.is_file() {
         return Err(Error::input(first, format!("no {PIPELINE} next to this model; set --pipeline FILE")));
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
-    if let Some(out) = &arguments.out {
-        refuse_foreign(out, "a new folder")?;
-    }
+    let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let mut progress = RunProgress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
@@ -63,16 +64,15 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let scored = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
     progress.finish();
     let (mut scores, confidence) = scored?;
-    scores.table.samples[0] = trained_on(&arguments.models);
-    scores.table.trained_elsewhere = !arguments.models.iter().all(|model| is_trained_by(model, &pipeline));
+    scores.table.samples[0] = trained_on(&models);
+    scores.table.trained_elsewhere = !models.iter().all(|model| is_trained_by(model, &pipeline));
     let mut text = scores.table.to_text();
     if let Some(confidence) = &confidence {
         let members = ensemble.members().len();
         let rank = number(confidence.rank_correlation());
         _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
     }
-    if let Some(out) = &arguments.out {
-        std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
+    if let (Some(folder), Some(out)) = (folder, &arguments.out) {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::here(),
@@ -81,7 +81,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             ..Facts::default()
         };
         let (found, context) = ((&scores, confidence.as_ref()), (&data, &partition, &ensemble));
-        write_results(out, (&pipeline, &facts), context, found, pwrfgs::PAGE)?;
+        write_results(folder.path(), (&pipeline, &facts), context, found, pwrfgs::PAGE)?;
+        folder.publish()?;
         if pwrfgs::PAGE.is_some() {
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }
@@ -123,9 +124,7 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     });
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
-        let (shown, more) =
-            (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        output::note(&format!("warning: name or pose of receivers differs from that of the model: {shown}{more}"));
+        let names = listed(names.iter(), 8);
+        output::note(&format!("warning: name or pose of receivers differs from that of the model: {names}"));
     }
 }

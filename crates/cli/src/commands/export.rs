@@ -1,11 +1,11 @@
 //! `pwrfgs export`: converts a trained model for splat viewers and Python.
 
-use super::options::{check_positions, position};
+use super::options::{check_positions, position, read_models};
 use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::{Ensemble, file};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -25,11 +25,11 @@ An ensemble: PLY holds all members with a property `member` (0, 1, ..; viewers b
 select one); NPZ names its arrays members.0.means, .. Existing files are never overwritten.
 
 EXAMPLES
-  pwrfgs export runs/quickstart/model.safetensors --ply office.ply
-  pwrfgs export runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz")]
+  pwrfgs export runs/quickstart --ply office.ply
+  pwrfgs export runs/quickstart --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz")]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {
-    /// Trained model (model.safetensors of a run)
+    /// Run folder or model file
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Write the Gaussians as PLY for splat viewers
@@ -61,7 +61,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         return Err(Error::Config("two exports have the same file name; set different names".into()));
     }
     files.iter().try_for_each(|(path, _)| check_new_file(path))?;
-    let model = file::read_ensemble(&arguments.model)?;
+    let model = read_models(std::slice::from_ref(&arguments.model))?;
     if tx.is_some() {
         check_positions(&model)?;
     }
@@ -79,7 +79,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         ));
     }
     for ((path, _), bytes) in files.iter().zip(made) {
-        write_atomically(path, &bytes)?;
+        create(path, &bytes)?;
         let what =
             if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
         verbosity.note(&format!("{what} in {}", path.display()));

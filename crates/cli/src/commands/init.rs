@@ -2,7 +2,7 @@
 
 mod survey;
 
-pub(super) use survey::{DataSurvey, unknown_folder};
+pub(super) use survey::{DataSurvey, is_table, suggested_split, unknown_folder};
 
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;

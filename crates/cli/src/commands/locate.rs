@@ -9,7 +9,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
-use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, read_pipeline};
+use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, model_file, read_pipeline};
 use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
@@ -45,10 +45,10 @@ FILES of --out
   errors.png     estimates and true positions; 00001.png ..: density and region of single samples
 
 EXAMPLES
-  pwrfgs locate runs/ble/model.safetensors --out located
-  pwrfgs locate runs/ble/model.safetensors powers.csv --prior 10,30,10,40")]
+  pwrfgs locate runs/ble --out located
+  pwrfgs locate runs/ble powers.csv --prior 10,30,10,40")]
 pub(crate) struct Locate {
-    /// Trained model (model.safetensors of a run, beside its pipeline.ron)
+    /// Run folder, or model file next to its pipeline.ron
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Observations of unknown transmitters [default: test samples of the data]
@@ -90,7 +90,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let prior = arguments.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
-    let path = arguments.model.parent().unwrap_or(Path::new("")).join(PIPELINE);
+    let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
     if !path.is_file() {
         return Err(Error::input(
             &arguments.model,

@@ -44,10 +44,10 @@ nearest-neighbour distances).
 Without --bounds, the map covers all training positions and receivers.
 
 EXAMPLES
-  pwrfgs map runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01
-  pwrfgs map runs/quickstart/model.safetensors --plane z=1.2 --of direction --out directions")]
+  pwrfgs map runs/ble --plane z=0 --step 0.25 --receiver g01 --out g01
+  pwrfgs map runs/quickstart --plane z=1.2 --of direction --out directions")]
 pub(crate) struct Map {
-    /// Trained model (model.safetensors of a run); several form an ensemble
+    /// Run folder or model file; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// Plane, by its fixed coordinate in metres: z=1.2, x=0.5 or y=-3

@@ -2,7 +2,9 @@
 
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
-use pwrfgs::experiment::sweep::LISTING;
+use pwrfgs::experiment::model_file;
+use pwrfgs::experiment::sweep::Listing;
+use pwrfgs::experiment::text::listed;
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::threads::COUNTS;
@@ -47,11 +49,9 @@ pub(super) fn named(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
     if own.is_file() {
         return Ok((own, Some(path.into())));
     }
-    if path.join(LISTING).is_file() {
-        return Err(Error::input(
-            path,
-            "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or name one of its run folders",
-        ));
+    if let Some(listing) = Listing::read(path)? {
+        let what = "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or name one of its runs";
+        return Err(Error::input(path, format!("{what}: {}", listing.run_names())));
     }
     let why = format!("not a run folder: no {PIPELINE}; name a pipeline file or a run folder");
     Err(Error::input(path, why))
@@ -78,12 +78,14 @@ pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
     numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
 }
 
-/// Reads all models as one ensemble; a file may contain several. Members of several files get numbers as names.
+/// Reads all models, files or run folders, as one ensemble; a file may contain several. Members of several files get
+/// numbers as names.
 pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
+    let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
     if let [path] = paths {
-        return file::read_ensemble(path);
+        return read(path);
     }
-    let files: Vec<Ensemble> = paths.iter().map(|path| file::read_ensemble(path)).collect::<Result<_>>()?;
+    let files: Vec<Ensemble> = paths.iter().map(read).collect::<Result<_>>()?;
     if let Some(place) = files.iter().position(|file| file.residuals().is_some()) {
         let what = "has a residual process, which predicts for this model alone; give it as the only model";
         return Err(Error::input(&paths[place], what));
@@ -109,9 +111,7 @@ pub(super) fn chosen(known: &[Receiver], names: &[String]) -> Result<Vec<usize>>
 
 fn unknown(known: &[Receiver], name: &str) -> Error {
     let near = did_you_mean(name, known.iter().map(|receiver| receiver.name.as_str()));
-    let list = known.iter().take(LISTED).map(|r| strip_control(&r.name)).collect::<Vec<_>>().join(", ");
-    let more = known.len().saturating_sub(LISTED);
-    let list = if more > 0 { format!("{list} and {more} more") } else { list };
+    let list = listed(known.iter().map(|r| strip_control(&r.name)), LISTED);
     Error::Config(format!(
         "--receiver {}: no such receiver in the model{near} (receivers: {list})",
         strip_control(name)

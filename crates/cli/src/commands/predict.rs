@@ -20,7 +20,7 @@ const CHUNK: usize = 64;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Needs only the model file. Writes all files or none. predictions.csv has a row per position and
+Needs only the model. Writes all files or none. predictions.csv has a row per position and
 receiver, with the latency in ms, the distance to the nearest training position in metres and:
   spectra   azimuth and elevation of the strongest direction in degrees, and its value
   powers    power in dBm
@@ -35,14 +35,14 @@ A warning counts extrapolations: positions farther from all training positions t
 spacing (95th percentile of nearest-neighbour distances).
 
 EXAMPLES
-  pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out predicted
-  pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --interval 0.9 --out band
+  pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --out predicted
+  pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --interval 0.9 --out band
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
-  pwrfgs predict runs/quickstart/model.safetensors --tx-csv walk.csv --stacked --no-png --out walk
-  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv --receiver g01 --out walk-g01")]
+  pwrfgs predict runs/quickstart --tx-csv walk.csv --stacked --no-png --out walk
+  pwrfgs predict runs/ble --tx-csv walk.csv --receiver g01 --out walk-g01")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
-    /// Trained model (model.safetensors of a run); several form an ensemble
+    /// Run folder or model file; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame; for a moving receiver its position, and optionally its

@@ -1,13 +1,14 @@
 //! `pwrfgs update`: adds new measurements to the residual process of a trained model.
 
 use super::init::unknown_folder;
+use super::options::read_models;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{check_alike, staged};
 use pwrfgs::model::file;
-use pwrfgs_core::files::check_new_file;
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
@@ -20,9 +21,9 @@ become known links. Nothing is trained: the Gaussians, the network and the corre
 The data need the observations, receivers and frequencies of the model.
 
 EXAMPLES
-  pwrfgs update runs/lab/model.safetensors --data data/today --out today.safetensors")]
+  pwrfgs update runs/lab --data data/today --out today.safetensors")]
 pub(crate) struct Update {
-    /// Trained model with a residual process (model.safetensors of a run)
+    /// Run folder or model file, with a residual process
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Folder of new data (layouts in docs/data.md)
@@ -35,7 +36,7 @@ pub(crate) struct Update {
 
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
-    let model = file::read_ensemble(&arguments.model)?;
+    let model = read_models(std::slice::from_ref(&arguments.model))?;
     let Some(residuals) = model.residuals() else {
         let what = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
         return Err(Error::input(&arguments.model, what));
@@ -66,7 +67,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
         return Err(Error::input(&arguments.data, "no link at a receiver with a residual process"));
     }
     let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
-    file::write_ensemble(&arguments.out, &updated)?;
+    create(&arguments.out, &file::ensemble_to_bytes(&updated))?;
     let things = data.task().counted[usize::from(added != 1)];
     let out = arguments.out.display();
     verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));

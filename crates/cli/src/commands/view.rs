@@ -4,10 +4,10 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::with_run;
+use pwrfgs::experiment::{model_file, with_run};
 use pwrfgs::report::room_page;
 use pwrfgs::viewer::{ViewPane, view as show};
-use pwrfgs_core::files::{check_new_file, write_atomically};
+use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{Baseline, Error, Result};
@@ -71,10 +71,11 @@ fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     if Path::new(run).is_file() {
         return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
     }
+    model_file(Path::new(run))?; // a clear error for the folder of a sweep
     check_new_file(file)?;
     let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
     let (page, predicts) = made?;
-    write_atomically(file, page.as_bytes())?;
+    create(file, page.as_bytes())?;
     let content =
         if predicts { "the model predicts in the page" } else { "the page contains stored data and does not predict" };
     verbosity.note(&format!("{content}: {}", file.display()));

@@ -1,8 +1,10 @@
 //! `NewFolder`: atomic creation of a folder.
 
-use super::refuse_occupied;
+use super::held::lock_unused;
+use super::{parent, refuse_occupied};
 use crate::{Error, Result};
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind};
 use std::mem;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,6 +12,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Marker of a folder in progress. The process that fills the folder locks it; killing the process releases the lock.
 const LOCK: &str = ".pwrfgs-lock";
+/// Name of the marker until it is locked.
+const UNLOCKED: &str = ".pwrfgs-lock.new";
 /// Maximum length of the target name inside the temporary name; the rest is omitted.
 const LONGEST: usize = 60;
 /// Maximum number of attempts to remove a folder while another thread writes to it.
@@ -36,10 +40,10 @@ impl NewFolder {
     /// # Errors
     /// `out` is not empty or has no folder name, or writing fails.
     pub fn begin(out: &Path) -> Result<Self> {
-        if out.file_name().is_none() || out.is_symlink() {
-            return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
+        if let Some(_unused) = lock_unused(&out.join(LOCK)) {
+            let _ = fs::remove_file(out.join(LOCK)); // the process was killed while it published the folder
         }
-        refuse_occupied(out)?;
+        check_target(out)?;
         Self::next_to(out)
     }
 
@@ -49,15 +53,21 @@ impl NewFolder {
     /// Writing fails.
     pub fn next_to(out: &Path) -> Result<Self> {
         static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may create the same folder twice concurrently
-        let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let parent = parent(out);
         let name = short_name(out);
         fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
         clear(parent, Some(&name));
-        let mut folders = under_way();
-        let k = COUNT.fetch_add(1, Ordering::Relaxed);
-        let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
-        let made = fs::create_dir(&path).and_then(|()| locked(&path));
-        let lock = made.map_err(|e| Error::write(&path, e))?;
+        let (mut folders, mut attempts) = (under_way(), 0..ATTEMPTS);
+        let (path, lock) = loop {
+            let k = COUNT.fetch_add(1, Ordering::Relaxed);
+            let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
+            match fs::create_dir(&path).and_then(|()| locked(&path)) {
+                Ok(lock) => break (path, lock),
+                // Another process removed the folder before it had a lock.
+                Err(e) if e.kind() == ErrorKind::NotFound && attempts.next().is_some() => {}
+                Err(e) => return Err(Error::write(&path, e)),
+            }
+        };
         folders.push(path.clone());
         Ok(Self { path, out: out.into(), _lock: lock })
     }
@@ -103,13 +113,13 @@ impl NewFolder {
     /// Renames the folder to its target. An empty folder at the target is replaced.
     ///
     /// # Errors
-    /// Renaming fails.
+    /// As [`Self::begin`], if something has appeared at the target since; renaming fails.
     pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
         let _held = under_way(); // a folder emptied by `abandon_all` must not be published
         // If the target is missing or not empty, the rename reports the relevant error.
         let _ = fs::remove_dir(&self.out);
-        fs::rename(&self.path, &self.out).map_err(refuse)?;
+        fs::rename(&self.path, &self.out).map_err(|e| check_target(&self.out).err().unwrap_or_else(|| refuse(e)))?;
         fs::remove_file(self.out.join(LOCK)).map_err(refuse)
     }
 }
@@ -121,16 +131,27 @@ impl Drop for NewFolder {
     }
 }
 
+/// Rejects a target that is not empty or has no folder name.
+fn check_target(out: &Path) -> Result<()> {
+    if out.file_name().is_none() || out.is_symlink() {
+        return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
+    }
+    refuse_occupied(out)
+}
+
 fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
     UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Creates the lock of a new folder. The file is locked before it gets its name, so that other processes never find it
 /// unlocked.
-fn locked(folder: &Path) -> std::io::Result<File> {
-    let (new, own) = (folder.join(format!("{LOCK}.new")), folder.join(LOCK));
+fn locked(folder: &Path) -> io::Result<File> {
+    let (new, own) = (folder.join(UNLOCKED), folder.join(LOCK));
     let lock = File::create_new(&new)?;
-    let _ = lock.try_lock(); // file systems without locks are accepted
+    // File systems without locks are accepted; a lock of another process means that it removes the folder.
+    if let Err(TryLockError::WouldBlock) = lock.try_lock() {
+        return Err(ErrorKind::NotFound.into());
+    }
     fs::rename(&new, &own)?;
     Ok(lock)
 }
@@ -146,9 +167,9 @@ fn clear(parent: &Path, name: Option<&str>) {
         if !is_under_way(&entry.file_name().to_string_lossy(), name) || path.is_symlink() {
             continue;
         }
-        if super::open(path.join(LOCK)).is_ok_and(|lock| lock.try_lock().is_ok()) {
-            let _ = fs::remove_dir_all(&path); // failure is harmless
-        }
+        let left = [LOCK, UNLOCKED].iter().find_map(|name| lock_unused(&path.join(name)));
+        // Failure is harmless. A folder without a marker is removed only if it is empty.
+        let _ = if left.is_some() { fs::remove_dir_all(&path) } else { fs::remove_dir(&path) };
     }
 }
 
@@ -187,7 +208,7 @@ mod tests {
         let again = NewFolder::begin(&out).unwrap(); // the same folder, concurrently
         fs::write(folder.path().join("x"), "2").unwrap();
         folder.publish().unwrap();
-        assert!(again.publish().is_err(), "the first is there");
+        assert!(again.publish().unwrap_err().is_input(), "the first is there");
         assert_eq!((names(&here.path().join("a")), names(&out)), (vec!["data".into()], vec!["x".into()]));
         assert!(NewFolder::begin(&out).unwrap_err().to_string().contains("is not empty (it holds `x`)"));
         assert!(NewFolder::begin(Path::new("/")).is_err());
@@ -227,7 +248,11 @@ mod tests {
         [".data.1-0.tmp", ".data.2-0.tmp", ".data.x-0.tmp", ".data.2-0.tmp.txt", ".data.7.tmp", ".other.1-3.tmp"]
             .into_iter()
             .for_each(left);
+        fs::create_dir(here.path().join(".data.4-0.tmp")).unwrap();
         fs::create_dir(here.path().join(".data.3-0.tmp")).unwrap(); // without a lock its owner is unknown
+        fs::write(here.path().join(".data.3-0.tmp/x"), "").unwrap();
+        fs::create_dir(here.path().join(".data.5-0.tmp")).unwrap();
+        fs::write(here.path().join(".data.5-0.tmp").join(UNLOCKED), "").unwrap();
         let busy = File::open(here.path().join(".data.2-0.tmp").join(LOCK)).unwrap();
         busy.lock().unwrap();
         NewFolder::begin(&here.path().join("data")).unwrap().publish().unwrap();

@@ -1,5 +1,6 @@
 //! `sweep.json`: the runs of a sweep folder.
 
+use crate::text::listed;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically, write_new};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -10,6 +11,8 @@ use std::path::{Component, Path};
 
 /// File that marks a sweep folder.
 pub const LISTING: &str = "sweep.json";
+/// Maximum number of runs in a message.
+const NAMED: usize = 8;
 
 /// All runs of a sweep, in order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,6 +74,11 @@ impl Listing {
     /// [`Error::Write`].
     pub fn write(&self, folder: &Path) -> Result<()> {
         write_atomically(&folder.join(LISTING), self.to_json().as_bytes())
+    }
+
+    /// Returns the names of the first runs, for messages.
+    pub fn run_names(&self) -> String {
+        listed(self.runs.iter().map(|run| run.folder.as_str()), NAMED)
     }
 
     /// Checks that `folder` can hold this sweep; read-only. Returns the existing listing.

@@ -39,10 +39,11 @@ struct Owned {
 /// # Errors
 /// If the reference does not exist, the folder is not a report, or a file cannot be written.
 pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
-    refuse_links(out)?;
-    let before = owned(out)?;
+    let check = || refuse_links(out).and_then(|()| owned(out));
+    check()?; // before the figures are drawn
     let page = StudyPage::new(study, reference, observer)?;
     let files = files(&page)?;
+    let before = check()?; // another program may have written there meanwhile
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
         let path = out.join(foreign);
@@ -54,12 +55,9 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
     }
     // First the list of all files, so that an interrupted report can be replaced.
     own(out, &before.files | &names)?;
+    before.files.difference(&names).for_each(|old| files::remove(&out.join(old)));
     for (name, bytes) in &files {
         write_atomically(&out.join(name), bytes)?;
-    }
-    for old in before.files.difference(&names) {
-        // The user may have removed the file already.
-        _ = std::fs::remove_file(out.join(old));
     }
     // Removes the folder of figures if it is empty.
     _ = std::fs::remove_dir(out.join("figures"));
@@ -67,10 +65,9 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
     Ok(text(&page))
 }
 
-/// Names and bytes of all files except [`OWN`].
+/// Names and bytes of all files except [`OWN`]. The page is the last: a new folder with a page is complete.
 fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = vec![("report.csv".into(), page.csv.clone().into())];
-    files.extend(documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
     for section in &page.sections {
         for figure in &section.figures {
             let stem = format!("figures/{}-{}", section.name, figure.name);
@@ -79,6 +76,7 @@ fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
             files.push((format!("{stem}.png"), figure.png.clone()));
         }
     }
+    files.extend(documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
     Ok(files)
 }
 
@@ -122,7 +120,7 @@ fn own(out: &Path, files: BTreeSet<String>) -> Result<()> {
     write_atomically(&out.join(OWN), text.as_bytes())
 }
 
-/// Names and texts of all documents: `report.html`, `report.tex` with one file per table.
+/// Names and texts of all documents: `report.tex` with one file per table, then `report.html`.
 fn documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     let (mut all, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {

@@ -22,11 +22,34 @@ const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_i
 /// Error for a folder without data of a known layout.
 pub(crate) fn unknown_folder(folder: &Path) -> Error {
     let what = match folder.metadata() {
-        Ok(entry) if entry.is_dir() => UNKNOWN,
-        Ok(_) => "is a file; give a folder in a layout of docs/data.md",
-        Err(_) => "no such folder",
+        Ok(entry) if entry.is_dir() => UNKNOWN.to_owned(),
+        Ok(_) => format!("is a file; {}", advice(folder)),
+        Err(_) => "no such folder".to_owned(),
     };
     Error::input(folder, what)
+}
+
+/// Next step for a file that was given instead of a folder.
+fn advice(file: &Path) -> String {
+    let folder = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if recognise(folder).is_some() {
+        return format!("give the folder of the data, {}", folder.display());
+    }
+    let import = match extension(file).as_str() {
+        "csv" => "convert a table of links with `pwrfgs import --links",
+        "npy" | "npz" => "convert spectra with `pwrfgs import --spectra",
+        _ => return "give a folder in a layout of docs/data.md".into(),
+    };
+    format!("give a folder in a layout of docs/data.md, or {import} {} --out FOLDER`", file.display())
+}
+
+/// Whether `path` is a table or an array.
+pub(crate) fn is_table(path: &Path) -> bool {
+    path.is_file() && ["csv", "npy", "npz"].contains(&extension(path).as_str())
+}
+
+fn extension(path: &Path) -> String {
+    path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
 }
 
 /// Content of a data folder, with a suitable split.
@@ -48,7 +71,7 @@ impl DataSurvey {
     pub(crate) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
-        let (split, partition) = suggested(&data)?;
+        let (split, partition) = suggested_split(&data)?;
         data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
         let nearest = test_distance(&data, &partition);
         Ok(Self { source, data, split, partition, nearest, clouds: clouds(folder) })
@@ -114,7 +137,7 @@ impl DataSurvey {
 }
 
 /// Split without leakage, as RON and applied: index files of the data, else cells of space, else a block of time.
-fn suggested(data: &Dataset) -> Result<(String, Partition)> {
+pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
     let try_out = |text: &str| -> Result<Partition> {
         let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;
         split.split(data, &mut rng::stream(0, "split", 0))
@@ -140,7 +163,7 @@ fn suggested(data: &Dataset) -> Result<(String, Partition)> {
 /// Readable point clouds in the folder, by name.
 fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
     let is_cloud = |path: &PathBuf| {
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+        let extension = extension(path);
         let points = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));
         path.is_file() && (extension == "ply" || extension == "xyz" || (extension == "csv" && points))
     };

@@ -3,9 +3,8 @@
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::read_transmitters;
-use pwrfgs::experiment::folder::MODEL_FILE;
-use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{grouped, number};
+use pwrfgs::experiment::{model_file, staged};
 use pwrfgs::model::file;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Dataset, Error, Result, evenly, recognise};
@@ -111,12 +110,7 @@ fn measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
             data: Some(data),
         });
     }
-    let model = if path.is_dir() { path.join(MODEL_FILE) } else { path.into() };
-    if path.is_dir() && !model.is_file() {
-        let what =
-            "neither data nor a run found; name a data folder (layouts: docs/data.md), a run folder or a model file";
-        return Err(Error::input(path, what));
-    }
+    let model = model_file(path)?;
     let ensemble = file::read_ensemble(&model)?;
     let known = ensemble.training_positions();
     if known.is_empty() {
