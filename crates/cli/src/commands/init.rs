@@ -72,6 +72,9 @@ const CAMERA_IMAGES: [&str; 5] = [
     "training.moving_stride=true",
     "training.tx_jitter_m=0.0",
 ];
+/// Changes to `CHANNELS`: the search begins on a coarse grid and takes a finer one only if held-out links gain.
+const COARSE_SEARCH: &str =
+    "initializer=MatchingPursuit(most: 10, reach: 1.0, step: 0.5, patience: 4, rounds: 0, finer: 1)";
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
@@ -155,7 +158,10 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
             set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
             (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
         }
-        None => (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()"),
+        None => {
+            set.push(COARSE_SEARCH.into());
+            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
     };
     set.push(format!("training.batch={}", survey.batch(batch)));
     set.push(format!("baselines=[{baselines}]"));

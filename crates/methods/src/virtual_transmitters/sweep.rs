@@ -13,11 +13,16 @@
 use crate::virtual_transmitters::cis::{Cis, widest};
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::turn::{matrix, turned};
+use pwrfgs_core::evenly;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// Number of positions that are evaluated together.
 const LANES: usize = 32;
+
+/// Number of layers per thread that are timed.
+const TIMED_LAYERS: usize = 2;
 
 /// Cube in shells, metres, and the rotations that are evaluated at each position.
 #[derive(Clone, Debug)]
@@ -75,6 +80,24 @@ impl Shell {
     }
 }
 
+/// Positions of a shell at one height, for one rotation.
+#[derive(Clone, Copy, Debug)]
+struct Layer {
+    shell: Shell,
+    /// Index of the rotation.
+    q: usize,
+    z: usize,
+}
+
+impl Layer {
+    /// Returns the number of positions.
+    fn positions(&self) -> usize {
+        let Self { shell, z, .. } = *self;
+        let line = |y| shell.stretches([shell.at(y), shell.at(z)]).iter().map(|(_, count)| count).sum::<usize>();
+        (0..shell.count()).map(line).sum()
+    }
+}
+
 impl SearchGrid {
     /// Returns the width of maxima at `place`, in steps of the innermost shell, at least 1. Maximum moves and the
     /// distance between distinct positions scale with it.
@@ -86,6 +109,15 @@ impl SearchGrid {
     /// Returns whether a position is inside the cube.
     pub(crate) fn holds(&self, place: [f64; 3]) -> bool {
         (0..3).all(|k| (place[k] - self.centre[k]).abs() <= self.half)
+    }
+
+    /// Returns all layers of all shells, for each rotation.
+    fn layers(&self) -> Vec<Layer> {
+        let of = |shell: Shell| {
+            let layer = move |q| (0..shell.count()).map(move |z| Layer { shell, q, z });
+            (0..self.quats.len()).flat_map(layer)
+        };
+        self.shells().into_iter().flat_map(of).collect()
     }
 
     fn shells(&self) -> Vec<Shell> {
@@ -112,10 +144,29 @@ impl SearchGrid {
 /// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
 /// set.
 pub(crate) fn sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
-    let layers = |s: Shell| (0..grid.quats.len()).flat_map(move |q| (0..s.count()).map(move |z| (s, q, z)));
-    let tasks: Vec<(Shell, usize, usize)> = grid.shells().into_iter().flat_map(layers).collect();
+    sweep_layers(rows, grid, &grid.layers(), most, stop)
+}
+
+/// Sweeps a few layers; returns the best `most` positions in them, and the expected time of all layers, seconds.
+pub(crate) fn timed_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
+    let all = grid.layers();
+    let lines = |layers: &[Layer]| layers.iter().map(Layer::positions).sum::<usize>() as f64;
+    let few: Vec<Layer> = evenly(&all, TIMED_LAYERS * rayon::current_num_threads());
+    let begun = Instant::now();
+    let peaks = sweep_layers(rows, grid, &few, most, &AtomicBool::new(false));
+    (peaks, begun.elapsed().as_secs_f64() * lines(&all) / lines(&few).max(1.0))
+}
+
+/// Sweeps some layers.
+fn sweep_layers(
+    rows: &MeasurementRows,
+    grid: &SearchGrid,
+    tasks: &[Layer],
+    most: usize,
+    stop: &AtomicBool,
+) -> Vec<Peak> {
     let turned: Vec<SweepRows> = grid.quats.iter().map(|q| SweepRows::new(rows, *q, grid.centre)).collect();
-    let layer = |&(shell, q, z): &(Shell, usize, usize)| {
+    let layer = |&Layer { shell, q, z }: &Layer| {
         let mut found = Vec::new();
         let mut least = 0.0;
         for y in 0..shell.count() {
