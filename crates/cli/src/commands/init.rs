@@ -148,10 +148,13 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
             }
         }
         _ if survey.data.task().is_scalar => {
-            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site.
+            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site, in random directions: along
+            // the axes, maps have stripes.
             let longest = extent(&survey.data).max(1.0).ceil();
-            set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
-            set.push(format!("deformation.tx_encoding.shortest_m={:?}", (longest / 8.0).min(2.0)));
+            let shortest = (longest / 8.0).min(2.0);
+            set.push(format!(
+                "deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)"
+            ));
             (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
         }
         Some(width) => {

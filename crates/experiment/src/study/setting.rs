@@ -316,10 +316,30 @@ impl<'a> VariantFamily<'a> {
     }
 }
 
-/// Label without its numbers.
+/// Label without its numbers and what they number: `masks` for `masks, target 24` and for `masks λ = 0.02`.
 fn family(label: &str) -> String {
-    let is_number = |word: &&str| word.trim_end_matches(',').parse::<f64>().is_err();
-    label.split_whitespace().filter(is_number).collect::<Vec<_>>().join(" ")
+    let is_number = |word: &str| word.rsplit(['=', ':']).next().is_some_and(|value| value.parse::<f64>().is_ok());
+    let is_symbol = |word: &str| word.chars().count() == 1;
+    let mut parts: Vec<Vec<&str>> = Vec::new();
+    for part in label.split(',').map(|part| part.split_whitespace().collect::<Vec<_>>()) {
+        let mut words: Vec<&str> = Vec::new();
+        for &word in &part {
+            match word {
+                number if is_number(number) => {
+                    let kept = words.iter().rposition(|word| !is_symbol(word)).map_or(0, |last| last + 1);
+                    words.truncate(kept);
+                }
+                word => words.push(word),
+            }
+        }
+        let is_axis = matches!(part[..], [_, number] if is_number(number));
+        parts.extend((!words.is_empty() && !(is_axis && label.contains(','))).then_some(words));
+    }
+    let name = parts.iter().map(|words| words.join(" ")).collect::<Vec<_>>().join(", ");
+    match label.split_whitespace().next() {
+        Some(axis) if name.is_empty() && !is_number(axis) => format!("by {}", axis.trim_end_matches(',')),
+        _ => name,
+    }
 }
 
 /// N of a variant, if its seeds agree.
@@ -433,6 +453,12 @@ mod tests {
         assert_eq!(family("lambda 0.02, cloud"), family("lambda 0.4, cloud"));
         assert_ne!(family("lambda 0.02, cloud"), family("lambda 0.02, random"));
         assert_ne!(family("method Pup3dgs, target 24"), family("method Pup2dgs, target 24"));
-        assert_eq!(family("method Pup3dgs, target 24"), "method Pup3dgs, target");
+        assert_eq!(family("method Pup3dgs, target 24"), "method Pup3dgs");
+        for label in ["masks λ 0.02", "masks λ=0.02", "masks λ = 0.02", "masks, λ 0.02", "masks 0.02", "λ 0.02, masks"]
+        {
+            assert_eq!(family(label), "masks", "{label}");
+        }
+        let single = ["λ 0.02", "a long name 8", "WRF-GS", "blending, N 250, equal time", "0.02"].map(family);
+        assert_eq!(single, ["by λ", "a long name", "WRF-GS", "blending, equal time", ""]);
     }
 }

@@ -93,7 +93,7 @@ pub(crate) fn expected_seconds(links: &ChannelInputs<'_>, channel: &[[Real; 2]],
         let own = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
         let search = PursuitSearch::new((links, channel), &own, &stop, (&fitted, &held_out));
         let (peaks, sweep) = timed_sweep(&search.coarse, &search.grid, own.peaks);
-        let [candidate, settled] = search.timed_candidate(peaks);
+        let [candidate, settled] = search.timed_candidate(&peaks);
         let MatchingPursuit { most, patience, rounds, .. } = own.settings;
         // Beyond the first sweep, a candidate may come from the remaining peaks.
         let least = sweep + candidate * if level == 0 { (1 + patience).min(most) as f64 } else { 1.0 };
@@ -197,15 +197,16 @@ impl<'a> PursuitSearch<'a> {
 
     /// Returns the expected time to refine `peaks` and add the best, and of the second part alone, seconds. The sources
     /// are half of the maximum.
-    fn timed_candidate(&self, peaks: Vec<Peak>) -> [f64; 2] {
+    fn timed_candidate(&self, peaks: &[Peak]) -> [f64; 2] {
         let PursuitOptions { order, settings, .. } = self.options;
         let (none, mut sources) = (VirtualSources::new(*order), VirtualSources::new(*order));
-        for peak in evenly(&peaks, settings.most.div_ceil(2)) {
+        for peak in evenly(peaks, settings.most.div_ceil(2)) {
             sources.push(peak.place, peak.quat, [0.0; 2]);
         }
         let begun = Instant::now();
-        _ = self.refined(&self.rows.residual(&none), peaks, 1, &none);
-        let refined = begun.elapsed().as_secs_f64();
+        // All peaks of a sweep take about twice as long.
+        _ = self.refined(&self.rows.residual(&none), evenly(peaks, CLIMB), 1, &none);
+        let refined = 2.0 * begun.elapsed().as_secs_f64();
         let begun = Instant::now();
         let ridge = vec![1e-9 * self.rows.energy(); sources.len()];
         _ = refine(&self.rows, &mut sources, &ridge, self.walk(1));

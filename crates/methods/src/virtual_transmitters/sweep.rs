@@ -16,13 +16,13 @@ use crate::virtual_transmitters::turn::{matrix, turned};
 use pwrfgs_core::evenly;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Number of positions that are evaluated together.
 const LANES: usize = 32;
 
-/// Number of layers per thread that are timed.
-const TIMED_LAYERS: usize = 2;
+/// Time of the lines that are timed.
+const TIMED: Duration = Duration::from_millis(400);
 
 /// Cube in shells, metres, and the rotations that are evaluated at each position.
 #[derive(Clone, Debug)]
@@ -90,11 +90,11 @@ struct Layer {
 }
 
 impl Layer {
-    /// Returns the number of positions.
-    fn positions(&self) -> usize {
-        let Self { shell, z, .. } = *self;
-        let line = |y| shell.stretches([shell.at(y), shell.at(z)]).iter().map(|(_, count)| count).sum::<usize>();
-        (0..shell.count()).map(line).sum()
+    /// Returns the number of positions of every `stride`th line.
+    fn positions(&self, stride: usize) -> usize {
+        let Self { shell, z, .. } = self;
+        let line = |y| shell.stretches([shell.at(y), shell.at(*z)]).iter().map(|(_, count)| count).sum::<usize>();
+        (0..shell.count()).step_by(stride).map(line).sum()
     }
 }
 
@@ -144,24 +144,33 @@ impl SearchGrid {
 /// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
 /// set.
 pub(crate) fn sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
-    sweep_layers(rows, grid, &grid.layers(), most, stop)
+    sweep_lines(rows, grid, (&grid.layers(), 1), most, stop)
 }
 
-/// Sweeps a few layers; returns the best `most` positions in them, and the expected time of all layers, seconds.
+/// Sweeps a few lines for about [`TIMED`]; returns the best `most` positions in them, and the expected time of the whole
+/// sweep, seconds.
 pub(crate) fn timed_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
-    let all = grid.layers();
-    let lines = |layers: &[Layer]| layers.iter().map(Layer::positions).sum::<usize>() as f64;
-    let few: Vec<Layer> = evenly(&all, TIMED_LAYERS * rayon::current_num_threads());
-    let begun = Instant::now();
-    let peaks = sweep_layers(rows, grid, &few, most, &AtomicBool::new(false));
-    (peaks, begun.elapsed().as_secs_f64() * lines(&all) / lines(&few).max(1.0))
+    let layers = evenly(&grid.layers(), 2 * rayon::current_num_threads());
+    let mut stride = usize::MAX;
+    loop {
+        let begun = Instant::now();
+        let peaks = sweep_lines(rows, grid, (&layers, stride), most, &AtomicBool::new(false));
+        let took = begun.elapsed();
+        if took > TIMED / 4 || stride == 1 {
+            let positions: usize = layers.iter().map(|layer| layer.positions(stride)).sum();
+            return (peaks, took.as_secs_f64() * grid.len() as f64 / positions.max(1) as f64);
+        }
+        let longest = layers.iter().map(|layer| layer.shell.count()).max().unwrap_or(1);
+        let more = TIMED.as_secs_f64() / took.as_secs_f64().max(1e-6);
+        stride = ((longest.min(stride) as f64 / more) as usize).max(1);
+    }
 }
 
-/// Sweeps some layers.
-fn sweep_layers(
+/// Sweeps every `stride`th line of some layers.
+fn sweep_lines(
     rows: &MeasurementRows,
     grid: &SearchGrid,
-    tasks: &[Layer],
+    (layers, stride): (&[Layer], usize),
     most: usize,
     stop: &AtomicBool,
 ) -> Vec<Peak> {
@@ -169,7 +178,7 @@ fn sweep_layers(
     let layer = |&Layer { shell, q, z }: &Layer| {
         let mut found = Vec::new();
         let mut least = 0.0;
-        for y in 0..shell.count() {
+        for y in (0..shell.count()).step_by(stride) {
             if stop.load(Ordering::Relaxed) {
                 return found;
             }
@@ -194,7 +203,7 @@ fn sweep_layers(
         grid.thin(&mut found, most);
         found
     };
-    let layers: Vec<Vec<Peak>> = tasks.par_iter().map(layer).collect();
+    let layers: Vec<Vec<Peak>> = layers.par_iter().map(layer).collect();
     let mut found = layers.concat();
     grid.thin(&mut found, most);
     found
