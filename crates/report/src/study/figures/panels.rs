@@ -17,7 +17,7 @@ const MOST_ROOMS: usize = 6;
 
 /// One variant per method: that with the number of Gaussians that most methods reach, or the nearest. All variants of a
 /// single method.
-fn methods(setting: &Setting) -> Vec<&StudyVariant> {
+pub(super) fn methods(setting: &Setting) -> Vec<&StudyVariant> {
     let families = VariantFamily::all(setting);
     if families.len() == 1 {
         return setting.variants.iter().collect();
@@ -107,8 +107,8 @@ struct ComparisonRow {
 }
 
 /// Predictions of a baseline or of a trained model.
-struct PredictionColumn<'a> {
-    label: String,
+pub(super) struct PredictionColumn<'a> {
+    pub(super) label: String,
     /// SSIM by sample.
     scores: BTreeMap<u32, f64>,
     predict: Box<dyn Fn(Query<'_>) -> Image + 'a>,
@@ -118,15 +118,7 @@ struct PredictionColumn<'a> {
 pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let methods = methods(setting);
     let shown = &methods[..methods.len().min(MOST_COLUMNS[1])];
-    let models = shown.iter().map(|v| v.runs[0].model(data)).collect::<Result<Vec<_>>>()?;
-    let mut columns = baselines(setting, data)?;
-    let first = columns.len();
-    for (variant, model) in shown.iter().zip(&models) {
-        let Some(scores) = variant.runs[0].scores.by_id(MODEL, "ssim") else { return Ok(None) };
-        let prepared = model.prepare();
-        let predict = Box::new(move |query: Query<'_>| prepared.predict_timed(query).0);
-        columns.push(PredictionColumn { label: variant.label.clone(), scores, predict });
-    }
+    let columns = spectra_columns(setting, shown, data)?;
     let row = |(name, id): (&'static str, u32)| {
         let index = (0..data.len()).find(|&i| data.label(i) == id)?;
         let predict = |column: &PredictionColumn<'_>| {
@@ -135,15 +127,33 @@ pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure
         let predicted = columns.iter().map(predict).collect::<Option<_>>()?;
         Some(ComparisonRow { name, id, truth: data.image(index), predicted })
     };
-    let scores: Vec<&BTreeMap<u32, f64>> = columns[first..].iter().map(|column| &column.scores).collect();
+    let trained = &columns[columns.len() - shown.len()..];
+    let scores: Vec<&BTreeMap<u32, f64>> = trained.iter().map(|column| &column.scores).collect();
     let rows: Vec<ComparisonRow> = chosen(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {
         return Ok(None);
     }
     let labels: Vec<&str> = columns.iter().map(|column| column.label.as_str()).collect();
-    let canvas = draw_spectra(&labels, &rows, models[0].plane());
+    let canvas = draw_spectra(&labels, &rows, &shown[0].runs[0].pipeline.plane(data)?);
     let words = context! { first => shown[0].label.clone(), more => methods.len() - shown.len() };
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
+}
+
+/// Columns of the figure: baselines, then the methods.
+pub(super) fn spectra_columns<'a>(
+    setting: &Setting,
+    methods: &[&StudyVariant],
+    data: &'a Dataset,
+) -> Result<Vec<PredictionColumn<'a>>> {
+    let mut columns = baselines(setting, data)?;
+    for variant in methods {
+        let run = &variant.runs[0];
+        let model = run.model(data)?;
+        let scores = run.scores.by_id(MODEL, "ssim").unwrap_or_default();
+        let predict = Box::new(move |query: Query<'_>| model.prepare().predict_timed(query).0);
+        columns.push(PredictionColumn { label: variant.label.clone(), scores, predict });
+    }
+    Ok(columns)
 }
 
 /// Best baselines by mean SSIM, without oracles and other programs, fitted again.
