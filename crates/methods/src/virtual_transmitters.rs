@@ -12,9 +12,9 @@ mod turn;
 
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
-pub use links::{ChannelInputs, VirtualSources};
+pub use links::{ChannelInputs, VirtualSources, snr_of};
 use pursuit::expected_seconds;
-pub use pursuit::{PursuitOptions, pursue, snr_of};
+pub use pursuit::{PursuitOptions, pursue};
 
 use crate::groups::ReceiverGroup;
 use crate::readout::magnitudes;

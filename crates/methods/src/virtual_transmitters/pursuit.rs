@@ -3,7 +3,7 @@
 
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
-use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
+use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_of};
 use crate::virtual_transmitters::solve::{RefineOptions, gains, refine};
 use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin, timed_sweep};
 use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
@@ -359,15 +359,4 @@ impl<'a> PursuitSearch<'a> {
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
-}
-
-/// Returns −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
-pub fn snr_of<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
-    let (mut wrong, mut all) = (0.0, 0.0);
-    for (p, t) in predicted.iter().zip(truth) {
-        let [p, t] = [p, t].map(|z| z.map(f64::from));
-        wrong += (p[0] - t[0]).powi(2) + (p[1] - t[1]).powi(2);
-        all += t[0] * t[0] + t[1] * t[1];
-    }
-    -10.0 * (wrong / all).log10()
 }
