@@ -132,16 +132,21 @@ fn pruning_open_gates_is_identity() {
 
 #[test]
 fn pruning_to_zero_stops_unless_target_is_one() {
-    for pruners in [
-        "OpacityThreshold(epsilon: 0.99)",
-        "LearnableMask(lambda: 1, learning_rate: 3)",
-        "LearnableMask(lambda: 1, learning_rate: 3), OpacityThreshold(epsilon: 0.99)",
-    ] {
+    let masks = "LearnableMask(lambda: 1, learning_rate: 3)";
+    let (rule, both) = ("OpacityThreshold(epsilon: 0.99)", format!("{masks}, OpacityThreshold(epsilon: 0.99)"));
+    // Open masks and a rule that removes all; closed masks are a result, with or without that rule.
+    let open = "LearnableMask(), OpacityThreshold(epsilon: 0.99)";
+    for (pruners, is_result) in [(rule, false), (open, false), (masks, true), (&both, true)] {
         let pipeline = training(pruners, "prune_every: 6");
         let (data, partition) = data_of(&pipeline);
         let mut trainer = pipeline.trainer(&data, &partition).unwrap();
-        let failed = (0..12).find_map(|_| trainer.step().err());
-        assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
+        let failed = (0..30).find_map(|_| trainer.step().err());
+        if is_result {
+            assert!(failed.is_none() && trainer.model().cloud.len() == 1, "{pruners}: {failed:?}");
+            assert_eq!(trainer.idle_masks(), None, "{pruners}");
+        } else {
+            assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
+        }
 
         let pipeline = training(&format!("TopK(), {pruners}"), "prune_every: 6, target_count: 1");
         let mut trainer = pipeline.trainer(&data, &partition).unwrap();
@@ -154,6 +159,24 @@ fn pruning_to_zero_stops_unless_target_is_one() {
         assert_eq!((counts[10], counts[11], counts[29]), (40, 1, 1), "{pruners}: {counts:?}");
         assert_eq!(trainer.model().cloud.len(), 1, "{pruners}");
         assert!(trainer.model().cloud.extra.is_empty());
+    }
+}
+
+#[test]
+fn resumed_training_counts_closed_masks() {
+    for (rate, said) in [("0.01", Some("masks closed 0 of 40 Gaussians")), ("3", None)] {
+        let pipeline = training(&format!("LearnableMask(lambda: 1, learning_rate: {rate})"), "prune_every: 6");
+        let (data, partition) = data_of(&pipeline);
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
+        (0..18).for_each(|_| drop(trainer.step().unwrap()));
+        let plan = pipeline.plan().unwrap();
+        let mut resumed = Trainer::restore(&plan, &data, &partition, &trainer.checkpoint()).unwrap();
+        while !resumed.finished() {
+            resumed.step().unwrap();
+        }
+        let found = resumed.idle_masks();
+        assert!(found.as_deref().is_some_and(|text| text.contains("λ")) == said.is_some(), "{found:?}");
+        assert!(said.is_none_or(|said| found.is_some_and(|text| text.starts_with(said))), "rate {rate}");
     }
 }
 

@@ -150,13 +150,14 @@ impl Observer for RunProgress {
             if self.bar.is_none() {
                 self.draw_bar(total as u64);
             }
+            let left = duration((now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64);
             if let Some(bar) = &self.bar {
-                let left = (now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64;
-                bar.set_message(format!("{name}  {} left", duration(left)));
+                bar.set_message(format!("{name}  {left} left"));
                 bar.set_position(done as u64);
             } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.pause() {
                 self.shown = now;
-                self.print_line(&format!("{name}: {} of {}", grouped(done as i64), grouped(total as i64)));
+                let (done, total) = (grouped(done as i64), grouped(total as i64));
+                self.print_line(&format!("{name}: {done} of {total}  {left} left"));
             }
         }
     }

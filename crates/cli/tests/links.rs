@@ -78,7 +78,7 @@ fn powers_are_reported_predicted_mapped_and_exported() {
 }
 
 /// Free space at two subcarriers in `here/waves`, and a pipeline of virtual transmitters beside it.
-fn free_space(here: &Path) {
+pub(crate) fn free_space(here: &Path) {
     let place = |k: usize| [1.0 + (k * 7 % 40) as f64 / 20.0, (k * 11 % 40) as f64 / 20.0, 1.0 + (k % 5) as f64 / 10.0];
     let gain = |k: usize, hz: f64| {
         let d = place(k).iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -205,6 +205,8 @@ fn suggests_pipeline_for_every_layout() {
         text.contains("Nerf2Rssi(") && text.contains("ReceivedPower(") && text.contains("longest_m: 10.0"),
         "{text}"
     );
+    // Waves along the axes make stripes in maps.
+    assert!(text.contains("shortest_m: 1.25") && text.contains("seed: 0,\n        )"), "{text}");
     succeed(here, &["run", "powers.ron", "--out", "powers", "--scale", "0.005"]);
     #[cfg(feature = "raytrace")]
     {
@@ -215,7 +217,10 @@ fn suggests_pipeline_for_every_layout() {
             succeed(here, &["init", layout, "--out", &ron]);
             let text = read(&here.join(&ron));
             assert!(words.iter().all(|word| text.contains(word)) && text.contains("Official("), "{text}");
-            succeed(here, &["check", &ron]);
+            let plan = succeed(here, &["check", &ron]);
+            let has_search = String::from_utf8_lossy(&plan.stdout).contains(" of initial search, then ");
+            assert_eq!(has_search, layout == "channels", "{plan:?}");
+            assert_eq!(text.contains("reach: 1.0,") && text.contains("finer: 1,"), has_search, "{text}");
             succeed(here, &["inspect", layout, "-q"]);
         }
     }

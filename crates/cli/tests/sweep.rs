@@ -108,6 +108,8 @@ fn failed_run_does_not_stop_other_runs() {
         let output = call(here, &["sweep", "e.ron"]);
         assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
         assert!(stderr(&output).contains("2 of 4 runs failed") && stderr(&output).contains("is not finite at step"));
+        let report = std::fs::read_to_string(here.join("runs/tiny/report/report.csv")).unwrap();
+        assert!(report.contains("lambda 0.02") && !report.contains("start few"), "finished runs only: {report}");
         let status = stdout(&succeed(here, &["sweep", "e.ron", "--status"]));
         assert!(status.contains("2 of 4 runs finished") && status.matches("failed: ").count() == 2, "{status}");
     }

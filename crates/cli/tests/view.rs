@@ -2,7 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, stderr, succeed, write};
-use crate::links::hall;
+use crate::links::{free_space, hall};
 use crate::locate::hall_with_validation;
 use crate::model_format::models;
 use pwrfgs::model::{compress, file};
@@ -342,6 +342,57 @@ fn report_works_offline_and_without_scripts() {
     page.wait("document.querySelector('[data-ready]')");
     page.ask("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
     assert_eq!(seen(&page), json!("none"), "nor on paper");
+}
+
+#[test]
+fn saved_pages_of_powers_and_channels_show_predictions() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    free_space(here);
+    succeed(here, &["run", "waves.ron", "--out", "waves-run", "--scale", "0.05", "-q"]);
+    for (run, titles) in [("run", "Received power"), ("waves-run", "Magnitude,Power delay profile")] {
+        let file = here.join(format!("{run}.html"));
+        succeed(here, &["view", run, "--save", file.to_str().unwrap()]);
+        let address = format!("file://{}", file.display());
+        let Some(page) = Browser::open(&address, [1300, 900]) else { return skipped(NO_BROWSER) };
+        page.wait("document.querySelector('[data-ready]')");
+        let shown = page
+            .eval("[...document.querySelectorAll('[data-pictures] figcaption')].map((own) => own.textContent).join()");
+        assert_eq!(shown, json!(titles), "{run}");
+        let numbers = page.eval("document.querySelector('[data-numbers]').textContent");
+        let numbers = numbers.as_str().unwrap();
+        assert!(numbers.contains("(test), 0.00 m away") && !numbers.contains("latency"), "{run}: {numbers}");
+        let inked = page.eval(
+            "(() => { const own = document.querySelector('[data-pictures] canvas');
+            const { data } = own.getContext('2d').getImageData(0, 0, own.width, own.height);
+            return data.some((v, k) => k % 4 === 3 && v > 0); })()",
+        );
+        assert_eq!(inked, json!(true), "{run}");
+        assert_eq!(page.console(), Vec::<String>::new());
+    }
+}
+
+#[test]
+fn page_opens_with_the_room_in_sight() {
+    let served = Served::start(small_run(), &["run"]);
+    let Some(page) = Browser::open(&served.address, [1300, 700]) else { return skipped(NO_BROWSER) };
+    page.wait("document.querySelector('[data-ready]')");
+    let bottom = page.eval("document.querySelector('[data-room]').getBoundingClientRect().bottom");
+    assert!(bottom.as_f64().unwrap() <= 700.0, "the room ends at {bottom} of 700 pixels");
+    // A Gaussian before the room is not drawn; one in its middle is.
+    let changes = |share: f64| {
+        page.eval(&format!(
+            "(() => {{ const {{ room }} = document.querySelector('main').stage.sides[0];
+            const picture = (layer) => {{ room.setGaussians(layer); room.draw(); return room.canvas.toDataURL(); }};
+            const [{{ eye }}, {{ target, distance }}] = [room.camera(), room.view];
+            const means = new Float32Array(eye.map((v, k) => v + {share} * (target[k] - v)));
+            const scales = new Float32Array(3).fill(0.2 * distance), quats = new Float32Array([1, 0, 0, 0]);
+            const colours = new Uint8Array([255, 0, 0, 255]);
+            return picture(null) !== picture({{ means, scales, quats, colours }}); }})()"
+        ))
+    };
+    assert_eq!([changes(0.2), changes(1.0)], [json!(false), json!(true)]);
 }
 
 #[test]

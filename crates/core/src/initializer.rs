@@ -51,6 +51,15 @@ pub trait Initializer: crate::plugin::PluginObject {
         self.initialize(&input.data.scene, input.plane, rng)
     }
 
+    /// Returns the shortest and longest expected time of [`Self::search`], seconds, from a few timed parts of it. By
+    /// default `[0.0, 0.0]`: no noticeable time.
+    ///
+    /// # Errors
+    /// As [`Self::search`].
+    fn search_seconds(&self, input: &InitializerInput<'_>) -> Result<[f64; 2]> {
+        Ok([0.0; 2])
+    }
+
     /// Returns initial weights; `None` for the standard initialisation.
     ///
     /// # Errors

@@ -4,9 +4,11 @@
 //! of a setting that differ only in their seed form a *variant*. A run of a sweep belongs to the variant of its labels;
 //! other run folders form variants of pipelines that differ only in seed and name.
 
+mod families;
 mod setting;
 
-pub use setting::{ParetoComparison, Setting, StudyVariant, VariantFamily, distinct, one_line};
+pub use families::{ParetoComparison, VariantFamily};
+pub use setting::{Setting, StudyVariant, distinct, one_line};
 
 use crate::Record;
 use crate::folder::PIPELINE;

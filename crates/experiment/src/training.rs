@@ -164,11 +164,14 @@ impl Training<'_, '_> {
         let model = trainer.model();
         let prunes =
             !self.pipeline.pruners.is_empty() && !self.pipeline.pruners.iter().any(|pruner| pruner.traits().grows);
+        let mut warn = |what: String| {
+            self.session.observer.on_warning(&format!("{}: {what}", folder.name().display()));
+        };
         if prunes && fullest == 0 && !model.cloud.is_empty() {
-            let (folder, n) = (folder.name().display(), model.cloud.len());
-            let what = format!("{folder}: nothing was pruned: {n} Gaussians remain, and no pruner has removed any");
-            self.session.observer.on_warning(&what);
+            let n = model.cloud.len();
+            warn(format!("nothing was pruned: {n} Gaussians remain, and no pruner has removed any"));
         }
+        trainer.idle_masks().into_iter().for_each(warn);
         file::write(&folder.file(MODEL_FILE), &model)?;
         Ok(Some(model))
     }

@@ -12,13 +12,14 @@ mod turn;
 
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
-pub use links::{ChannelInputs, VirtualSources};
-pub use pursuit::{PursuitOptions, pursue, snr_of};
+pub use links::{ChannelInputs, VirtualSources, snr_of};
+pub use pursuit::{PursuitOptions, pursue};
 
 use crate::groups::ReceiverGroup;
 use crate::readout::magnitudes;
 use crate::{Activation, Calibration};
 use harmonics::{HIGHEST, terms};
+use pursuit::expected_seconds;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Activated, Cache, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
@@ -219,6 +220,9 @@ pub struct MatchingPursuit {
     pub hold_out: usize,
     /// Number of rounds that remove the least important virtual transmitters and search for replacements.
     pub rounds: usize,
+    /// Number of finer passes after the first, each with half the `step`, twice the `reach` and twice `most`. A pass ends
+    /// at the first addition that does not raise the score on the held-out links.
+    pub finer: usize,
     /// Weight of the ridge penalty on gains, relative to the noise-to-signal ratio estimated by the fit.
     pub ridge: f64,
     /// Whether mirror images of virtual transmitters already found are candidates.
@@ -237,6 +241,7 @@ impl Default for MatchingPursuit {
             patience: 8,
             hold_out: 5,
             rounds: 2,
+            finer: 0,
             ridge: 1.0,
             images: true,
             searches: 1,
@@ -246,21 +251,22 @@ impl Default for MatchingPursuit {
 
 /// Maximum number of virtual transmitters per search.
 const MOST: usize = 1_000;
+/// Maximum number of finer passes.
+const FINEST: usize = 4;
 
-#[typetag::serde]
-impl Initializer for MatchingPursuit {
-    fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
-        let (low, high) = scene.bounds;
-        let mut cloud = GaussianCloud::zeros(self.searches * self.most);
-        for (mean, signal) in cloud.means.iter_mut().zip(&mut cloud.signals) {
-            *mean = std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng));
-            *signal = [0.1 * rng::normal(rng), 0.1 * rng::normal(rng)];
+impl MatchingPursuit {
+    /// Returns the settings of pass `level`, from 0.
+    fn at(&self, level: usize) -> Self {
+        if level == 0 {
+            return self.clone();
         }
-        cloud.quats.iter_mut().for_each(|quat| *quat = [1.0, 0.0, 0.0, 0.0]);
-        Ok(cloud)
+        let times = f64::from(1_u32 << level);
+        let (reach, step) = (self.reach * times, self.step / times);
+        Self { most: self.most << level, reach, step, patience: 1, rounds: 0, ..self.clone() }
     }
 
-    fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+    /// Returns the training channels that the search reads.
+    fn observed(input: &InitializerInput<'_>) -> Result<ObservedChannels> {
         let Some(channels) = input.data.observations.channels() else {
             let what = input.data.task().plural;
             return Err(Error::Config(format!("initializer: MatchingPursuit needs channels, but the data are {what}")));
@@ -281,21 +287,61 @@ impl Initializer for MatchingPursuit {
         let receiver_of = |i: &usize| input.data.links[*i].receiver;
         let lowest = input.train.iter().map(receiver_of).min().unwrap_or(0);
         let train: Vec<usize> = input.train.iter().copied().filter(|i| receiver_of(i) == lowest).collect();
-        let positions: Vec<[Real; 3]> = train.iter().map(|&i| scene.origin.local(input.data.sample(i).tx)).collect();
-        let antennas = array(&scene.receivers[0]);
-        let frequencies = MeasurementSetup::of(input.data, input.data.plane()).frequencies_of(lowest);
-        let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
-        let channel: Vec<[Real; 2]> = train.iter().flat_map(|&i| channels.of(i)).copied().collect();
-        let node = Some(scene.receivers[0].pose.position);
+        Ok(ObservedChannels {
+            positions: train.iter().map(|&i| scene.origin.local(input.data.sample(i).tx)).collect(),
+            antennas: array(&scene.receivers[0]),
+            frequencies: MeasurementSetup::of(input.data, input.data.plane()).frequencies_of(lowest),
+            channel: train.iter().flat_map(|&i| channels.of(i)).copied().collect(),
+        })
+    }
+
+    fn options(&self, input: &InitializerInput<'_>, seed: u64) -> PursuitOptions {
+        let node = Some(input.data.scene.receivers[0].pose.position);
         let order = order_of(&input.method.traits().columns);
-        let mut all = VirtualSources::new(order);
-        let total = self.searches * self.most;
+        PursuitOptions { settings: self.clone(), node, order, seed, ..PursuitOptions::default() }
+    }
+}
+
+/// Training channels at the lowest carrier.
+struct ObservedChannels {
+    positions: Vec<[Real; 3]>,
+    antennas: Vec<[Real; 3]>,
+    frequencies: Vec<f64>,
+    channel: Vec<[Real; 2]>,
+}
+
+impl ObservedChannels {
+    fn links(&self) -> ChannelInputs<'_> {
+        let Self { positions, antennas, frequencies, .. } = self;
+        ChannelInputs { positions, antennas, frequencies }
+    }
+}
+
+#[typetag::serde]
+impl Initializer for MatchingPursuit {
+    fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
+        let (low, high) = scene.bounds;
+        let mut cloud = GaussianCloud::zeros(self.searches * self.most);
+        for (mean, signal) in cloud.means.iter_mut().zip(&mut cloud.signals) {
+            *mean = std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng));
+            *signal = [0.1 * rng::normal(rng), 0.1 * rng::normal(rng)];
+        }
+        cloud.quats.iter_mut().for_each(|quat| *quat = [1.0, 0.0, 0.0, 0.0]);
+        Ok(cloud)
+    }
+
+    fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+        let observed = Self::observed(input)?;
+        let mut all = VirtualSources::new(order_of(&input.method.traits().columns));
+        // The last unit is the refinement after the last addition.
+        let total = self.searches * self.most + 1;
         (input.progress)(0, total);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
-            let options = PursuitOptions { settings: self.clone(), node, order, seed, ..PursuitOptions::default() };
-            let report_progress = &mut |sources| (input.progress)(search * self.most + sources, total);
-            let found = pursue(&links, &channel, &options, input.stop, report_progress);
+            let options = self.options(input, seed);
+            let report_progress =
+                &mut |sources: usize| (input.progress)(search * self.most + sources.min(self.most), total);
+            let found = pursue(&observed.links(), &observed.channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
@@ -303,6 +349,12 @@ impl Initializer for MatchingPursuit {
         }
         all.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
         Ok(all.to_cloud())
+    }
+
+    fn search_seconds(&self, input: &InitializerInput<'_>) -> Result<[f64; 2]> {
+        let observed = Self::observed(input)?;
+        let one = expected_seconds(&observed.links(), &observed.channel, &self.options(input, 0));
+        Ok(one.map(|seconds| seconds * self.searches as f64))
     }
 
     fn supports(&self, task: Task) -> bool {
@@ -324,6 +376,12 @@ impl Initializer for MatchingPursuit {
         }
         if !(1..=MOST).contains(&self.most) {
             return Err(format!("`most` is {}; give 1 to {MOST}, such as 32", self.most));
+        }
+        if self.finer > FINEST || (self.finer > 0 && self.hold_out < 2) {
+            return Err(format!(
+                "`finer` is {} and `hold_out` is {}; give 0 to {FINEST} finer passes, and a hold_out of 2 or more for them",
+                self.finer, self.hold_out
+            ));
         }
         if self.patience == 0 {
             return Err("`patience` is 0; give 1 or more, such as 8".into());

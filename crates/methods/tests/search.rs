@@ -113,6 +113,20 @@ fn finds_direction_dependent_gains() {
 
 #[test]
 #[cfg_attr(feature = "f64", ignore = "searched in single precision")]
+fn finer_pass_runs_while_held_out_score_rises() {
+    let (positions, truth) = (places(120), truth([IDENTITY; 4]));
+    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let found = |finer: usize, sources: VirtualSources| {
+        let h = field(&sources.to_cloud(), None, &links);
+        let settings = MatchingPursuit { most: 2, reach: 0.4, step: 0.7, finer, ..settings() };
+        pursue(&links, &h, &PursuitOptions { settings, ..options() }, &NEVER, &mut |_| ()).unwrap().len()
+    };
+    assert_eq!([found(0, truth.clone()), found(1, truth.clone())], [2, 4]);
+    assert_eq!(found(1, truth.select(&[0, 1])), 2, "two sources leave nothing to find");
+}
+
+#[test]
+#[cfg_attr(feature = "f64", ignore = "searched in single precision")]
 fn reports_unsupported_search_input() {
     let positions = places(3);
     let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };

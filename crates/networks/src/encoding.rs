@@ -103,8 +103,8 @@ pub enum Encoding {
         #[serde(default)]
         seed: u64,
     },
-    /// Sine and cosine of 2π/λ along each axis for `count` wavelengths in geometric sequence, and the coordinates times
-    /// 2π over the longest wavelength. For fields that vary slowly over tens of metres, such as received powers.
+    /// Sine and cosine of 2π/λ along each axis, or along random directions, for `count` wavelengths in geometric sequence,
+    /// and the coordinates times 2π over the longest wavelength. For fields that vary slowly over tens of metres, such as received powers.
     Wavelengths {
         /// Number of wavelengths.
         count: usize,
@@ -112,6 +112,10 @@ pub enum Encoding {
         longest_m: f64,
         /// Shortest wavelength, metres. Faster variations cannot be represented, which reduces overfitting to noise.
         shortest_m: f64,
+        /// Random seed of the directions of three waves per wavelength. Without it they lie along the axes, and errors
+        /// appear as stripes along the axes.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        seed: Option<u64>,
     },
     /// Feature vector that replaces the transmitter position in the data, unchanged. Only for the transmitter.
     /// The features of the network then include it, so that signals may be linear in it.
@@ -180,7 +184,7 @@ impl Encoding {
             Self::Waves { reach, .. } if !(reach > 0.0 && reach.is_finite()) => {
                 Err(format!("{field}: reach is {reach}; give rad/m above 0, about 2π over the wavelength"))
             }
-            Self::Wavelengths { count, longest_m, shortest_m } => {
+            Self::Wavelengths { count, longest_m, shortest_m, .. } => {
                 if count > WIDEST / 3 {
                     return Err(format!("{field}: count is {count}; give a number from 0 to {}", WIDEST / 3));
                 }
@@ -214,24 +218,33 @@ impl Encoding {
         match *self {
             Self::Octaves(frequencies) => Encoder::Octaves(frequencies),
             Self::Waves { count, reach, seed } => {
-                let mut random = rng::stream(seed, "waves", 0);
-                let vector = |i: usize| {
-                    let direction = [(); 3].map(|()| f64::from(rng::normal(&mut random)));
-                    let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
-                    direction.map(|v| v / norm * ((i as f64 + 0.5) / count as f64) * reach)
-                };
+                let mut direction = directions(seed);
+                let vector = |i: usize| direction().map(|v| v * ((i as f64 + 0.5) / count as f64) * reach);
                 Encoder::Waves((0..count).map(vector).collect(), 1.0)
             }
-            Self::Wavelengths { count, longest_m, shortest_m } => {
+            Self::Wavelengths { count, longest_m, shortest_m, seed } => {
                 let ratio = |i: usize| i as f64 / count.saturating_sub(1).max(1) as f64;
                 let number = |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
-                let along =
-                    |i: usize| (0..3).map(move |axis| std::array::from_fn(|k| if k == axis { number(i) } else { 0.0 }));
-                Encoder::Waves((0..count).flat_map(along).collect(), std::f64::consts::TAU / longest_m)
+                let axis = |i: usize| std::array::from_fn(|k| if k == i % 3 { number(i / 3) } else { 0.0 });
+                let vectors = match seed.map(directions) {
+                    None => (0..3 * count).map(axis).collect(),
+                    Some(mut direction) => (0..3 * count).map(|i| direction().map(|v| v * number(i / 3))).collect(),
+                };
+                Encoder::Waves(vectors, std::f64::consts::TAU / longest_m)
             }
             Self::Features { width, gain } => Encoder::Features(width, gain),
             Self::PseudoPosition { octaves, .. } => Encoder::Octaves(octaves),
         }
+    }
+}
+
+/// Returns a generator of random unit vectors.
+fn directions(seed: u64) -> impl FnMut() -> [f64; 3] {
+    let mut random = rng::stream(seed, "waves", 0);
+    move || {
+        let direction = [(); 3].map(|()| f64::from(rng::normal(&mut random)));
+        let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
+        direction.map(|v| v / norm)
     }
 }
 
@@ -416,5 +429,12 @@ mod tests {
         assert!(lengths.iter().enumerate().all(|(i, l)| (l - 0.5 * (i as f64 + 0.5)).abs() < 1e-6));
         assert_eq!(vectors(0), vectors(0));
         assert_ne!(vectors(0), vectors(1));
+        let along = |seed| (Encoding::Wavelengths { count: 2, longest_m: 8.0, shortest_m: 2.0, seed }).encoder();
+        let Encoder::Waves(turned, _) = along(Some(0)) else { unreachable!("they are waves") };
+        let Encoder::Waves(axes, _) = along(None) else { unreachable!("they are waves") };
+        assert!(axes.iter().all(|k| k.iter().filter(|v| **v == 0.0).count() == 2), "{axes:?}");
+        assert!(turned.iter().flatten().all(|v| *v != 0.0), "{turned:?}");
+        let norm = |k: &[f64; 3]| k.iter().map(|v| v * v).sum::<f64>().sqrt();
+        assert!(axes.iter().zip(&turned).all(|(a, b)| (norm(a) - norm(b)).abs() < 1e-9), "equal wavelengths");
     }
 }

@@ -145,7 +145,7 @@ fn factored_derivatives_agree_with_central_differences() {
     check_derivative("factored, features", &Factored { tx_encoding: features, ..small_factored() }, 3, 2, true);
     let pseudo = Encoding::PseudoPosition { width: 5, gain: 0.7, octaves: 2 };
     check_derivative("factored, pseudo-positions", &Factored { tx_encoding: pseudo, ..small_factored() }, 3, 2, true);
-    let lengths = Encoding::Wavelengths { count: 2, longest_m: 9.0, shortest_m: 2.0 };
+    let lengths = Encoding::Wavelengths { count: 2, longest_m: 9.0, shortest_m: 2.0, seed: None };
     check_derivative("factored, wavelengths", &Factored { tx_encoding: lengths, ..small_factored() }, 3, 2, true);
     let waves = Encoding::Waves { count: 4, reach: 3.0, seed: 1 };
     check_derivative(

@@ -90,7 +90,7 @@ void main() {
 
 const ROOM_ELLIPSOID_FRAGMENT = `#version 300 es
 precision highp float;
-uniform mat4 camera; uniform vec3 eye; uniform vec3 light;
+uniform mat4 camera; uniform vec3 eye; uniform vec3 light; uniform vec3 ahead; uniform float front;
 in vec3 ray; flat in vec3 origin; flat in mat3 turn; flat in vec3 radii; in vec4 shade; flat in vec3 middle;
 out vec4 pixel;
 void main() {
@@ -99,7 +99,7 @@ void main() {
   float root = b * b - a * c;
   if (root < 0.0) discard;
   float t = (-b - sqrt(root)) / a;
-  if (t < 0.0) discard;
+  if (t < 0.0 || t * dot(ray, ahead) < front) discard;
   vec3 hit = origin + t * along;
   vec3 normal = normalize(transpose(turn) * (hit / radii));
   vec4 clip = camera * vec4(eye + t * ray, 1.0);
@@ -375,6 +375,16 @@ export class Room {
     [0, 1].forEach((place) => gl.disableVertexAttribArray(place));
   }
 
+  /** Distance of the room ahead of the camera: nearer Gaussians are not drawn, because they would hide the room. */
+  front(eye, back) {
+    if (!this.bounds) return 0;
+    const far = [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => {
+      const corner = [0, 1, 2].map((k) => this.bounds[(bits >> k) & 1][k]);
+      return vec3Dot(vec3Sub(eye, corner), back);
+    });
+    return Math.max(0, Math.min(...far));
+  }
+
   drawEllipsoids({ eye, axes, matrix }, height) {
     const { gl, gaussians } = this;
     if (!gaussians || !gaussians.means.length) return;
@@ -387,6 +397,8 @@ export class Room {
     gl.uniform3fv(at("eye"), eye);
     gl.uniform3fv(at("right"), axes[0]);
     gl.uniform3fv(at("light"), vec3Unit(vec3Add(vec3Add(axes[2], axes[1], 0.6), axes[0], 0.3)));
+    gl.uniform3fv(at("ahead"), axes[2].map((v) => -v));
+    gl.uniform1f(at("front"), this.front(eye, axes[2]));
     gl.uniform1f(at("spread"), this.spread);
     gl.uniform1f(at("pixelSize"), (2 * this.half()) / height);
     roomAttribute(gl, 0, this.corners, 2, gl.FLOAT, 0);

@@ -6,7 +6,7 @@ import { strongestPixel } from "./spectrum.js";
 /** Data of a page from the server of `pwrfgs view`. Positions are metres in the world frame. */
 export class ServerSource {
   constructor() {
-    this.free = this.predicts = true;
+    this.free = true;
   }
 
   async fetch(path, asked = {}) {
@@ -61,13 +61,12 @@ export class FileSource {
       const text = document.getElementById(id)?.textContent;
       return text ? Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)) : null;
     };
-    this.packs = Object.fromEntries(["room", "gaussians", "spectra", "model"].map((id) => [id, bytes(`live-${id}`)]));
+    this.packs = Object.fromEntries(["room", "gaussians", "observations", "model"].map((id) => [id, bytes(`live-${id}`)]));
     this.known = readTensors(this.packs.room);
-    this.spectra = this.packs.spectra && readTensors(this.packs.spectra);
+    this.observations = readTensors(this.packs.observations);
     this.predictor = this.packs.model && new Predictor(readTensors(this.packs.model));
     this.free = Boolean(this.predictor);
-    this.predicts = Boolean(this.spectra);
-    this.links = this.spectra ? this.spectra.note.links : null;
+    this.links = this.observations.note.links;
   }
 
   async room() {
@@ -87,27 +86,35 @@ export class FileSource {
     const { width, height } = this.known.note.plane;
     const nearest = link === null ? this.nearest(tx) : { link, metres: 0 };
     const picture = this.predictor ? this.predictor.predict(tx ?? this.position(link)).picture : this.stored("predicted", nearest.link);
-    const note = { ms: performance.now() - begun, strongest: this.direction(picture), nearest };
+    const note = { ms: this.predictor ? performance.now() - begun : null, strongest: this.direction(picture), nearest };
     const limit = this.known.note.sides[0].training_limit_m;
     const metres = (tx && this.predictor?.trainingDistance(tx)) ?? null;
     if (metres !== null && typeof limit === "number") note.training = { metres, limit };
     if (nearest) {
-      nearest.score = structuralSimilarity(picture, this.stored("truth", nearest.link), width, height);
+      const score = () => structuralSimilarity(picture, this.stored("truth", nearest.link), width, height);
+      nearest.score = this.known.note.has_pixels ? score() : this.known.get("links.score")[nearest.link];
       nearest.part = this.known.get("links.part")[nearest.link];
     }
-    return { note, has: (name) => name === "picture", get: () => picture };
+    return this.observation(note, picture);
   }
 
   async link(side, link) {
     const picture = this.stored("truth", link);
-    return { note: { strongest: this.direction(picture) }, has: (name) => name === "picture", get: () => picture };
+    return this.observation({ strongest: this.direction(picture) }, picture);
+  }
+
+  /** Arrays of one observation, as the server sends them. */
+  observation(note, values) {
+    const own = this.known.note.is_scalar ? "powers" : "picture";
+    return { note, has: (name) => name === own, get: () => values };
   }
 
   listen() {}
 
-  /** Image in the page, grey values from 0 to 1. */
+  /** Observation in the page; grey values of an image from 0 to 1. */
   stored(name, link) {
-    return Float32Array.from(this.spectra.get(`${name}.${link}`), (byte) => byte / 255);
+    const values = this.observations.get(`${name}.${link}`);
+    return this.known.note.has_pixels ? Float32Array.from(values, (byte) => byte / 255) : values;
   }
 
   position(link) {
@@ -115,10 +122,10 @@ export class FileSource {
     return [0, 1, 2].map((k) => at[3 * link + k] + this.known.note.origin[k]);
   }
 
-  /** Predicts a sample whose spectrum is in the page. */
+  /** Nearest sample whose observation is in the page. */
   nearest(tx) {
     let best = null;
-    for (const link of this.links ?? this.known.get("links.id").keys()) {
+    for (const link of this.links) {
       const metres = Math.hypot(...this.position(link).map((v, k) => v - tx[k]));
       if (!best || metres < best.metres) best = { link, metres };
     }

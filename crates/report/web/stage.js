@@ -626,10 +626,6 @@ export class Stage {
 
   async update() {
     const { tx, link, receiver } = this;
-    if (!this.source.predicts) {
-      this.sides[0].numbers.textContent = this.aboutSample(link);
-      return;
-    }
     const asked = { tx: this.byPosition ? this.world(tx) : null, link, receiver };
     const found = await Promise.all(this.sides.map((side) => this.source.predict(side.place, asked)));
     const truths = await Promise.all(found.map((one, k) => one.note.nearest && this.truth(k, one.note.nearest.link)));
@@ -674,13 +670,6 @@ export class Stage {
     return this.truths.get(key);
   }
 
-  /** Description of a sample without prediction. */
-  aboutSample(link) {
-    const score = this.scores[link];
-    const scored = Number.isFinite(score) ? `${this.note.score.name} ${chartNumber(Number(score.toFixed(3)))}` : "not scored";
-    return link === null ? "" : `sample ${this.ids[link]}, ${PART_NAMES[this.parts[link]]}, ${scored}`;
-  }
-
   /** Description of a prediction. */
   sentence({ note, has }, truth) {
     const degrees = (pair) => pair && pair.map((v) => `${Math.round(v)}°`).join(" / ").replace(/-/g, "−");
@@ -700,7 +689,7 @@ export class Stage {
       parts.push(`strongest at ${degrees(note.strongest)}${other}`);
     }
     if (has("deviation")) parts.push(`mean spread ${note.spread.toFixed(3)}`);
-    parts.push(`latency ${note.ms.toFixed(2)} ms`);
+    if (note.ms !== null) parts.push(`latency ${note.ms.toFixed(2)} ms`);
     return parts.join(" · ");
   }
 

@@ -37,6 +37,9 @@ struct Note {
     extra: Vec<(String, usize)>,
     /// Number of Gaussians created so far.
     next_gaussian_id: u32,
+    /// Numbers of closed masks and of Gaussians before pruning.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    masks: Option<(usize, usize)>,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
@@ -58,6 +61,7 @@ impl<'a> Trainer<'a> {
             gaussians: self.cloud.len(),
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
             next_gaussian_id: self.gaussian_ids.next,
+            masks: self.masks,
         };
         let mut file = Tensors::new(&note);
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
@@ -119,7 +123,7 @@ impl<'a> Trainer<'a> {
         let gaussian_ids = file.take("gaussian_ids", &[n])?;
         self.gaussian_ids =
             GaussianIds { of: gaussian_ids.into_iter().map(|id| id as u32).collect(), next: note.next_gaussian_id };
-        self.done = note.done;
+        (self.done, self.masks) = (note.done, note.masks);
         Ok(())
     }
 }

@@ -3,7 +3,8 @@
 use crate::settings::{Densify, Rays, Training};
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::Checked;
-use pwrfgs_core::{Deformation, Error, Real, Result};
+use pwrfgs_core::{Deformation, Error, InitializerInput, Real, Result};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 /// Estimated time of all training steps, from timed steps with two numbers of Gaussians.
@@ -15,6 +16,8 @@ pub struct TimeEstimate {
     pub end: TimedSteps,
     /// Shortest and longest expected time of all steps, seconds. Without a target, the longest is without pruning.
     pub seconds: [f64; 2],
+    /// Shortest and longest expected time of the initial search before the first step, seconds; 0 without one.
+    pub search_seconds: [f64; 2],
     /// Upper over lower quartile of the times of equal steps: about 1 on an idle machine.
     pub spread: f64,
 }
@@ -73,11 +76,13 @@ impl Trainer<'_> {
     }
 
     /// Estimates the time of the training: it times steps with the current N and with the N at the end of pruning, and
-    /// weights them by the schedule. Densification and the statistics of prune steps are not included.
+    /// weights them by the schedule. It also times one candidate of an initial search. Densification and the statistics
+    /// of prune steps are not included.
     ///
     /// # Errors
     /// As [`Self::step`].
     pub fn time(mut self) -> Result<TimeEstimate> {
+        let search_seconds = self.search_seconds()?;
         let t = Training::clone(&self.plan.training);
         let (n, target) = (self.cloud.len(), self.goal.map(|goal| goal.target));
         let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
@@ -109,8 +114,21 @@ impl Trainer<'_> {
             start: TimedSteps { gaussians: n, step_seconds: start[1] },
             end: TimedSteps { gaussians: last, step_seconds: end[1] },
             seconds: [total(start[0], end[0]), total(start[2], longest)],
+            search_seconds,
             spread: (start[2] / start[0]).max(end[2] / end[0]),
         })
+    }
+
+    fn search_seconds(&self) -> Result<[f64; 2]> {
+        let input = InitializerInput {
+            data: self.data,
+            train: self.batches.train(),
+            plane: &self.plane,
+            method: &*self.stages.method,
+            progress: &|_, _| {},
+            stop: &AtomicBool::new(false),
+        };
+        self.plan.initializer.search_seconds(&input)
     }
 
     /// Quartiles of the times of a few steps, seconds. The first step allocates memory and is not timed, unless it takes

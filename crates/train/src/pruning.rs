@@ -24,35 +24,51 @@ fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
 /// Number of Gaussians removed per rule.
 pub(crate) type RemovalsByRule = Vec<(String, usize)>;
 
-/// Combines the votes of all pruners: a Gaussian is kept if all pruners agree, or by the exact target. Also returns the
-/// number of Gaussians that each pruner removes.
+/// Combined votes of all pruners in a prune step.
+struct Votes {
+    /// Whether each Gaussian is kept: all pruners agree, or the exact target decides.
+    keep: Vec<bool>,
+    /// Number of Gaussians that each pruner removes.
+    rules: RemovalsByRule,
+    /// Number of Gaussians whose learned mask has closed.
+    closed: usize,
+}
+
 fn votes(
     (pruners, goal): (&[Plugin<dyn Pruner>], Option<PruneTarget>),
     cloud: &GaussianCloud,
     known: &[CloudStats],
     context: &StepContext,
-) -> (Vec<bool>, RemovalsByRule) {
+) -> Votes {
     let mut rules = RemovalsByRule::new();
-    let mut keep = vec![true; cloud.len()];
+    let (mut keep, mut open) = (vec![true; cloud.len()], vec![true; cloud.len()]);
     for (k, ((pruner, stats), context)) in pruners.iter().zip(known).zip(contexts(pruners, context)).enumerate() {
         if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
             continue;
         }
         let own = pruner.keep(cloud, stats, &context);
         assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
-        rules.push((format!("`{}`", name_of(pruner)), own.iter().filter(|keep| !**keep).count()));
+        rules.push((format!("`{}`", name_of(pruner)), removed_by(&own)));
+        if pruner.traits().mask_rate.is_some() {
+            open.iter_mut().zip(&own).for_each(|(all, own)| *all &= *own);
+        }
         keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
     }
+    let closed = removed_by(&open);
     let settles = |goal: &PruneTarget| match goal.budget {
         Budget::Gradual | Budget::PrunerManaged => context.round > 0,
         Budget::FinalStep => true,
         Budget::UpperBound => false,
     };
-    let Some(goal) = goal.filter(settles) else { return (keep, rules) };
+    let Some(goal) = goal.filter(settles) else { return Votes { keep, rules, closed } };
     let scores = pruners[goal.pruner].score(cloud, &known[goal.pruner], context);
     let kept = goal.budget.settle(goal.target, &keep, &scores, context);
-    let removed = kept.iter().filter(|keep| !**keep).count();
-    (kept, vec![(format!("the target of {}", goal.target), removed)])
+    let rules = vec![(format!("the target of {}", goal.target), removed_by(&kept))];
+    Votes { keep: kept, rules, closed }
+}
+
+fn removed_by(keep: &[bool]) -> usize {
+    keep.iter().filter(|keep| !**keep).count()
 }
 
 impl Trainer<'_> {
@@ -74,10 +90,11 @@ impl Trainer<'_> {
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
         let known = self.edits(&pruners, context)?;
-        let (mut keep, rules) = votes((&pruners, self.goal), &self.cloud, &known, context);
+        let Votes { mut keep, rules, closed } = votes((&pruners, self.goal), &self.cloud, &known, context);
         crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], context), "pruning");
         self.retain_rows(&keep);
-        self.report_removal(context.step, keep.len(), &rules)?;
+        self.count_masks(closed, keep.len());
+        self.report_removal(context.step, (keep.len(), closed), &rules)?;
         if let Some(PruneTarget { target, .. }) = self.goal.filter(PruneTarget::is_exact) {
             let n = self.cloud.len();
             if context.round > 0 && context.round == context.rounds && n != target {

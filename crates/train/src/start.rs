@@ -115,6 +115,7 @@ impl<'a> Trainer<'a> {
             cloud,
             weights: Arc::default(),
             fixed,
+            masks: None,
             done: 0,
             fingerprint: OnceLock::new(),
             training_positions: OnceLock::new(),

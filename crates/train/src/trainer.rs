@@ -68,6 +68,8 @@ pub struct Trainer<'a> {
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) gaussian_ids: GaussianIds,
+    /// Numbers of closed masks and of Gaussians before pruning, from the first prune step on.
+    pub(crate) masks: Option<(usize, usize)>,
     pub(crate) done: u64,
     /// Fingerprint (see `checkpoint.rs`), computed when the first checkpoint is written or read.
     pub(crate) fingerprint: OnceLock<String>,
@@ -272,7 +274,7 @@ impl Trainer<'_> {
                     let (extent, seed) = (self.extent(), self.plan.seed);
                     let (cloud, mut per_gaussian) = self.rows();
                     let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut per_gaussian);
-                    self.report_removal(step, before, &rules)?;
+                    self.report_removal(step, (before, 0), &rules)?;
                 }
                 if densify::reset_due(settings, step) && step < training.densify_until {
                     densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
@@ -289,7 +291,9 @@ impl Trainer<'_> {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
                 self.retain_rows(&open);
-                self.report_removal(step, open.len(), &[("closed gates".into(), open.len() - self.cloud.len())])?;
+                let count = open.len() - self.cloud.len();
+                self.count_masks(count, open.len());
+                self.report_removal(step, (open.len(), count), &[("closed gates".into(), count)])?;
                 unpruned = unpruned.or(closed);
             }
             let lasting = self.stages.method.traits().columns;

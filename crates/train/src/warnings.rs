@@ -79,15 +79,41 @@ impl Trainer<'_> {
         }
     }
 
-    /// Reports the rules that removed more than half of the `before` Gaussians.
+    /// Adds the `closed` masks of `before` Gaussians in one prune step to the count of the training.
+    pub(crate) fn count_masks(&mut self, closed: usize, before: usize) {
+        let (sum, most) = self.masks.unwrap_or_default();
+        self.masks = Some((sum + closed, most.max(before)));
+    }
+
+    /// Returns a sentence if the learned masks have closed less than a tenth of the Gaussians; `None` without masks,
+    /// before the first prune step, and if a target decides their number.
+    pub fn idle_masks(&self) -> Option<String> {
+        let is_free = |k: &usize| self.goal.is_none_or(|goal| goal.pruner != *k);
+        let is_mask = |k: &usize| self.plan.pruners[*k].traits().mask_rate.is_some();
+        let pruner = &self.plan.pruners[(0..self.plan.pruners.len()).find(|k| is_mask(k) && is_free(k))?];
+        let (closed, before) = self.masks.filter(|(closed, before)| 10 * closed < *before)?;
+        Some(format!(
+            "masks closed {closed} of {before} Gaussians, less than a tenth; raise λ (`lambda`) of `{}`, or \
+             training.prune_until",
+            name_of(pruner)
+        ))
+    }
+
+    /// Reports the rules that removed more than half of the `before` Gaussians, of which `closed` have closed masks.
     ///
     /// # Errors
-    /// Only one Gaussian is left, although the pipeline does not request one.
-    pub(crate) fn report_removal(&self, step: u64, before: usize, rules: &[(String, usize)]) -> Result<()> {
+    /// Only one Gaussian is left, although neither the pipeline nor the masks alone request this.
+    pub(crate) fn report_removal(
+        &self,
+        step: u64,
+        (before, closed): (usize, usize),
+        rules: &[(String, usize)],
+    ) -> Result<()> {
         let left = self.cloud.len();
+        let is_by_masks = closed > 0 && before - closed <= 1;
         let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
         let rules = rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ");
-        if left == 1 && before > 1 && !self.wants_one() {
+        if left == 1 && before > 1 && !is_by_masks && !self.wants_one() {
             let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
             let takes_target = self.plan.pruners.iter().any(|pruner| pruner.traits().budget.is_some());
             let advice = if takes_target {

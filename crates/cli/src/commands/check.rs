@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Loads the data, makes the split and the initial Gaussians and times a few steps; writes no files.
 Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
-Describes the data briefly; `pwrfgs inspect` gives the details. The time is that of training, with
-the initial Gaussians and after pruning. Densification increases memory and time.
+Describes the data briefly; `pwrfgs inspect` gives the details. The time is that of an initial search
+and of training, with the initial Gaussians and after pruning. Densification increases memory and time.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
@@ -97,9 +97,18 @@ fn text(p: &Preview) -> String {
 
 /// Range of the training time, and the timed steps.
 fn time(time: &TimeEstimate, grows: bool) -> String {
-    let [shortest, longest] = time.seconds.map(duration);
-    let range = if shortest == longest { shortest } else { format!("{shortest} to {longest}") };
-    let TimeEstimate { start, end, .. } = time;
+    let range = |seconds: [f64; 2]| {
+        let [shortest, longest] = seconds.map(duration);
+        if shortest == longest { shortest } else { format!("{shortest} to {longest}") }
+    };
+    let TimeEstimate { seconds, search_seconds: search, start, end, .. } = time;
+    let total = if search[1] > 0.0 {
+        let whole = range([0, 1].map(|k| search[k] + seconds[k]));
+        format!("{whole}: {} of initial search, then ", range(*search))
+    } else {
+        String::new()
+    };
+    let range = range(*seconds);
     let n = |count: usize| grouped(count as i64);
     let [first, last] = [start, end].map(|steps| pace(steps.step_seconds) + " per step");
     let steps = if end.gaussians == start.gaussians {
@@ -107,7 +116,7 @@ fn time(time: &TimeEstimate, grows: bool) -> String {
     } else {
         format!("{first} with N = {}, {last} with N = {}", n(start.gaussians), n(end.gaussians))
     };
-    format!("{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
+    format!("{total}{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
 }
 
 /// Load of the machine, and whether it makes the time too long.

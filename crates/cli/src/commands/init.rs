@@ -72,6 +72,9 @@ const CAMERA_IMAGES: [&str; 5] = [
     "training.moving_stride=true",
     "training.tx_jitter_m=0.0",
 ];
+/// Changes to `CHANNELS`: the search begins on a coarse grid and takes a finer one only if held-out links gain.
+const COARSE_SEARCH: &str =
+    "initializer=MatchingPursuit(most: 10, reach: 1.0, step: 0.5, patience: 4, rounds: 0, finer: 1)";
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
@@ -145,17 +148,23 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
             }
         }
         _ if survey.data.task().is_scalar => {
-            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site.
+            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site, in random directions: along
+            // the axes, maps have stripes.
             let longest = extent(&survey.data).max(1.0).ceil();
-            set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
-            set.push(format!("deformation.tx_encoding.shortest_m={:?}", (longest / 8.0).min(2.0)));
+            let shortest = (longest / 8.0).min(2.0);
+            set.push(format!(
+                "deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)"
+            ));
             (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
         }
         Some(width) => {
             set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
             (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
         }
-        None => (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()"),
+        None => {
+            set.push(COARSE_SEARCH.into());
+            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
     };
     set.push(format!("training.batch={}", survey.batch(batch)));
     set.push(format!("baselines=[{baselines}]"));

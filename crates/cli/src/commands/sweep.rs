@@ -134,12 +134,12 @@ pub(super) fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, to: (Option<&s
         execute(plan, runs, jobs, &board, &mut session)
     });
     board.finish();
-    let SweepEnd { runs: ends, joined } = end?;
     #[cfg(feature = "report")]
-    if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
+    if !stop.load(Ordering::Relaxed) && is_last(plan) {
         let _held = plan.claim()?; // if the last runs of two processes end together, one writes after the other
         super::report::of_sweep(&plan.folder, reference, verbosity)?;
     }
+    let SweepEnd { runs: ends, joined } = end?;
     let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
     if let Some(RunOutcome::Finished { scores, .. }) = joined {
@@ -161,6 +161,14 @@ pub(super) fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, to: (Option<&s
         return Ok(INTERRUPTED);
     }
     Ok(SUCCESS)
+}
+
+/// Whether some runs have finished and all others have failed, so that no other process writes the report.
+#[cfg(feature = "report")]
+fn is_last(plan: &SweepPlan) -> bool {
+    let states = plan.states();
+    let has_ended = |state: &RunStage| matches!(state, RunStage::Finished(_) | RunStage::Failed(_));
+    states.iter().all(has_ended) && states.iter().any(|state| matches!(state, RunStage::Finished(_)))
 }
 
 /// Lists all runs with estimated times.

@@ -29,7 +29,7 @@ ON THE PAGE
 Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
 in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 With --save, it writes a page that needs no server. Single models of spectra predict in it, in 8
-bits from 1 MB on, up to 1.5 MB; other models of spectra show up to 50 stored predictions.
+bits from 1 MB on, up to 1.5 MB; other models show up to 50 stored predictions.
 
 EXAMPLES
   pwrfgs view runs/quickstart

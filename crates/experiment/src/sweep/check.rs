@@ -61,7 +61,10 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
     let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
     let tried = representatives(plan, &unknown);
     let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
-    let measured = try_each(plan, &tried, observer, |_, trainer| Ok(middle(trainer.time()?.seconds)))?;
+    let measured = try_each(plan, &tried, observer, |_, trainer| {
+        let time = trainer.time()?;
+        Ok(middle(time.seconds) + middle(time.search_seconds))
+    })?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;

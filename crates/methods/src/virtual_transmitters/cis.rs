@@ -16,17 +16,20 @@ macro_rules! cis {
         impl Cis for $real {
             #[inline(always)]
             fn cis(x: Self) -> (Self, Self) {
+                // Computed once, also without optimisation.
+                const SIN: &[$real] = &$sin;
+                const COS: &[$real] = &$cos;
                 let y = (x - x.round_ties_even()) * std::f64::consts::PI as Self;
                 let z = y * y;
                 let (mut s, mut c) = (0.0 as Self, 0.0 as Self);
                 let mut i = 0;
-                while i < $sin.len() {
-                    s = s.mul_add(z, $sin[i]);
+                while i < SIN.len() {
+                    s = s.mul_add(z, SIN[i]);
                     i += 1;
                 }
                 i = 0;
-                while i < $cos.len() {
-                    c = c.mul_add(z, $cos[i]);
+                while i < COS.len() {
+                    c = c.mul_add(z, COS[i]);
                     i += 1;
                 }
                 s *= y;

@@ -1,4 +1,5 @@
-//! `ChannelInputs`: receiving positions, antennas and subcarriers. `VirtualSources`: the virtual transmitters.
+//! `ChannelInputs`: receiving positions, antennas and subcarriers. `VirtualSources`: the virtual transmitters. `snr_of`:
+//! score of a channel.
 
 use crate::virtual_transmitters::harmonics::{self, HARMONICS};
 use pwrfgs_core::{ExtraColumn, GaussianCloud, Real, SPEED_OF_LIGHT};
@@ -150,4 +151,15 @@ impl VirtualSources {
         }
         cloud
     }
+}
+
+/// Returns −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
+pub fn snr_of<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
+    let (mut wrong, mut all) = (0.0, 0.0);
+    for (p, t) in predicted.iter().zip(truth) {
+        let [p, t] = [p, t].map(|z| z.map(f64::from));
+        wrong += (p[0] - t[0]).powi(2) + (p[1] - t[1]).powi(2);
+        all += t[0] * t[0] + t[1] * t[1];
+    }
+    -10.0 * (wrong / all).log10()
 }

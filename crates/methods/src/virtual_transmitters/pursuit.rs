@@ -3,13 +3,14 @@
 
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
-use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
+use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_of};
 use crate::virtual_transmitters::solve::{RefineOptions, gains, refine};
-use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin};
+use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin, timed_sweep};
 use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
-use pwrfgs_core::{Initializer as _, Method as _, Real, rng};
+use pwrfgs_core::{Initializer as _, Method as _, Real, evenly, rng};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// The grid is swept again if the remaining peaks explain less than this share of the previous best.
 const FADED: f64 = 1.0 / 3.0;
@@ -65,18 +66,58 @@ pub fn pursue(
         return Err("`rows` or `peaks` has a 0; give 1 or more".into());
     }
     let all: Vec<usize> = (0..links.positions.len()).collect();
-    let hold_out = options.settings.hold_out;
-    let folds = if hold_out < 2 { 0 } else { all.len() / hold_out };
-    let search = |fitted, held_out| PursuitSearch::new(links, channel, options, stop, fitted, held_out);
-    if folds == 0 {
-        return Ok(search(&all, &[]).grow(report_progress));
+    let mut best = (f64::NEG_INFINITY, VirtualSources::new(options.order));
+    let (held_out, fitted) = options.held_out(links);
+    let parts = (&fitted[..], &held_out[..]);
+    PursuitSearch::new((links, channel), options, stop, parts).grow(&mut best, report_progress);
+    for level in 1..=options.settings.finer {
+        let before = best.0;
+        let finer = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
+        PursuitSearch::new((links, channel), &finer, stop, parts).grow(&mut best, report_progress);
+        if best.0 <= before {
+            break;
+        }
     }
-    let mut items = all.clone();
-    rng::shuffle(&mut rng::stream(options.seed, "hold out", 0), &mut items);
-    let (held_out, fitted) = items.split_at(folds);
-    let mut found = search(fitted, held_out).grow(report_progress);
-    search(&all, &[]).settle(&mut found, 3 * STEPS);
-    Ok(found)
+    if !held_out.is_empty() {
+        PursuitSearch::new((links, channel), options, stop, (&all, &[])).settle(&mut best.1, 3 * STEPS);
+    }
+    Ok(best.1)
+}
+
+/// Returns the shortest and longest expected time of a search, seconds: it times a few layers of the grid and one
+/// candidate.
+pub(crate) fn expected_seconds(links: &ChannelInputs<'_>, channel: &[[Real; 2]], options: &PursuitOptions) -> [f64; 2] {
+    let stop = AtomicBool::new(false);
+    let (held_out, fitted) = options.held_out(links);
+    let pass = |level: usize| {
+        let own = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
+        let search = PursuitSearch::new((links, channel), &own, &stop, (&fitted, &held_out));
+        let (peaks, sweep) = timed_sweep(&search.coarse, &search.grid, own.peaks);
+        let [candidate, settled] = search.timed_candidate(&peaks);
+        let MatchingPursuit { most, patience, rounds, .. } = own.settings;
+        // Beyond the first sweep, a candidate may come from the remaining peaks.
+        let least = sweep + candidate * if level == 0 { (1 + patience).min(most) as f64 } else { 1.0 };
+        let added = most + rounds * patience;
+        let removed = if held_out.is_empty() { 0 } else { (1 + rounds) * most / 2 };
+        [least, (sweep + candidate) * added as f64 + settled * removed as f64]
+    };
+    let passes: Vec<[f64; 2]> = (0..=options.settings.finer).map(pass).collect();
+    let second = passes.get(1).map_or(0.0, |pass| pass[0]);
+    [passes[0][0] + second, passes.iter().map(|pass| pass[1]).sum()]
+}
+
+impl PursuitOptions {
+    /// Returns the held-out items, and the others.
+    fn held_out(&self, links: &ChannelInputs<'_>) -> (Vec<usize>, Vec<usize>) {
+        let mut items: Vec<usize> = (0..links.positions.len()).collect();
+        let hold_out = self.settings.hold_out;
+        let folds = if hold_out < 2 { 0 } else { items.len() / hold_out };
+        if folds > 0 {
+            rng::shuffle(&mut rng::stream(self.seed, "hold out", 0), &mut items);
+        }
+        let fitted = items.split_off(folds);
+        (items, fitted)
+    }
 }
 
 /// One pass of the search.
@@ -99,12 +140,10 @@ struct PursuitSearch<'a> {
 
 impl<'a> PursuitSearch<'a> {
     fn new(
-        links: &'a ChannelInputs<'a>,
-        channel: &'a [[Real; 2]],
+        (links, channel): (&'a ChannelInputs<'a>, &'a [[Real; 2]]),
         options: &'a PursuitOptions,
         stop: &'a AtomicBool,
-        fitted: &[usize],
-        held_out: &'a [usize],
+        (fitted, held_out): (&[usize], &'a [usize]),
     ) -> Self {
         let positions: Vec<[f64; 3]> = links.positions.iter().map(|p| p.map(f64::from)).collect();
         let low: [f64; 3] = std::array::from_fn(|k| positions.iter().fold(f64::MAX, |m, p| m.min(p[k])));
@@ -141,21 +180,38 @@ impl<'a> PursuitSearch<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Adds sources until `most`, until patience ends or until stopped. Then removes the least important sources and
-    /// repeats this while the score improves; returns the best set.
-    fn grow(mut self, report_progress: &mut dyn FnMut(usize)) -> VirtualSources {
-        let mut best = (f64::NEG_INFINITY, VirtualSources::new(self.options.order));
+    /// Adds sources to the best set until `most`, until patience ends or until stopped. Then removes the least important
+    /// sources and repeats this while the score improves.
+    fn grow(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         for _ in 0..=self.options.settings.rounds {
             let before = best.0;
-            self.forward(&mut best, report_progress);
+            self.forward(best, report_progress);
             if !self.held_out.is_empty() {
-                self.backward(&mut best);
+                self.backward(best);
             }
             if best.0 <= before || self.stopped() {
                 break;
             }
         }
-        best.1
+    }
+
+    /// Returns the expected time to refine `peaks` and add the best, and of the second part alone, seconds. The sources
+    /// are half of the maximum.
+    fn timed_candidate(&self, peaks: &[Peak]) -> [f64; 2] {
+        let PursuitOptions { order, settings, .. } = self.options;
+        let (none, mut sources) = (VirtualSources::new(*order), VirtualSources::new(*order));
+        for peak in evenly(peaks, settings.most.div_ceil(2)) {
+            sources.push(peak.place, peak.quat, [0.0; 2]);
+        }
+        let begun = Instant::now();
+        // All peaks of a sweep take about twice as long.
+        _ = self.refined(&self.rows.residual(&none), evenly(peaks, CLIMB), 1, &none);
+        let refined = 2.0 * begun.elapsed().as_secs_f64();
+        let begun = Instant::now();
+        let ridge = vec![1e-9 * self.rows.energy(); sources.len()];
+        _ = refine(&self.rows, &mut sources, &ridge, self.walk(1));
+        let settled = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64();
+        [refined + settled, settled]
     }
 
     /// Adds sources to the best set.
@@ -303,15 +359,4 @@ impl<'a> PursuitSearch<'a> {
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
-}
-
-/// Returns −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
-pub fn snr_of<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
-    let (mut wrong, mut all) = (0.0, 0.0);
-    for (p, t) in predicted.iter().zip(truth) {
-        let [p, t] = [p, t].map(|z| z.map(f64::from));
-        wrong += (p[0] - t[0]).powi(2) + (p[1] - t[1]).powi(2);
-        all += t[0] * t[0] + t[1] * t[1];
-    }
-    -10.0 * (wrong / all).log10()
 }

@@ -13,11 +13,16 @@
 use crate::virtual_transmitters::cis::{Cis, widest};
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::turn::{matrix, turned};
+use pwrfgs_core::evenly;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// Number of positions that are evaluated together.
 const LANES: usize = 32;
+
+/// Time of the lines that are timed.
+const TIMED: Duration = Duration::from_millis(400);
 
 /// Cube in shells, metres, and the rotations that are evaluated at each position.
 #[derive(Clone, Debug)]
@@ -75,6 +80,24 @@ impl Shell {
     }
 }
 
+/// Positions of a shell at one height, for one rotation.
+#[derive(Clone, Copy, Debug)]
+struct Layer {
+    shell: Shell,
+    /// Index of the rotation.
+    q: usize,
+    z: usize,
+}
+
+impl Layer {
+    /// Returns the number of positions of every `stride`th line.
+    fn positions(&self, stride: usize) -> usize {
+        let Self { shell, z, .. } = self;
+        let line = |y| shell.stretches([shell.at(y), shell.at(*z)]).iter().map(|(_, count)| count).sum::<usize>();
+        (0..shell.count()).step_by(stride).map(line).sum()
+    }
+}
+
 impl SearchGrid {
     /// Returns the width of maxima at `place`, in steps of the innermost shell, at least 1. Maximum moves and the
     /// distance between distinct positions scale with it.
@@ -86,6 +109,15 @@ impl SearchGrid {
     /// Returns whether a position is inside the cube.
     pub(crate) fn holds(&self, place: [f64; 3]) -> bool {
         (0..3).all(|k| (place[k] - self.centre[k]).abs() <= self.half)
+    }
+
+    /// Returns all layers of all shells, for each rotation.
+    fn layers(&self) -> Vec<Layer> {
+        let of = |shell: Shell| {
+            let layer = move |q| (0..shell.count()).map(move |z| Layer { shell, q, z });
+            (0..self.quats.len()).flat_map(layer)
+        };
+        self.shells().into_iter().flat_map(of).collect()
     }
 
     fn shells(&self) -> Vec<Shell> {
@@ -112,13 +144,41 @@ impl SearchGrid {
 /// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
 /// set.
 pub(crate) fn sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
-    let layers = |s: Shell| (0..grid.quats.len()).flat_map(move |q| (0..s.count()).map(move |z| (s, q, z)));
-    let tasks: Vec<(Shell, usize, usize)> = grid.shells().into_iter().flat_map(layers).collect();
+    sweep_lines(rows, grid, (&grid.layers(), 1), most, stop)
+}
+
+/// Sweeps a few lines for about [`TIMED`]; returns the best `most` positions in them, and the expected time of the whole
+/// sweep, seconds.
+pub(crate) fn timed_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
+    let layers = evenly(&grid.layers(), 2 * rayon::current_num_threads());
+    let mut stride = usize::MAX;
+    loop {
+        let begun = Instant::now();
+        let peaks = sweep_lines(rows, grid, (&layers, stride), most, &AtomicBool::new(false));
+        let took = begun.elapsed();
+        if took > TIMED / 4 || stride == 1 {
+            let positions: usize = layers.iter().map(|layer| layer.positions(stride)).sum();
+            return (peaks, took.as_secs_f64() * grid.len() as f64 / positions.max(1) as f64);
+        }
+        let longest = layers.iter().map(|layer| layer.shell.count()).max().unwrap_or(1);
+        let more = TIMED.as_secs_f64() / took.as_secs_f64().max(1e-6);
+        stride = ((longest.min(stride) as f64 / more) as usize).max(1);
+    }
+}
+
+/// Sweeps every `stride`th line of some layers.
+fn sweep_lines(
+    rows: &MeasurementRows,
+    grid: &SearchGrid,
+    (layers, stride): (&[Layer], usize),
+    most: usize,
+    stop: &AtomicBool,
+) -> Vec<Peak> {
     let turned: Vec<SweepRows> = grid.quats.iter().map(|q| SweepRows::new(rows, *q, grid.centre)).collect();
-    let layer = |&(shell, q, z): &(Shell, usize, usize)| {
+    let layer = |&Layer { shell, q, z }: &Layer| {
         let mut found = Vec::new();
         let mut least = 0.0;
-        for y in 0..shell.count() {
+        for y in (0..shell.count()).step_by(stride) {
             if stop.load(Ordering::Relaxed) {
                 return found;
             }
@@ -143,7 +203,7 @@ pub(crate) fn sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop
         grid.thin(&mut found, most);
         found
     };
-    let layers: Vec<Vec<Peak>> = tasks.par_iter().map(layer).collect();
+    let layers: Vec<Vec<Peak>> = layers.par_iter().map(layer).collect();
     let mut found = layers.concat();
     grid.thin(&mut found, most);
     found

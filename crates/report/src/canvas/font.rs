@@ -77,10 +77,25 @@ impl OutlineBuilder for Pen {
     }
 }
 
-/// Breaks `text` after commas into lines no wider than `width`, longer parts at spaces; longer words are cut.
+/// Breaks `text` after commas into lines no wider than `width`, longer parts at spaces, but not between a word and its
+/// number; longer words are cut.
 pub fn wrapped(text: &str, width: f64) -> Vec<String> {
     let lines = broken(text, ", ", width);
-    lines.iter().flat_map(|line| broken(line, " ", width)).map(|line| cut(&line, width)).collect()
+    let parts = |line: &String| with_numbers(broken(line, " ", width), width);
+    lines.iter().flat_map(parts).map(|line| cut(&line, width)).collect()
+}
+
+/// Moves the last word of a line to the next line if that begins with its number.
+fn with_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
+    for k in 1..lines.len() {
+        let is_number = lines[k].starts_with(|c: char| c.is_ascii_digit() || "=-−+.".contains(c));
+        let Some((rest, name)) = lines[k - 1].rsplit_once(' ').filter(|_| is_number) else { continue };
+        let (rest, joined) = (rest.to_owned(), format!("{name} {}", lines[k]));
+        if text_width(&joined) <= width {
+            (lines[k - 1], lines[k]) = (rest, joined);
+        }
+    }
+    lines
 }
 
 /// Breaks `text` after `mark` into lines no wider than `width` if possible.
@@ -121,6 +136,7 @@ mod tests {
         assert_eq!(wrapped("init cloud, lambda 0.02", 110.0), ["init cloud,", "lambda 0.02"]);
         assert_eq!(wrapped("pruner LightGaussian 120", 120.0), ["pruner", "LightGaussian 120"]);
         assert_eq!(wrapped("init cloud, lambda 0.02", 500.0), ["init cloud, lambda 0.02"]);
+        assert_eq!(wrapped("pruned masks λ 0.02", text_width("pruned masks λ")), ["pruned masks", "λ 0.02"]);
     }
 
     #[test]

@@ -5,19 +5,19 @@ use crate::live::{PartitionedData, STAGE, STYLE, TensorBundle, bundle, gaussians
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
-use pwrfgs_core::{Appearance, Image, Query, evenly, files::digest, plugin::name_of};
+use pwrfgs_core::{Appearance, Dataset, Image, Query, Real, evenly, files::digest, plugin::name_of};
 use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 use pwrfgs_model::{Ensemble, compress, file};
 use serde_json::json;
 
-/// Maximum number of spectra in a page, and their maximum bytes.
-const SPECTRA: usize = 50;
+/// Maximum number of test observations in a page, and their maximum bytes.
+const OBSERVATIONS: usize = 50;
 const BYTES: usize = 2_400_000;
 /// Maximum number of surface points in a page.
 const POINTS: usize = 3_000;
 /// Maximum number of Gaussians in a page.
 const GAUSSIANS: usize = 20_000;
-/// Maximum number of links with a shown transmitter, besides those whose spectra are in the page.
+/// Maximum number of links with a shown transmitter, besides those whose observations are in the page.
 const LINKS: usize = 5_000;
 /// Maximum size of a model that predicts in the page, bytes.
 const MODEL_BYTES: usize = 1 << 20;
@@ -35,13 +35,12 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     if !run.data.placed || run.partition.test.is_empty() {
         return context! { script, digest };
     }
-    let spectra = run.data.task().has_pixels;
     let model = model_bytes(run);
     let gaussians = shows(run.model).then(|| {
         let origin = origin(&run.model.members()[0].stages.setup, Some(run.data));
         gaussians(run.model, origin, None).to_bytes()
     });
-    let chosen = if spectra { chosen(run, model.is_some()) } else { Vec::new() };
+    let chosen = chosen(run, model.is_some());
     let links = shown(run, &chosen);
     context! {
         script,
@@ -50,7 +49,7 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
         style => STYLE,
         room => base64(&room_pack(run, &links).to_bytes()),
         gaussians => gaussians.as_deref().map(base64),
-        spectra => spectra.then(|| base64(&spectra_pack(run, &links, &chosen, model.is_none()).to_bytes())),
+        observations => base64(&observation_pack(run, &links, &chosen, model.is_none()).to_bytes()),
         model => model.as_deref().map(base64),
     }
 }
@@ -90,10 +89,12 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     compress::to_bytes(only, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
-/// Test links whose spectra are in the page: evenly from best to worst, as many as fit.
+/// Test links whose observations are in the page: evenly from best to worst, as many as fit.
 fn chosen(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
-    let of_one = run.data.width * run.data.height * if alone { 1 } else { 2 };
-    let most = SPECTRA.min(BYTES / of_one.max(1)).max(1);
+    let task = run.data.task();
+    let numbers = if task.is_scalar { run.data.scene.receivers.len() } else { run.data.width * run.data.height };
+    let of_one = numbers * if task.has_pixels { 1 } else { size_of::<f32>() } * if alone { 1 } else { 2 };
+    let most = OBSERVATIONS.min(BYTES / of_one.max(1)).max(1);
     let mut test: Vec<(usize, f64)> = scored(run).collect();
     test.sort_by(|a, b| a.1.total_cmp(&b.1));
     let all: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
@@ -136,21 +137,46 @@ fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     tensors
 }
 
-/// Measurement of each selected link and, unless the page predicts, its prediction; 8 bits per pixel. Named by
-/// index in `links`.
-fn spectra_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
+/// Measurement of each selected link and, unless the page predicts, its prediction. Spectra have 8 bits per pixel;
+/// powers are those of all receivers. Named by index in `links`.
+fn observation_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
+    let LoadedRun { data, model, .. } = run;
     let places: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
     let mut tensors = TensorBundle::new(json!({ "links": places }));
-    let put = |tensors: &mut TensorBundle, name: String, image: &Image| {
-        tensors.put_bytes(&name, &[image.height, image.width], image.to_bytes());
+    let is_scalar = data.task().is_scalar;
+    let mut put = |name: &str, place: usize, images: &[Image]| match images {
+        [image] if data.task().has_pixels => {
+            tensors.put_bytes(&format!("{name}.{place}"), &[image.height, image.width], image.to_bytes());
+        }
+        images => {
+            let values: Vec<Real> = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
+            tensors.put(&format!("{name}.{place}"), &[values.len()], values);
+        }
     };
-    let queries: Vec<Query<'_>> = chosen.iter().map(|&i| run.data.query(i)).collect();
-    let pictures = if predicted { run.model.prepare().predict_many(&queries) } else { Vec::new() };
+    let receivers = if is_scalar { data.scene.receivers.len() } else { 1 };
+    let of_link = |&i: &usize| {
+        let query = data.query(i);
+        (0..receivers).map(move |r| if is_scalar { Query { receiver: r, ..query } } else { query })
+    };
+    let queries: Vec<Query<'_>> = chosen.iter().flat_map(of_link).collect();
+    let found = if predicted { model.prepare().predict_many(&queries) } else { Vec::new() };
     for (k, (place, &i)) in places.iter().zip(chosen).enumerate() {
-        put(&mut tensors, format!("truth.{place}"), &run.data.image(i));
-        if let Some(picture) = pictures.get(k) {
-            put(&mut tensors, format!("predicted.{place}"), picture);
+        put("truth", *place, &measured(data, i));
+        if predicted {
+            put("predicted", *place, &found[k * receivers..][..receivers]);
         }
     }
     tensors
+}
+
+/// Observation of a link; for a power, those of its transmitter at all receivers, NaN without one.
+fn measured(data: &Dataset, link: usize) -> Vec<Image> {
+    if !data.task().is_scalar {
+        return vec![data.image(link)];
+    }
+    let mut all = vec![Image { pixels: vec![Real::NAN], ..data.image(link) }; data.scene.receivers.len()];
+    for other in data.links_of(&[data.links[link].transmitter]) {
+        all[data.links[other].receiver] = data.image(other);
+    }
+    all
 }

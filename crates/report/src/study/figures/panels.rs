@@ -6,18 +6,33 @@ use crate::draw::charts::Legend;
 use crate::draw::room::{Panel, RoomFigure};
 use crate::draw::spectra::{ColourScale, draw_azimuth, draw_elevation, names, pixels};
 use minijinja::context;
-use pwrfgs_core::{Dataset, Image, ImagePlane, Result};
-use pwrfgs_experiment::{Setting, StudyVariant, scores::MODEL};
+use pwrfgs_core::{Dataset, Image, ImagePlane, Query, Result};
+use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, scores::MODEL};
 use pwrfgs_model::Snapshot;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// Maximum number of shown variants.
+/// Maximum number of shown methods.
 const MOST_ROOMS: usize = 6;
+
+/// One variant per method: that with the number of Gaussians that most methods reach, or the nearest. All variants of a
+/// single method.
+pub(super) fn methods(setting: &Setting) -> Vec<&StudyVariant> {
+    let families = VariantFamily::all(setting);
+    if families.len() == 1 {
+        return setting.variants.iter().collect();
+    }
+    let count = |variant: &StudyVariant| variant.runs[0].facts.gaussians;
+    let reach = |n: usize| families.iter().filter(|way| way.variants.iter().any(|v| count(v) == n)).count();
+    let common = setting.variants.iter().map(count).max_by_key(|&n| (reach(n), Reverse(n))).unwrap_or(0);
+    let nearest = |variants: Vec<_>| variants.into_iter().min_by_key(|v| count(v).abs_diff(common));
+    families.into_iter().filter_map(|way| nearest(way.variants)).collect()
+}
 
 /// Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
 pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
-    let with = || setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0);
-    let shown: Vec<&StudyVariant> = with().take(MOST_ROOMS).collect();
+    let methods = || methods(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
+    let shown: Vec<&StudyVariant> = methods().take(MOST_ROOMS).collect();
     if shown.is_empty() {
         return Ok(None);
     }
@@ -44,7 +59,7 @@ pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> 
     let legend = Legend::new(room.legend(), canvas.width);
     legend.draw(&mut canvas, top);
     canvas.height = top + legend.height();
-    let words = context! { more => with().count() - shown.len(), note => room.note(data) };
+    let words = context! { more => methods().count() - shown.len(), note => room.note(data) };
     Ok(Some(Figure::new("room", setting, words, &canvas)))
 }
 
@@ -71,8 +86,8 @@ fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     bottom
 }
 
-/// Maximum number of shown variants.
-const MOST_COLUMNS: usize = 5;
+/// Maximum numbers of shown baselines and of shown methods.
+const MOST_COLUMNS: [usize; 2] = [2, 5];
 /// Margins for the names of rows and the elevation axis.
 const LEFT: f64 = 94.0;
 /// Gap between panels.
@@ -87,36 +102,81 @@ struct ComparisonRow {
     name: &'static str,
     id: u32,
     truth: Image,
-    /// Prediction and its SSIM per variant.
+    /// Prediction and its SSIM per column.
     predicted: Vec<(Image, f64)>,
 }
 
-/// Spectra as measured and as predicted by each variant: figure 4 of the paper.
+/// Predictions of a baseline or of a trained model.
+pub(super) struct PredictionColumn<'a> {
+    pub(super) label: String,
+    /// SSIM by sample.
+    scores: BTreeMap<u32, f64>,
+    predict: Box<dyn Fn(Query<'_>) -> Image + 'a>,
+}
+
+/// Spectra as measured, and as predicted by the best baselines and each method: figure 4 of the paper.
 pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
-    let shown = &setting.variants[..setting.variants.len().min(MOST_COLUMNS)];
-    let scores: Option<Vec<BTreeMap<u32, f64>>> = shown.iter().map(|v| v.runs[0].scores.by_id(MODEL, "ssim")).collect();
-    let Some(scores) = scores else { return Ok(None) };
-    let models = shown.iter().map(|v| v.runs[0].model(data)).collect::<Result<Vec<_>>>()?;
+    let methods = methods(setting);
+    let shown = &methods[..methods.len().min(MOST_COLUMNS[1])];
+    let columns = spectra_columns(setting, shown, data)?;
     let row = |(name, id): (&'static str, u32)| {
         let index = (0..data.len()).find(|&i| data.label(i) == id)?;
-        let predicted = models
-            .iter()
-            .zip(&scores)
-            .map(|(m, s)| (m.prepare().predict_timed(data.query(index)).0.clamped(), s[&id]))
-            .collect();
+        let predict = |column: &PredictionColumn<'_>| {
+            Some(((column.predict)(data.query(index)).clamped(), *column.scores.get(&id)?))
+        };
+        let predicted = columns.iter().map(predict).collect::<Option<_>>()?;
         Some(ComparisonRow { name, id, truth: data.image(index), predicted })
     };
+    let trained = &columns[columns.len() - shown.len()..];
+    let scores: Vec<&BTreeMap<u32, f64>> = trained.iter().map(|column| &column.scores).collect();
     let rows: Vec<ComparisonRow> = chosen(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {
         return Ok(None);
     }
-    let canvas = draw_spectra(shown, &rows, models[0].plane());
-    let words = context! { first => setting.variants[0].label.clone(), more => setting.variants.len() - shown.len() };
+    let labels: Vec<&str> = columns.iter().map(|column| column.label.as_str()).collect();
+    let canvas = draw_spectra(&labels, &rows, &shown[0].runs[0].pipeline.plane(data)?);
+    let words = context! { first => shown[0].label.clone(), more => methods.len() - shown.len() };
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
 
-/// Best, median and worst by the scores of the first variant, among the common ids.
-fn chosen(scores: &[BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
+/// Columns of the figure: baselines, then the methods.
+pub(super) fn spectra_columns<'a>(
+    setting: &Setting,
+    methods: &[&StudyVariant],
+    data: &'a Dataset,
+) -> Result<Vec<PredictionColumn<'a>>> {
+    let mut columns = baselines(setting, data)?;
+    for variant in methods {
+        let run = &variant.runs[0];
+        let model = run.model(data)?;
+        let scores = run.scores.by_id(MODEL, "ssim").unwrap_or_default();
+        let predict = Box::new(move |query: Query<'_>| model.prepare().predict_timed(query).0);
+        columns.push(PredictionColumn { label: variant.label.clone(), scores, predict });
+    }
+    Ok(columns)
+}
+
+/// Best baselines by mean SSIM, without oracles and other programs, fitted again.
+fn baselines<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionColumn<'a>>> {
+    let (task, score) = (setting.task(), |name: &str| setting.baseline(name, "ssim"));
+    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|own| own == name));
+    let all = setting.baselines().into_iter().filter(|name| !is_oracle(name) && !setting.is_external(name));
+    let mut ranked: Vec<(&str, f64)> = all.filter_map(|name| Some((name, score(name)?))).collect();
+    ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut columns = Vec::new();
+    for (name, _) in ranked.into_iter().take(MOST_COLUMNS[0]) {
+        let found = setting.runs().find_map(|run| Some((run.scores.by_id(name, "ssim")?, run)));
+        let Some((scores, run)) = found else { continue };
+        let Some(baseline) = run.pipeline.baselines.iter().find(|own| own.name_for(task) == name) else { continue };
+        let fitted = baseline.fit(data, run.partition(data)?.known())?;
+        let predict = Box::new(move |query: Query<'_>| fitted.predict(query));
+        columns.push(PredictionColumn { label: name.to_owned(), scores, predict });
+    }
+    Ok(columns)
+}
+
+/// Best, median and worst by the scores of the first method, among the common ids.
+fn chosen(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     let Some(first) = scores.first() else { return Vec::new() };
     let mut common: Vec<(f64, u32)> =
         first.iter().filter(|(id, _)| scores.iter().all(|s| s.contains_key(id))).map(|(id, s)| (*s, *id)).collect();
@@ -127,15 +187,15 @@ fn chosen(scores: &[BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     chosen
 }
 
-fn draw_spectra(variants: &[StudyVariant], rows: &[ComparisonRow], plane: &ImagePlane) -> Canvas {
-    let columns = 1 + variants.len();
+fn draw_spectra(predictors: &[&str], rows: &[ComparisonRow], plane: &ImagePlane) -> Canvas {
+    let columns = 1 + predictors.len();
     let mut canvas = Canvas::new(if columns == 2 { COLUMN } else { PAGE }, 0.0);
     let space = (canvas.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;
     let width = space.min(WIDEST);
     let height = (width * plane.height as f64 / plane.width as f64).min(width);
     let left = LEFT + columns as f64 * (space - width) / 2.0;
     let x = |column: usize| left + column as f64 * (width + GAP);
-    let labels = std::iter::once("ground truth").chain(variants.iter().map(|v| v.label.as_str()));
+    let labels = std::iter::once("ground truth").chain(predictors.iter().copied());
     let labels: Vec<Vec<String>> = labels.map(|name| wrapped(name, width + GAP - 2.0)).collect();
     let head = LINE * labels.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
     for (k, name) in labels.iter().enumerate() {
@@ -182,9 +242,9 @@ mod tests {
     fn chosen_samples_are_common_to_all_runs() {
         let first: BTreeMap<u32, f64> = [(1, 0.9), (2, 0.5), (3, 0.7), (4, 0.1), (5, 0.6)].into();
         let second: BTreeMap<u32, f64> = [(2, 0.0), (3, 0.0), (4, 0.0), (9, 1.0)].into();
-        assert_eq!(chosen(&[first.clone(), second]), [("best", 3), ("median", 2), ("worst", 4)]);
-        assert_eq!(chosen(&[[(7, 0.5)].into()]), [("best", 7)]);
-        assert!(chosen(&[first, BTreeMap::new()]).is_empty());
+        assert_eq!(chosen(&[&first, &second]), [("best", 3), ("median", 2), ("worst", 4)]);
+        assert_eq!(chosen(&[&[(7, 0.5)].into()]), [("best", 7)]);
+        assert!(chosen(&[&first, &BTreeMap::new()]).is_empty());
         assert!(chosen(&[]).is_empty());
     }
 }

@@ -1,3 +1,4 @@
+use super::panels::{methods, spectra_columns};
 use super::tradeoff::strategies;
 use super::{Figure, all};
 use crate::canvas::outside;
@@ -52,6 +53,16 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
         let lines = strategies(&study.settings[0], "ssim");
         let points = lines.iter().map(|line| line.points.len()).sum::<usize>();
         assert_eq!((lines.len(), points), (curves, count), "one curve per strategy");
+        if count == 6 {
+            let setting = &study.settings[0];
+            let shown: Vec<&str> = methods(setting).into_iter().map(|own| own.label.as_str()).collect();
+            assert_eq!(shown, ["Grid 8", "a strategy with a long name 8", "mask", "none"], "each method once");
+            let data = setting.variants[0].runs[0].load_data(&mut NoopObserver).unwrap();
+            let columns = spectra_columns(setting, &methods(setting), &data).unwrap();
+            let names: Vec<&str> = columns.iter().map(|own| own.label.as_str()).collect();
+            assert!(names[..2].iter().all(|name| setting.baselines().contains(name)), "{names:?}");
+            assert_eq!(names[2..], shown, "baselines first");
+        }
         let drawn = all(&study.settings[0], &|_, _| {});
         assert_eq!(drawn.left_out, None);
         let (written, texts) = outside::take();
