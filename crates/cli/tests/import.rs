@@ -141,14 +141,13 @@ fn rejects_archive_with_a_flipped_bit() {
         fs::remove_dir_all(here.join("whole")).unwrap();
         for (own, name) in [(&spectra, "spectra"), (&tx, "tx")] {
             let mut damaged = whole.clone();
-            match damaged.windows(own.len()).position(|part| part == own.as_slice()) {
-                Some(start) => damaged[start + own.len() - 1] ^= 0x40,
-                None => {
-                    // The checksum in the list of entries, at the end of the archive.
-                    let file = format!("{name}.npy").into_bytes();
-                    let listed = damaged.windows(file.len()).rposition(|part| part == file).unwrap();
-                    damaged[listed - 30] ^= 1;
-                }
+            if let Some(start) = damaged.windows(own.len()).position(|part| part == own.as_slice()) {
+                damaged[start + own.len() - 1] ^= 0x40;
+            } else {
+                // The checksum in the list of entries, at the end of the archive.
+                let file = format!("{name}.npy").into_bytes();
+                let listed = damaged.windows(file.len()).rposition(|part| part == file).unwrap();
+                damaged[listed - 30] ^= 1;
             }
             write(&here.join("a.npz"), damaged);
             let words = format!("a.npz:{name}: is damaged (Invalid checksum); copy the archive again");

@@ -252,9 +252,12 @@ impl<'a> Reader<'a> {
             let what = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
             self.require(!child.has_tag_name("texture"), child, what)?;
             let name = self.required(child, "name")?;
-            let hint = did_you_mean(&name, PROPERTIES);
-            let what = format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
-            self.require(PROPERTIES.contains(&&*name), child, what)?;
+            if !PROPERTIES.contains(&&*name) {
+                let hint = did_you_mean(&name, PROPERTIES);
+                let what =
+                    format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
+                return Err(self.fault(child, what));
+            }
         }
         Ok(())
     }
@@ -274,9 +277,11 @@ impl<'a> Reader<'a> {
             let place = property(node, "type");
             let stated = place.map(|place| self.required(place, "value")).transpose()?;
             let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
-            let (hint, all) = (did_you_mean(&name, known.iter().copied()), known.join(", "));
-            let what = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
-            self.require(known.contains(&&*name), place.unwrap_or(node), what)?;
+            if !known.contains(&&*name) {
+                let (hint, all) = (did_you_mean(&name, known.iter().copied()), known.join(", "));
+                let what = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
+                return Err(self.fault(place.unwrap_or(node), what));
+            }
             name
         } else {
             let what = "is not a radio material; rename it to `itu_concrete` or another ITU material, or set its type to \

@@ -132,7 +132,12 @@ impl PlyHeader {
             start += length + 1;
             line += 1;
             if line > MOST_LINES {
-                return Err(Error::at(path, line, 1, format!("the header has more than {MOST_LINES} lines; shorten it")));
+                return Err(Error::at(
+                    path,
+                    line,
+                    1,
+                    format!("the header has more than {MOST_LINES} lines; shorten it"),
+                ));
             }
             let fields = split_blanks(&text);
             let words: Vec<&str> = fields.iter().map(|f| f.text).collect();
