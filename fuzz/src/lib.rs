@@ -11,25 +11,30 @@ pub mod mutate;
 pub mod targets;
 
 use mutate::mutate;
+use pwrfgs::data::npy_header;
 use pwrfgs::experiment::read_pipeline;
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
 use pwrfgs::model::{compress, file};
 use pwrfgs::prelude::*;
-use pwrfgs_core::rng;
+use pwrfgs_core::{Number, rng};
 use std::fs;
+use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use targets::{Reader, TARGETS, Target};
+use zip::{CompressionMethod, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
 /// Environment variable that makes the fuzzer act as `pwrfgs`.
 pub const AS_PROGRAM: &str = "PWRFGS_FUZZ_AS_PROGRAM";
 /// Outputs of program calls, removed before each call: existing ones would be an error.
-const WRITTEN: [&str; 6] = ["ran", "simulated", "compared", "heard", "out.npz", "out.ply"];
+const WRITTEN: [&str; 7] = ["ran", "simulated", "compared", "heard", "out.npz", "out.ply", "updated.safetensors"];
 /// Longest processor time of a case, seconds.
 const PATIENCE: f64 = 10.0;
 /// Longest message, bytes.
 const LONGEST_MESSAGE: usize = 2_000;
+/// Last bytes of a file, without which it is cut short. A PNG file has all its pixels before them.
+const END: usize = 16;
 /// Models other than that of the pipeline.
 const MODELS: [&[&str]; 5] = [
     &["deformation=Fixed()", "readout=Real", "calibration=AsReleased", "projector=WrfgsCompat()"],
@@ -68,7 +73,10 @@ impl Bench {
             }
         }
         let path = folder.join("colmap/images/00003.jpg");
-        image::GrayImage::new(12, 6).save(&path).map_err(|e| Error::input(&path, e))?;
+        image::GrayImage::from_fn(12, 6, |x, y| image::Luma([(17 * x * y) as u8]))
+            .save(&path)
+            .map_err(|e| Error::input(&path, e))?;
+        archives(folder)?;
         runs(folder)?;
         models(folder)?;
         let seeds = TARGETS.iter().map(|target| seeds(folder, target)).collect::<Result<_>>()?;
@@ -106,7 +114,10 @@ impl Bench {
             put(&self.seeds[target][0])?;
         }
         let slow = (processor_seconds() - begun > PATIENCE).then(|| "takes too long".into());
-        Ok(refusal.and_then(|refusal| refusal.fault()).or(slow))
+        let is_start = |seed: &Vec<u8>| bytes.len() + END <= seed.len() && seed.starts_with(bytes);
+        let is_cut = TARGETS[target].form.has_end() && self.seeds[target].iter().any(is_start);
+        let cut = (is_cut && refusal.is_none()).then(|| "accepts a file that is cut short".into());
+        Ok(refusal.and_then(|refusal| refusal.fault()).or(slow).or(cut))
     }
 
     /// Error of the reader of target number `target` for its valid file, if any. If the reader rejects the valid file,
@@ -199,7 +210,26 @@ fn seeds(folder: &Path, target: &Target) -> Result<Vec<Vec<u8>>> {
     all.collect::<Result<Vec<_>>>()?.concat().iter().map(read).collect()
 }
 
-/// Creates a sweep folder with one finished run, a run of powers, and an interrupted run.
+/// Creates archives of four spectra and their positions, with and without compression.
+fn archives(folder: &Path) -> Result<()> {
+    let spectra: Vec<u8> = (0..4 * 6 * 24).map(|v| (v % 251) as u8).collect();
+    let positions: Vec<u8> = (0..12).flat_map(|v| f64::from(v).to_le_bytes()).collect();
+    for (name, method) in [("arrays.npz", CompressionMethod::Stored), ("deflated.npz", CompressionMethod::Deflated)] {
+        let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+        let mut put = |name: &str, header: Vec<u8>, numbers: &[u8]| {
+            archive.start_file(name, SimpleFileOptions::default().compression_method(method))?;
+            archive.write_all(&[&header, numbers].concat())?;
+            Ok(())
+        };
+        let done = put("spectra.npy", npy_header(Number::U8, &[4, 6, 24]), &spectra)
+            .and_then(|()| put("tx.npy", npy_header(Number::F64, &[4, 3]), &positions))
+            .and_then(|()| Ok(fs::write(folder.join(name), archive.finish()?.into_inner())?));
+        done.map_err(|e: ZipError| Error::input(&folder.join(name), e))?;
+    }
+    Ok(())
+}
+
+/// Creates a sweep folder with one finished run, runs of powers and with Kriged residuals, and an interrupted run.
 fn runs(folder: &Path) -> Result<()> {
     let whole = |pipeline: &Pipeline, out| {
         pwrfgs::run(pipeline, folder, &folder.join(out), &mut NoopObserver, &AtomicBool::new(false))
@@ -207,6 +237,8 @@ fn runs(folder: &Path) -> Result<()> {
     let pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
     whole(&pipeline, "sweep/a")?;
     whole(&read_pipeline(&folder.join("powers.ron"), &[])?, "powers")?;
+    let kriged = ["residuals=Kriged()", "split=Official(validation: 0.5)"].map(String::from);
+    whole(&read_pipeline(&folder.join("measured.ron"), &kriged)?, "kriged")?;
     let run = ListedRun { folder: "a".into(), labels: vec![("steps".into(), "4".into())], seed: 1 };
     Listing { name: "sweep".into(), runs: vec![run] }.write(&folder.join("sweep"))?;
     let stop = AtomicBool::new(false);

@@ -1,9 +1,11 @@
 //! Mutations of files, as a function of a random stream.
 //!
-//! Most mutations ignore the format. Two formats have checks that would reject blind changes: PNG checksums are
-//! corrected afterwards, and so is the header length of safetensors files.
+//! Most mutations ignore the format. Three formats have checks that would reject blind changes: checksums of PNG files
+//! and archives are corrected afterwards, and so is the header length of safetensors files.
 
 use pwrfgs_core::rng::{Rng, below};
+use std::io::{Cursor, Read as _, Write as _};
+use zip::{ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 /// Format of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,8 +14,19 @@ pub enum Form {
     Plain,
     /// PNG: chunks with checksums.
     Png,
+    /// JPEG: ends with a marker.
+    Jpeg,
+    /// NPZ: an archive of arrays with checksums.
+    Archive,
     /// Safetensors: header length (u64), header (JSON), numbers.
     Tensors,
+}
+
+impl Form {
+    /// Whether its reader notices that the end is missing.
+    pub fn has_end(self) -> bool {
+        matches!(self, Self::Png | Self::Jpeg | Self::Archive)
+    }
 }
 
 /// Largest mutated file, bytes.
@@ -38,6 +51,8 @@ pub fn mutate(seed: &[u8], other: &[u8], form: Form, rng: &mut Rng) -> Vec<u8> {
         let guarded = match (form, below(rng, 4)) {
             (Form::Png, 0..=2) => inside_png(&bytes, rng),
             (Form::Tensors, 0..=2) => inside_tensors(&bytes, rng),
+            (Form::Archive, 0..=1) => inside_archive(&bytes, rng),
+            (Form::Archive | Form::Jpeg, 2) => Some(bytes[..below(rng, bytes.len() + 1)].to_vec()),
             _ => None,
         };
         bytes = guarded.unwrap_or_else(|| blind(&bytes, other, rng));
@@ -142,6 +157,22 @@ fn inside_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
         [&(named.len() as u32 - 4).to_be_bytes()[..], &named, &crc.sum().to_be_bytes()].concat()
     };
     Some([start.to_vec(), chunks.into_iter().flat_map(whole).collect()].concat())
+}
+
+/// Changes one array, and corrects lengths and checksums.
+fn inside_archive(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
+    let mut archive = ZipArchive::new(Cursor::new(bytes)).ok()?;
+    let changed = below(rng, archive.len().max(1));
+    let mut out = ZipWriter::new(Cursor::new(Vec::new()));
+    for i in 0..archive.len() {
+        let mut array = archive.by_index(i).ok()?;
+        let options = SimpleFileOptions::default().compression_method(array.compression());
+        out.start_file(array.name().ok()?, options).ok()?;
+        let mut content = Vec::new();
+        array.read_to_end(&mut content).ok()?;
+        out.write_all(&if i == changed { blind(&content, &[], rng) } else { content }).ok()?;
+    }
+    Some(out.finish().ok()?.into_inner())
 }
 
 /// Changes the header as text, or a number after it, and corrects the header length.

@@ -2,7 +2,8 @@
 //! far as they stay small.
 
 use crate::mutate::Form;
-use pwrfgs::data::{Predictions, check, import::links};
+use pwrfgs::data::import::{Import, links};
+use pwrfgs::data::{Predictions, check};
 use pwrfgs::experiment::sweep::SweepPlan;
 use pwrfgs::experiment::{self, Session, read_pipeline};
 use pwrfgs::model::export::{npz, ply};
@@ -60,8 +61,10 @@ const fn program(file: &'static str, form: Form, arguments: &'static [&'static s
     Target { file, seeds: &[], form, share: 1, reader: Reader::Program(arguments) }
 }
 
-use Form::{Plain, Png, Tensors};
+use Form::{Archive, Jpeg, Plain, Png, Tensors};
 const MODEL: &str = "models/model.safetensors";
+const UPDATED: &str = "kriged/model.safetensors";
+const UPDATE: &[&str] = &["update", UPDATED, "--data", "data", "--out", "updated.safetensors", "-q"];
 const PREDICT: &[&str] = &["predict", MODEL, "--tx-csv", "positions.csv", "--out", "heard", "-q"];
 
 /// All formats.
@@ -84,7 +87,8 @@ pub const TARGETS: &[Target] = &[
     of(8, "colmap/sparse/0/cameras.txt", &[], Plain, cameras),
     of(16, "colmap/sparse/0/images.txt", &[], Plain, cameras),
     of(8, "colmap/images/00002.png", &[], Png, cameras),
-    of(8, "colmap/images/00003.jpg", &[], Plain, cameras),
+    of(8, "colmap/images/00003.jpg", &[], Jpeg, cameras),
+    of(24, "arrays.npz", &["deflated.npz"], Archive, imported),
     of(8, "colmap/sparse/0/points3D.txt", &[], Plain, cameras),
     of(8, "freq.txt", &[], Plain, |bench| pwrfgs::data::read_carriers(&bench.join("freq.txt")).map(drop)),
     of(8, "predicted/00004.npy", &[], Plain, |bench| predicted(bench, "measured.ron")),
@@ -122,6 +126,8 @@ pub const TARGETS: &[Target] = &[
     program(MODEL, Tensors, &["export", MODEL, "--npz", "out.npz", "--ply", "out.ply", "-q"]),
     program("observed.csv", Plain, &["locate", "powers/model.safetensors", "observed.csv", "-q"]),
     program("observed.npy", Plain, &["locate", "sweep/a/model.safetensors", "observed.npy", "-q"]),
+    program(UPDATED, Tensors, UPDATE),
+    program("data/tx_pos.csv", Plain, UPDATE),
     program("p.ron", Plain, &["run", "p.ron", "--out", "ran", "-q"]),
     program("e.ron", Plain, &["sweep", "e.ron", "--dry-run", "-q"]),
     program("sweep/a/run.json", Plain, &["run", "p.ron", "--out", "sweep/a", "-q"]),
@@ -185,6 +191,23 @@ fn csi(bench: &Path) -> Result<()> {
 
 fn cameras(bench: &Path) -> Result<()> {
     load(bench, "Colmap(root: \"colmap\")")
+}
+
+/// Imports the archive of spectra and positions.
+fn imported(bench: &Path) -> Result<()> {
+    let out = bench.join("imported");
+    let _ = fs::remove_dir_all(&out);
+    let import = Import {
+        spectra: bench.join("arrays.npz"),
+        tx: None,
+        receiver: Pose::IDENTITY,
+        elevation: None,
+        name: "imported".into(),
+        scale: None,
+        simulated: false,
+    };
+    import.write(&out, &|_, _| {})?;
+    load(bench, "Arrays(root: \"imported\")")
 }
 
 /// Checks predictions for the test set of a pipeline on the bench.

@@ -1,5 +1,6 @@
 //! Every bad input: exit code 2, one message that names the file and what is wrong, and nothing written.
-use crate::common::{SMALL, measured, picture, pwrfgs, refuse, stderr, succeed, write};
+use crate::common::{SMALL, measured, picture, pwrfgs, refuse, stderr, stdout, succeed, write};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A folder with good data, spoilt by `spoil`; the run must refuse it with `words` and make no run folder.
@@ -46,6 +47,36 @@ fn reports_unreadable_and_mismatched_images() {
     });
     spoilt(&[name, "16"], |h| image::ImageBuffer::<image::Luma<u16>, _>::new(12, 6).save(third_picture(h)).unwrap());
     spoilt(&[name], |h| image::RgbImage::new(12, 6).save(third_picture(h)).unwrap());
+}
+
+#[test]
+fn rejects_jpeg_that_is_cut_short() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    fs::create_dir_all(here.join("c/sparse/0")).unwrap();
+    fs::create_dir(here.join("c/images")).unwrap();
+    write(&here.join("c/sparse/0/cameras.txt"), "1 SIMPLE_PINHOLE 64 48 40 32 24\n");
+    let line = |id: u32| format!("{id} 1 0 0 0 0 0 {id} 1 {id}.jpg\n\n");
+    write(&here.join("c/sparse/0/images.txt"), (1..=2).map(line).collect::<String>());
+    let noisy = |x: u32, y: u32| image::Luma([(x * y * 37 % 251) as u8]);
+    let whole = |id: u32| {
+        let path = here.join(format!("c/images/{id}.jpg"));
+        image::GrayImage::from_fn(64, 48, noisy).save(&path).unwrap();
+        fs::read(path).unwrap()
+    };
+    let (_, bytes) = (whole(1), whole(2));
+    let path = here.join("c/images/2.jpg");
+    // A camera may write more after the end, and an image with an end of its own into the metadata.
+    let comment = b"\xff\xfe\x00\x06\xff\xd9\xff\xd9";
+    for whole in [bytes.clone(), [&bytes, &b"more"[..]].concat(), [&bytes[..2], comment, &bytes[2..]].concat()] {
+        write(&path, whole);
+        assert!(stdout(&succeed(here, &["inspect", "c"])).contains("2 spectra"));
+    }
+    let with_comment = [&bytes[..2], comment, &bytes[2..]].concat();
+    for cut in [&bytes[..bytes.len() / 5], &bytes[..bytes.len() - 1], &with_comment[..with_comment.len() / 2]] {
+        write(&path, cut);
+        refuse(here, &["inspect", "c"], 2, &["c/images/2.jpg: is cut short", "copy it again"]);
+    }
 }
 
 #[test]

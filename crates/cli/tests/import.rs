@@ -4,8 +4,10 @@ use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed, write}
 use pwrfgs::data::npy_header;
 use pwrfgs_core::Number;
 use std::fs;
+use std::io::{Cursor, Write as _};
 use std::path::Path;
 use std::process::Command;
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 /// Pictures of a lobe that follows the transmitter, in every form that is understood and some that are not.
 const MAKE: &str = r#"
@@ -108,6 +110,85 @@ fn trains_on_arrays_saved_by_numpy() {
     let mut names: Vec<_> = fs::read_dir(here.join("data")).unwrap().map(|e| e.unwrap().file_name()).collect();
     names.sort();
     assert_eq!(names, ["0", "1", "2", "3", "4", "5", "6"]);
+}
+
+/// Archive with these arrays.
+fn archive(arrays: &[(&str, &[u8])], method: CompressionMethod) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in arrays {
+        archive.start_file(*name, SimpleFileOptions::default().compression_method(method)).unwrap();
+        archive.write_all(bytes).unwrap();
+    }
+    archive.finish().unwrap().into_inner()
+}
+
+/// Array of these numbers.
+fn array(number: Number, shape: &[usize], bytes: impl IntoIterator<Item = u8>) -> Vec<u8> {
+    npy_header(number, shape).into_iter().chain(bytes).collect()
+}
+
+#[test]
+fn rejects_archive_with_a_flipped_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    // 1.0 with the highest bit of its exponent flipped is infinite: the damage is reported, not the value.
+    let spectra = array(Number::F32, &[4, 6, 24], [1.0_f32; 576].into_iter().flat_map(f32::to_le_bytes));
+    let tx = array(Number::F64, &[4, 3], (0..12).flat_map(|v| f64::from(v).to_le_bytes()));
+    for method in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        let whole = archive(&[("spectra.npy", &spectra), ("tx.npy", &tx)], method);
+        write(&here.join("a.npz"), &whole);
+        succeed(here, &arguments("a.npz", "", &["--out", "whole"]));
+        fs::remove_dir_all(here.join("whole")).unwrap();
+        for (own, name) in [(&spectra, "spectra"), (&tx, "tx")] {
+            let mut damaged = whole.clone();
+            if let Some(start) = damaged.windows(own.len()).position(|part| part == own.as_slice()) {
+                damaged[start + own.len() - 1] ^= 0x40;
+            } else {
+                // The checksum in the list of entries, at the end of the archive.
+                let file = format!("{name}.npy").into_bytes();
+                let listed = damaged.windows(file.len()).rposition(|part| part == file).unwrap();
+                damaged[listed - 30] ^= 1;
+            }
+            write(&here.join("a.npz"), damaged);
+            let words = format!("a.npz:{name}: is damaged (Invalid checksum); copy the archive again");
+            refuse(here, &arguments("a.npz", "", &["--out", "out"]), 2, &[&words]);
+            assert!(!here.join("out").exists());
+        }
+    }
+}
+
+#[test]
+fn rejects_arrays_that_expand_beyond_the_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let tx = |rows: usize| array(Number::F64, &[rows, 3], vec![0; 24 * rows]);
+    let spectra = |shape: [usize; 3]| array(Number::U8, &shape, vec![64; shape.iter().product()]);
+    for (spectra, tx, words) in [
+        (spectra([4, 6, 24]), tx(2_000_001), "a.npz:tx: holds 2000001 positions, more than 2000000; give parts"),
+        (
+            spectra([1, 1 << 12, (1 << 13) + 1]),
+            tx(1),
+            "a.npz:spectra: has shape [1, 4096, 8193], so 33558528 bytes per spectrum, more than 33554432",
+        ),
+    ] {
+        let bytes = archive(&[("spectra.npy", &spectra), ("tx.npy", &tx)], CompressionMethod::Deflated);
+        assert!(bytes.len() < 100_000, "{} bytes", bytes.len());
+        write(&here.join("a.npz"), bytes);
+        refuse(here, &arguments("a.npz", "", &["--out", "out"]), 2, &[words]);
+    }
+}
+
+#[test]
+fn rejects_positions_that_its_reader_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("s.npy"), array(Number::U8, &[2, 6, 24], [64; 288]));
+    for (value, words) in [(1e300, "tx.npy: tx[1] is 1e300 m, beyond 1e8 m"), (f64::NAN, "tx.npy: tx[1] is not finite")]
+    {
+        let values = [0.0, 1.0, 2.0, 3.0, 4.0, value];
+        write(&here.join("tx.npy"), array(Number::F64, &[2, 3], values.into_iter().flat_map(f64::to_le_bytes)));
+        refuse(here, &arguments("s.npy", "tx.npy", &["--out", "out"]), 2, &[words]);
+    }
 }
 
 #[test]

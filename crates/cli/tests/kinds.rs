@@ -285,11 +285,12 @@ fn damage(mine: &Path, id: &str, broken: &str) {
         let values = (0..6 * shape[1]).map(|i| if i == 1 { second } else { 0.5 }).flat_map(f32::to_le_bytes);
         write(&file, npy_header_as(descr, &shape).into_iter().chain(values).collect::<Vec<u8>>());
     };
-    let odd = format!("{id},NaN");
+    let (odd, loud) = (format!("{id},NaN"), format!("{id},1e30"));
     match (broken, table.is_file()) {
         ("missing", true) => _ = lines.remove(1),
         ("twice", true) => lines.insert(1, lines[1]),
         ("nan", true) => lines[1] = &odd,
+        ("loud", true) => lines[1] = &loud,
         ("header", true) => lines[0] = "link,power",
         ("missing", false) => std::fs::remove_file(&file).unwrap(),
         ("extra", false) => _ = std::fs::copy(&file, mine.join("00099.npy")).unwrap(),
@@ -333,6 +334,7 @@ fn compare_rejects_invalid_predictions() {
         ("powers", "missing", "test links without prediction: 1, such as ID"),
         ("powers", "twice", "predictions.csv:3:1: link `ID` occurs twice"),
         ("powers", "nan", "`NaN` is not finite; give the power in dBm"),
+        ("powers", "loud", "`1e30` is not a power in dBm; give the power in dBm"),
         ("powers", "header", "predictions.csv:1:1: no column `dbm`; the first line must name the columns link, dbm"),
     ] {
         let (split, mine) = (here.join("split.csv"), here.join("mine"));

@@ -78,6 +78,7 @@ fn powers_of_files_are_located_and_invalid_ones_refused() {
         ("north,south\n-50\n", ["o.csv:2:1", "1 cells"]),
         ("north,south\n-50,high\n", ["o.csv:2:1", "`high` is no number"]),
         ("north,south\n-50,inf\n", ["row 1", "inf"]),
+        ("north,south\n-50,1e30\n", ["row 1: a power is", "give dBm"]),
         ("north,south\n", ["truncated", "o.csv"]),
     ] {
         write(&here.join("o.csv"), text);
@@ -103,6 +104,10 @@ fn spectra_are_located_and_other_images_refused() {
     assert!(stdout(&succeed(here, &["locate", MODEL, "o.png"])).contains("00001"));
     image::GrayImage::new(12, 48).save(here.join("turned.png")).unwrap();
     refuse(here, &["locate", MODEL, "turned.png"], 2, &["12 x 48", "48 x 12"]);
+    image::GrayImage::new(8192, 2049).save(here.join("large.png")).unwrap();
+    refuse(here, &["locate", MODEL, "large.png"], 2, &["8192 x 2049 pixels, more than 16777216"]);
+    write(&here.join("o.npy"), array(&[1, 12, 48], 1e30));
+    refuse(here, &["locate", MODEL, "o.npy"], 2, &["observation 1 has the value 1e30", "from 0 to 1"]);
     write(&here.join("o.npy"), array(&[1, 12, 48], f32::NAN));
     refuse(here, &["locate", MODEL, "o.npy"], 2, &["observation 1", "not finite"]);
     std::fs::rename(here.join("run/pipeline.ron"), here.join("p2.ron")).unwrap();

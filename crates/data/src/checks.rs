@@ -101,6 +101,11 @@ fn elevation_fault(data: &Dataset) -> Option<String> {
     data.elevation.fault().or_else(misfit)
 }
 
+/// Whether a value of a spectrum is from 0 to 1, up to rounding.
+pub fn is_linear(value: f64) -> bool {
+    (-ROUNDING..=1.0 + ROUNDING).contains(&value)
+}
+
 /// Problem with spectrum `i`: the first value outside 0 to 1.
 pub(crate) fn value_fault(spectra: &Spectra, i: usize) -> Option<String> {
     if !spectra.number().is_float() {
@@ -108,7 +113,7 @@ pub(crate) fn value_fault(spectra: &Spectra, i: usize) -> Option<String> {
     }
     let (mut at, mut wrong) = (0, None);
     spectra.number().each(&spectra.raw(i), |v| {
-        if !(-ROUNDING..=1.0 + ROUNDING).contains(&v) && wrong.is_none() {
+        if !is_linear(v) && wrong.is_none() {
             wrong = Some((at, v));
         }
         at += 1;

@@ -97,7 +97,8 @@ impl DataSource for Colmap {
         };
         let paths: Vec<PathBuf> = views.iter().map(|view| root.join(&self.images).join(&view.name)).collect();
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-        let spectra = pictures::load(&paths, pictures::luminance, progress)?;
+        let decode = |path: &Path| pictures::luminance(path, "add the image, or remove its two lines from images.txt");
+        let spectra = pictures::load(&paths, decode, progress)?;
         let size = (spectra.width(), spectra.height());
         if size != shared.size {
             let ((w, h), (width, height)) = (size, shared.size);

@@ -145,8 +145,8 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
-    /// Adds the next spectrum, which comes from `from`.
-    fn add(&mut self, from: &Path, bytes: &[u8]) -> Result<()> {
+    /// Adds the next spectrum.
+    fn add(&mut self, bytes: &[u8]) -> Result<()> {
         let (number, kept) = self.numbers;
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();
         let (range, width, i) = (&mut self.range, self.shape[2], self.done);
@@ -164,7 +164,6 @@ impl<'a> Sink<'a> {
                 self.bytes.extend((value as f32).to_le_bytes());
             }
         });
-        range.refuse_what_is_no_number(from)?;
         // Skip writing if the final check of the largest value will fail.
         let written = if self.range.is_linear() {
             let bytes = if kept == number && kept != Number::F32 { bytes } else { &self.bytes };
@@ -222,16 +221,15 @@ impl Range {
         low >= -ROUNDING && high <= 1.0 + ROUNDING
     }
 
-    pub(super) fn refuse_what_is_no_number(&self, path: &Path) -> Result<()> {
-        let Some((at, value)) = self.no_number else { return Ok(()) };
-        let what = "a spectrum has a finite value in every direction; leave out what was not measured";
-        Err(Error::input(path, format!("{} is {value}; {what}", place(at))))
-    }
-
-    /// Returns an error for values outside 0 to 1 after multiplication by `scale`.
+    /// Returns an error for values that are not finite, or outside 0 to 1 after multiplication by `scale`. Called after the
+    /// last spectrum: a damaged file is reported as such.
     pub(super) fn check(&self, path: &Path, scale: Option<f64>) -> Result<()> {
-        let (Some((low_at, low)), Some((high_at, high))) = (self.low, self.high) else { return Ok(()) };
         let refuse = |what: String| Err(Error::input(path, what));
+        if let Some((at, value)) = self.no_number {
+            let what = "a spectrum has a finite value in every direction; leave out what was not measured";
+            return refuse(format!("{} is {value}; {what}", place(at)));
+        }
+        let (Some((low_at, low)), Some((high_at, high))) = (self.low, self.high) else { return Ok(()) };
         let suited = |high: f64| format!("--scale {}", scale.unwrap_or(1.0) / high);
         if low < -ROUNDING {
             let start = format!("values are from {low} ({}) to {high}", place(low_at));

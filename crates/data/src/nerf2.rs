@@ -9,6 +9,7 @@ mod rssi;
 mod tests;
 
 pub use csi::Nerf2Csi;
+pub use pictures::read_image;
 pub use rssi::Nerf2Rssi;
 
 use crate::checks::shape_fault;

@@ -2,12 +2,14 @@
 //! read.
 
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Error, Number, Real, Result, Spectra, files, gain_fault};
-use std::io::Read;
+use pwrfgs_core::{Error, Number, Real, Result, Spectra, files, gain_fault, place_fault};
+use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
 /// Largest array that is read into memory, bytes.
 pub(crate) const MAX_BYTES: u64 = 1 << 30;
+/// Largest number of positions in an array: an archive of a megabyte may expand to a gigabyte.
+pub(crate) const MOST_POSITIONS: usize = 2_000_000;
 
 /// Number type and shape `[M,H,W]` of an array of spectra.
 pub(crate) fn spectra(header: &Header, path: &Path) -> Result<(Number, [usize; 3])> {
@@ -45,20 +47,33 @@ pub(crate) fn positions(header: &Header, path: &Path, file: &mut dyn Read, left:
         let what = format!("positions are [M, 3]: x, y and z of each transmitter in metres{turned}");
         return refuse(format!("has shape {}; {what}", header.shape_text()));
     };
-    if header.bytes(number) != Some(left) || left > MAX_BYTES {
+    if header.bytes(number) != Some(left) {
         return refuse(format!(
             "{count} positions do not fit its length; the file is truncated or damaged: copy it again"
         ));
     }
+    if count > MOST_POSITIONS {
+        return refuse(format!("holds {count} positions, more than {MOST_POSITIONS}; give parts"));
+    }
     let mut bytes = vec![0; left as usize];
-    file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
-    let mut values = Vec::with_capacity(3 * count);
-    number.each(&bytes, |v| values.push(v));
-    let at = |i: usize, k: usize| if header.fortran { values[k * count + i] } else { values[3 * i + k] };
-    let positions: Vec<[f64; 3]> = (0..count).map(|i| [0, 1, 2].map(|k| at(i, k))).collect();
-    match positions.iter().position(|p| !p.iter().all(|v| v.is_finite())) {
-        Some(i) => refuse(format!("tx[{i}] is {:?}; give finite metres", positions[i])),
+    file.read_exact(&mut bytes).and_then(|()| check_end(file)).map_err(|e| Error::read(path, e))?;
+    let (mut positions, mut done) = (vec![[0.0; 3]; count], 0);
+    number.each(&bytes, |v| {
+        let (i, k) = if header.fortran { (done % count, done / count) } else { (done / 3, done % 3) };
+        positions[i][k] = v;
+        done += 1;
+    });
+    match positions.iter().enumerate().find_map(|(i, place)| Some((i, place_fault(*place)?))) {
+        Some((i, fault)) => refuse(format!("tx[{i}] {fault}")),
         None => Ok(positions),
+    }
+}
+
+/// Checks that `file` ends here. At its end, an archive compares the checksum of an entry.
+pub(crate) fn check_end(file: &mut dyn Read) -> io::Result<()> {
+    match file.read(&mut [0])? {
+        0 => Ok(()),
+        _ => Err(io::Error::new(ErrorKind::InvalidData, "it is longer than its header states")),
     }
 }
 

@@ -6,7 +6,7 @@ mod tests;
 use crate::arrays::POSES;
 use crate::checks::{NOT_RECEIVED, check};
 use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
-use crate::npy::MAX_BYTES;
+use crate::npy::{MAX_BYTES, MOST_POSITIONS};
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
@@ -162,6 +162,10 @@ impl Folder<'_> {
             _ => String::new(), // the names of carriers follow from their frequencies
         };
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
+        if self.data.len() > MOST_POSITIONS {
+            let what = format!("more than the {MOST_POSITIONS} that can be read; save parts");
+            return refuse(&format!("tx.npy would have {} positions, {what}", self.data.len()));
+        }
         let positions = || self.data.samples().map(|sample| sample.tx);
         if let Some(orientations) = &self.data.orientations {
             self.put(POSES, poses_csv(positions().zip(orientations.iter().copied())))?;

@@ -9,6 +9,8 @@ use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
 use std::{fmt::Display, io::ErrorKind, path::Path};
 
+/// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
+const MOST_FIELDS: usize = 1_000_000;
 /// Largest YAML file that is read, bytes.
 pub(crate) const MAX_YAML: u64 = 1 << 20;
 
@@ -69,13 +71,14 @@ pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
 }
 
-/// Fields between commas, without surrounding blanks and quotes.
+/// Fields between commas, without surrounding blanks and quotes. Of a longer line, the first [`MOST_FIELDS`].
 pub(crate) fn split_commas(line: &str) -> Vec<TextField<'_>> {
     let mut quoted = false;
     let parts = line.split(|c| {
         quoted ^= c == '"';
         c == ',' && !quoted
     });
+    let parts = parts.take(MOST_FIELDS);
     placed(
         line,
         parts.map(|part| {
@@ -255,6 +258,7 @@ mod tests {
         assert_eq!(got, [("a", 2), ("b,c", 6), ("", 12), ("é", 13), ("d", 15)]);
         let last = split_commas(&"é, ".repeat(500_000)).last().map(|f| (f.text.to_owned(), f.column));
         assert_eq!(last, Some((String::new(), 3 * 500_000)), "a long line");
+        assert_eq!(split_commas(&",".repeat(2_000_000)).len(), MOST_FIELDS);
         let got: Vec<_> = split_blanks("1  2\t3").iter().map(|f| (f.text, f.column)).collect();
         assert_eq!(got, [("1", 1), ("2", 4), ("3", 6)]);
     }

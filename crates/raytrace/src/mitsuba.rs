@@ -5,6 +5,7 @@ mod export;
 pub use export::export;
 
 use crate::material::{self, Material};
+use crate::mesh::MOST_TRIANGLES;
 use crate::scene::Finish;
 use crate::scene::Object;
 use glam::{DAffine3, DMat4, DVec3};
@@ -16,10 +17,16 @@ use std::fmt::Display;
 use std::path::Path;
 
 /// Largest XML file, bytes.
-const MOST_BYTES: u64 = 16 << 20;
+const MOST_BYTES: u64 = 8 << 20;
+/// Largest number of tags.
+const MOST_TAGS: usize = 500_000;
+/// Largest numbers of attributes of an element and of namespaces: the parser compares each with all others.
+const MOST_ATTRIBUTES: usize = 100;
 /// Largest number of shapes; each is a file.
 const MOST_SHAPES: usize = 5_000;
-/// Largest number of variables, and longest value and attribute with a variable, bytes.
+/// Largest number of variables.
+const MOST_VARIABLES: usize = 100;
+/// Longest value of a variable, and longest attribute with variables before and after they are replaced, bytes.
 const LONGEST: usize = 1_000;
 /// Thickness of a material that states none, as in Sionna RT, metres.
 const THICKNESS: f64 = 0.1;
@@ -57,6 +64,7 @@ impl MitsubaScene {
     /// Reports line and column of an error: syntax, an element or material that is not supported, a missing mesh.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = files::read_text_at_most(path, MOST_BYTES)?;
+        check_tags(path, &text)?;
         let document = Document::parse(&text).map_err(|e| {
             let (row, column) = (e.pos().row as usize, e.pos().col as usize);
             Error::at(path, row, column, format!("invalid XML: {e}; export the scene again"))
@@ -71,8 +79,15 @@ impl MitsubaScene {
     /// A mesh that cannot be read.
     pub(crate) fn antennas(&self) -> Result<[[f64; 3]; 3]> {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let mut triangles = 0;
         for object in &self.objects {
-            for vertex in object.placed_mesh(false)?.vertices {
+            let mesh = object.placed_mesh(false)?;
+            triangles += mesh.triangles.len();
+            if triangles > MOST_TRIANGLES {
+                let what = "triangles, a mesh counted once per shape; simplify the meshes";
+                return Err(Error::Config(format!("the shapes have more than {MOST_TRIANGLES} {what}")));
+            }
+            for vertex in mesh.vertices {
                 (low, high) = (low.min(vertex), high.max(vertex));
             }
         }
@@ -87,6 +102,26 @@ impl MitsubaScene {
         let reach = 0.4 * (high - low).with_z(0.0);
         Ok([middle, middle - reach, middle + reach].map(round))
     }
+}
+
+/// Rejects text for which the parser would need much memory, or a time that grows with the square of its length.
+fn check_tags(path: &Path, text: &str) -> Result<()> {
+    let mut namespaces = 0;
+    for (i, (start, _)) in text.match_indices('<').enumerate() {
+        let tag = text[start + 1..].split('<').next().unwrap_or_default();
+        namespaces += tag.matches("xmlns").count();
+        let attributes = if tag.starts_with(['!', '?']) { 0 } else { tag.matches('=').count() };
+        let (most, things) = match () {
+            () if i >= MOST_TAGS => (MOST_TAGS, "tags"),
+            () if attributes > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "attributes"),
+            () if namespaces > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "namespaces"),
+            () => continue,
+        };
+        let (line, before) = text[..start].split('\n').enumerate().last().unwrap_or_default();
+        let what = format!("more than {most} {things}; cut out a part of the scene");
+        return Err(Error::at(path, line + 1, before.chars().count() + 1, what));
+    }
+    Ok(())
 }
 
 /// State of the parser.
@@ -150,8 +185,8 @@ impl<'a> Reader<'a> {
     fn define(&mut self, node: Element<'a>) -> Result<()> {
         let pair = node.attribute("name").zip(node.attribute("value"));
         let pair = pair.filter(|(name, value)| !name.is_empty() && !value.contains('$') && value.len() <= LONGEST);
-        let what = "`default` needs a `name` and a short `value` without `$`; correct it, and give at most 1,000";
-        self.require(pair.is_some() && self.variables.len() < LONGEST, node, what)?;
+        let what = "`default` needs a `name` and a short `value` without `$`; correct it, and give at most 100";
+        self.require(pair.is_some() && self.variables.len() < MOST_VARIABLES, node, what)?;
         self.variables.extend(pair);
         Ok(())
     }
@@ -159,18 +194,25 @@ impl<'a> Reader<'a> {
     /// Value of an attribute with variables replaced.
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
-        let mut value = value.to_owned();
-        if value.contains('$') {
-            let what = format_args!("`{name}` is longer than 1,000 characters; shorten it");
-            self.require(value.len() <= LONGEST, node, what)?;
-            for (variable, text) in self.variables.iter().rev() {
-                value = value.replace(&format!("${variable}"), text); // longer names first
-            }
+        let Some((start, rest)) = value.split_once('$') else { return Ok(Some(value.to_owned())) };
+        let check = |length| {
+            let what = format_args!("`{name}` is longer than 1,000 characters; shorten it or its variables");
+            self.require(length <= LONGEST, node, what)
+        };
+        check(value.len())?;
+        let mut expanded = start.to_owned();
+        for part in rest.split('$') {
+            // In reverse order, the longest name comes first.
+            let found = self.variables.iter().rev().find(|(variable, _)| part.starts_with(**variable));
+            let (variable, text) = found.ok_or_else(|| {
+                let hint = did_you_mean(part, self.variables.keys().copied());
+                let what = format!("unknown variable {}{hint}; add a `default` for it", quoted(&format!("${part}")));
+                self.fault(node, what)
+            })?;
+            check(expanded.len() + text.len() + part.len() - variable.len())?;
+            expanded = expanded + text + &part[variable.len()..];
         }
-        let Some((_, unknown)) = value.split_once('$') else { return Ok(Some(value)) };
-        let hint = did_you_mean(unknown, self.variables.keys().copied());
-        let what = format!("unknown variable {}{hint}; add a `default` for it", quoted(&format!("${unknown}")));
-        Err(self.fault(node, what))
+        Ok(Some(expanded))
     }
 
     fn required(&self, node: Element<'_>, name: &str) -> Result<String> {
@@ -210,9 +252,12 @@ impl<'a> Reader<'a> {
             let what = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
             self.require(!child.has_tag_name("texture"), child, what)?;
             let name = self.required(child, "name")?;
-            let hint = did_you_mean(&name, PROPERTIES);
-            let what = format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
-            self.require(PROPERTIES.contains(&&*name), child, what)?;
+            if !PROPERTIES.contains(&&*name) {
+                let hint = did_you_mean(&name, PROPERTIES);
+                let what =
+                    format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
+                return Err(self.fault(child, what));
+            }
         }
         Ok(())
     }
@@ -232,9 +277,11 @@ impl<'a> Reader<'a> {
             let place = property(node, "type");
             let stated = place.map(|place| self.required(place, "value")).transpose()?;
             let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
-            let (hint, all) = (did_you_mean(&name, known.iter().copied()), known.join(", "));
-            let what = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
-            self.require(known.contains(&&*name), place.unwrap_or(node), what)?;
+            if !known.contains(&&*name) {
+                let (hint, all) = (did_you_mean(&name, known.iter().copied()), known.join(", "));
+                let what = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
+                return Err(self.fault(place.unwrap_or(node), what));
+            }
             name
         } else {
             let what = "is not a radio material; rename it to `itu_concrete` or another ITU material, or set its type to \

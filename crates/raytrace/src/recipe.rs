@@ -4,6 +4,7 @@ use crate::mesh;
 use crate::observe::ObservationKind;
 use crate::scene::{Object, SceneFile, SceneReceiver};
 use pwrfgs_core::{Error, Result, files};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Version of the simulator output; increased whenever the same recipe gives other bytes.
@@ -51,9 +52,13 @@ impl SimulationRecipe {
             Object::Mesh { file, .. } => Some(file.clone()),
             _ => None,
         };
+        let mut hashes = BTreeMap::new(); // many objects may have one mesh
         let hash = |file: std::path::PathBuf| {
+            if let Some(known) = hashes.get(&file) {
+                return Ok(String::clone(known));
+            }
             let bytes = files::read_at_most(&file, mesh::MOST_BYTES).map_err(|e| Error::read(&file, e))?;
-            Ok(format!("{:016x}", fnv(&bytes)))
+            Ok(hashes.entry(file).or_insert(format!("{:016x}", fnv(&bytes))).clone())
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
         Ok(Self { scene, samples, seed, points, observe: ObservationKind::Spectrum, meshes })

@@ -2,11 +2,11 @@
 
 use crate::nerf2::pictures::numbered;
 use crate::npy::MAX_BYTES;
-use crate::text::{number, read_bytes, read_text, table};
+use crate::text::{dbm, read_bytes, read_text, table};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, files, rows_of,
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, files, gain_fault, rows_of,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -105,7 +105,7 @@ fn powers(path: &Path, key: &str) -> Result<BTreeMap<u32, Prediction>> {
     for (line, [id, power]) in table(path, &text, [key, "dbm"], ADVICE)? {
         let fault = |what| Error::at(path, line, id.column, format!("{key} {} {what}; {ADVICE}", quoted(id.text)));
         let label = id.text.parse().ok().ok_or_else(|| fault("is not a whole number"))?;
-        let power = Prediction::Power(number(path, line, power, "give the power in dBm")? as Real);
+        let power = Prediction::Power(dbm(path, line, power)? as Real);
         if found.insert(label, power).is_some() {
             return Err(fault("occurs twice"));
         }
@@ -141,10 +141,10 @@ impl Prediction {
         if 4 * pixels.len() as u64 + offset != bytes.len() as u64 || pixels.len() != width * height {
             return refuse("does not have the length of its shape; the file is damaged: save it again".into());
         }
-        let is_wrong = |v: &Real| !v.is_finite() || (task.has_pixels && v.abs() > LARGEST);
+        let is_wrong = |v: &Real| gain_fault([*v as f64, 0.0]).is_some() || (task.has_pixels && v.abs() > LARGEST);
         if let Some(i) = pixels.iter().position(is_wrong) {
             let (at, range) =
-                ([i / parts / width, i / parts % width], if parts == 1 { ", linear, 0 to 1" } else { "" });
+                ([i / parts / width, i / parts % width], if parts == 1 { ", linear, 0 to 1" } else { " up to 1e9" });
             return refuse(format!("the value at {at:?} is {}; give finite numbers{range}", pixels[i]));
         }
         let pixels = if task.is_complex { rows_of(pixels.as_chunks().0, width) } else { pixels };

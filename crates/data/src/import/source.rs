@@ -73,13 +73,18 @@ fn each(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut 
             ", which does not fit its {bytes} bytes; the file is truncated or damaged: copy it again"
         ));
     }
+    let of_one = h * w * number.bytes();
+    if of_one as u64 > pictures::MAX_BYTES {
+        let most = pictures::MAX_BYTES;
+        return refuse(format!(", so {of_one} bytes per spectrum, more than {most}; make the spectra smaller"));
+    }
     sink.begin(path, shape, number)?;
-    let mut one = vec![0; h * w * number.bytes()];
+    let mut one = vec![0; of_one];
     for _ in 0..m {
         array.read_exact(&mut one).map_err(|e| Error::read(path, e))?;
-        sink.add(path, &one)?;
+        sink.add(&one)?;
     }
-    Ok(())
+    npy::check_end(array).map_err(|e| Error::read(path, e))
 }
 
 /// Reads images `NNNNN.png` of a folder: number k, counted from 1, is the spectrum of row k.
@@ -112,7 +117,7 @@ fn folder(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
                 }
             }
         }
-        sink.add(&file, &picture.bytes)?;
+        sink.add(&picture.bytes)?;
     }
     Ok(())
 }
@@ -149,7 +154,10 @@ fn in_archive<T>(
     let place = PathBuf::from(format!("{}:{known}", path.display()));
     let mut entry = archive.by_name(&format!("{known}.npy")).map_err(broken)?;
     let bytes = entry.size();
-    read(&place, &mut entry, bytes)
+    read(&place, &mut entry, bytes).map_err(|e| match e {
+        Error::Read { source, .. } => Error::input(&place, format!("is damaged ({source}); copy the archive again")),
+        other => other,
+    })
 }
 
 /// Splits `FILE.npz:NAME` into file and array name.

@@ -5,7 +5,7 @@ use image::{
     ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult,
     Limits, codecs::png::PngDecoder,
 };
-use pwrfgs_core::{Error, Number, Progress, Result, Spectra};
+use pwrfgs_core::{Error, Image, Number, Progress, Result, Spectra};
 use rayon::prelude::*;
 use std::{
     collections::BTreeMap,
@@ -16,11 +16,13 @@ use std::{
 
 /// Largest image that is read, pixels: a header may declare more than fits into memory.
 const MAX_PIXELS: u64 = 1 << 24;
-/// Largest image file, bytes: uncompressed pixels and metadata.
-const MAX_BYTES: u64 = 2 * MAX_PIXELS;
+/// Largest image, in its file and as uncompressed pixels, bytes.
+pub(crate) const MAX_BYTES: u64 = 2 * MAX_PIXELS;
 /// Largest memory of the decoder for metadata: a compressed colour profile of a megabyte may need gigabytes.
 const MAX_BESIDE: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// First marker of a JPEG file.
+const JPEG: &[u8] = b"\xff\xd8";
 
 /// Images in a folder by id: files named by a number with `.png`; others are ignored.
 pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
@@ -143,19 +145,49 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     Ok(Picture { width, height, number, bytes })
 }
 
-/// Decodes an image of a camera, PNG or JPEG. Colours become luminance, 16 bits become 8, and transparency is ignored.
-pub(crate) fn luminance(path: &Path) -> Result<Picture> {
-    let file = read_bytes(path, MAX_BYTES, "add the image, or remove its two lines from images.txt")?;
+/// Reads a PNG or JPEG image. Colours become luminance, 16 bits become 8, and transparency is ignored.
+///
+/// # Errors
+/// Another format, more than 2^24 pixels, or a file that is cut short or damaged.
+pub fn read_image(path: &Path) -> Result<Image> {
+    let Picture { width, height, bytes, .. } = luminance(path, "check the path")?;
+    Ok(Image::from_bytes(width, height, &bytes))
+}
+
+/// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist.
+pub(crate) fn luminance(path: &Path, advice: &str) -> Result<Picture> {
+    let file = read_bytes(path, MAX_BYTES, advice)?;
+    let is_cut = file.starts_with(JPEG) && !reaches_end(&file);
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
     let mut reader = guessed.map_err(|e| Error::read(path, e))?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
         return Err(Error::input(path, "is not a PNG or JPEG image; convert it"));
+    }
+    if is_cut {
+        return Err(Error::input(path, "is cut short (it has no end marker); copy it again"));
     }
     reader.limits(limits());
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
     let (width, height) = size(path, &decoder)?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
     Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
+}
+
+/// Whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
+fn reaches_end(file: &[u8]) -> bool {
+    // Not in coded pixels: a byte 0xff is followed by zero or a restart marker there.
+    let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
+    let mut rest = &file[JPEG.len()..];
+    while let Some(start) = rest.windows(2).position(is_marker) {
+        if rest[start + 1] == 0xd9 {
+            return true;
+        }
+        // Every other marker begins a segment with its length, for example metadata with an image of their own.
+        let length =
+            rest.get(start + 2..start + 4).map_or(0, |length| usize::from(length[0]) << 8 | usize::from(length[1]));
+        rest = rest.get(start + 2 + length..).unwrap_or_default();
+    }
+    false
 }
 
 /// Returns the size of an image that is not too large.

@@ -4,6 +4,9 @@ use crate::text::{TextField, split_blanks};
 use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
+/// Largest number of lines of a header: each name is compared with all others.
+const MOST_LINES: usize = 10_000;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PlyEncoding {
     Ascii,
@@ -128,6 +131,14 @@ impl PlyHeader {
             let text = String::from_utf8_lossy(&bytes[start..start + length]);
             start += length + 1;
             line += 1;
+            if line > MOST_LINES {
+                return Err(Error::at(
+                    path,
+                    line,
+                    1,
+                    format!("the header has more than {MOST_LINES} lines; shorten it"),
+                ));
+            }
             let fields = split_blanks(&text);
             let words: Vec<&str> = fields.iter().map(|f| f.text).collect();
             let fault = |field: usize, what: &str| fault(path, line, fields[field], what);

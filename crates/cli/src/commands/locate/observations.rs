@@ -1,9 +1,10 @@
 //! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
 
+use pwrfgs::data::{is_linear, power_fault, read_image};
 use pwrfgs::localise::FingerprintFeatures;
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, did_you_mean, files, rows_of};
+use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, did_you_mean, files, gain_fault, rows_of};
 use std::path::Path;
 
 /// Largest array that is read, bytes.
@@ -97,18 +98,16 @@ fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
 }
 
 fn picture(path: &Path, features: &FingerprintFeatures) -> Result<Vec<Real>> {
-    let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
-    let image = image::load_from_memory(&bytes).map_err(|e| Error::input(path, format!("is no PNG image: {e}")))?;
+    let image = read_image(path)?;
     let (width, height) = features.size();
-    if (image.width() as usize, image.height() as usize) != (width, height) {
+    if (image.width, image.height) != (width, height) {
         let what = format!(
             "has {} x {} pixels; the model observes {width} x {height} (width x height)",
-            image.width(),
-            image.height()
+            image.width, image.height
         );
         return Err(Error::input(path, what));
     }
-    Ok(image.to_luma8().into_raw().iter().map(|v| Real::from(*v) / 255.0).collect())
+    Ok(image.pixels)
 }
 
 /// Features of spectra or channels at one receiver.
@@ -135,6 +134,12 @@ fn images(
         let what = format!("observation {} has a value that is not finite; leave it out", at / numbers + 1);
         return Err(Error::input(path, what));
     }
+    let (has_pixels, range) = (features.task().has_pixels, ["up to 1e9", "linear, from 0 to 1"]);
+    let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
+    if let Some(at) = values.iter().position(is_far) {
+        let what = format!("observation {} has the value {:e}", at / numbers + 1, values[at]);
+        return Err(Error::input(path, format!("{what}; give numbers {}", range[usize::from(has_pixels)])));
+    }
     let of = |pixels: &[Real]| features.of(&Image { width, height, pixels: pixels.to_vec() });
     Ok(values.chunks_exact(numbers).map(of).collect())
 }
@@ -150,8 +155,10 @@ fn powers(path: &Path, values: &[Real], receivers: usize) -> Result<Vec<Vec<f32>
         if row.iter().all(|v| v.is_nan()) {
             return Err(Error::input(path, format!("row {}: no receiver has a power; give at least one", k + 1)));
         }
-        if let Some(v) = row.iter().find(|v| v.is_infinite()) {
-            let what = format!("row {}: {v}; give dBm, or leave the value out (NaN or an empty cell)", k + 1);
+        // Not NaN, which is unknown; -100 is a level here, not a missing link.
+        let is_stated = |dbm: &&f32| !dbm.is_nan() && **dbm != -100.0;
+        if let Some(fault) = row.iter().filter(is_stated).find_map(|dbm| power_fault(f64::from(*dbm))) {
+            let what = format!("row {}: a power {fault}, or leave the value out (NaN or an empty cell)", k + 1);
             return Err(Error::input(path, what));
         }
     }
