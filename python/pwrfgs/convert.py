@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import os
 import re
 import warnings
+import zipfile
 from typing import Any, Dict, List, Literal, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
@@ -18,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from . import _pwrfgs
 from ._errors import InputError
+from ._mat import read_matrix
 from ._run import _Progress
 from ._spectrum import SPEED_OF_LIGHT, spectrum
 from ._types import Array, Receiver
@@ -33,8 +36,14 @@ _FACING_X = (0.5, 0.5, 0.5, 0.5)
 _SPECTRA, _BLOCK = 256, 1 << 22
 # Matrices of a DeepMIMO pair that a channel needs: of the paths [U, P], and positions [U, 3] and [1, 3].
 _PATHS = ("power", "phase", "delay", "aod_az", "aod_el")
+# Whether phases of a ray tracer lack the phase of the delay.
+_LACKS_DELAY = {"sionna ray tracing": True, "remcom wireless insite": False, "pwrfgs": False}
 # Direct paths that decide about the phases; fewer may agree by chance.
 _LEAST_DIRECT = 10
+# Largest number of values of a matrix: 1.3 million users with 25 paths. Largest parameter file, bytes.
+_MOST_VALUES, _MOST_BYTES = 1 << 25, 1 << 24
+# Ranges of values: decibels and seconds.
+_RANGES = {"power": (-1e4, 300.0), "delay": (0.0, 1.0)}
 
 
 def from_sionna(
@@ -107,8 +116,8 @@ def from_deepmimo(
     The base station is the receiver and each user is a transmitter; channels are reciprocal. The array receives plane waves.
     Paths with a NaN are ignored. Users without a path are left out, with a warning. Meshes are not read.
 
-    Phases of paths contain the phase of their delay, or not (scenarios from Sionna RT). If all direct paths have the same
-    phase, or its opposite, they do not contain it and it is added.
+    Phases of paths contain the phase of their delay, or not: those of Sionna RT do not, and it is added. The scenario names its
+    ray tracer. The direct paths decide if it is unknown, or if they contradict it, which a warning reports.
 
     Parameters
     ----------
@@ -136,6 +145,10 @@ def from_deepmimo(
             raise InputError(f"{name} has shape {list(np.shape(found[name]))}, expected {list(wanted)}")
     if every < 1:
         raise InputError(f"every is {every}, expected 1 or more")
+    for name, (low, high) in _RANGES.items():
+        values = found[name][np.isfinite(found[name])]
+        if values.size and not low <= values.min() <= values.max() <= high:
+            raise InputError(f"{name} is in {values.min():g} to {values.max():g}, expected {low:g} to {high:g}; correct the matrix")
     if _lacks_delay(found, carrier):
         found["phase"] = found["phase"] - np.rad2deg(2 * np.pi * carrier * np.asarray(found["delay"], float))
     found.update({name: found[name][::every] for name in (*_PATHS, "rx_pos", "inter") if found[name] is not None})
@@ -168,16 +181,31 @@ def _channels(found: Mapping[str, Any], carrier: float, frequencies: Array, ante
 
 
 def _lacks_delay(found: Mapping[str, Any], carrier: float) -> bool:
-    """Whether phases do not contain the phase of the delay: those of direct paths are equal up to the sign."""
+    """Whether phases do not contain the phase of the delay, by the ray tracer and the direct paths."""
+    tracer = str(found["ray_tracer"])
+    stated = _LACKS_DELAY.get(tracer.lower())
     phase, delay = np.deg2rad(np.asarray(found["phase"], float)), np.asarray(found["delay"], float)
     direct = np.isfinite(phase + delay) & (np.array(found["inter"], float) == 0)
-    if not direct.any():
-        return False
-    phase, lag = phase[direct], 2 * np.pi * carrier * delay[direct]
-    if len(phase) < _LEAST_DIRECT:
-        words = f"only {len(phase)} direct paths decide whether phases contain the delay; compare with compute_channels"
+    phase, lag, count = phase[direct], 2 * np.pi * carrier * delay[direct], int(direct.sum())
+    # Direct paths agree if their phases lack the delay, or after it is removed.
+    lacks, contains = (bool(count) and _agreement(phases) > 0.9 for phases in (phase, phase + lag))
+    is_shown = lacks != contains and (stated is None or count >= _LEAST_DIRECT)
+    words = None
+    if stated is None and not is_shown:
+        words = (
+            f"the ray tracer {tracer!r} is unknown, and {count} direct paths do not show whether phases contain the delay; "
+            "they are used as they are; compare with compute_channels, or correct raytracer_name in params.json"
+        )
+    elif stated is None and count < _LEAST_DIRECT:
+        words = f"only {count} direct paths decide whether phases contain the delay; compare with compute_channels"
+    elif stated is not None and is_shown and lacks != stated:
+        words = (
+            f"phases of {tracer} {'lack' if stated else 'contain'} the delay, but those of {count} direct paths "
+            f"{'lack' if lacks else 'contain'} it; the direct paths decide; correct raytracer_name in params.json"
+        )
+    if words:
         warnings.warn(words, UserWarning, stacklevel=3)
-    return _agreement(phase) > 0.9 > _agreement(phase + lag)
+    return lacks if is_shown else bool(stated)
 
 
 def _agreement(phases: Array) -> float:
@@ -192,9 +220,18 @@ def _deepmimo_dataset(source: Any) -> Dict[str, Any]:
     try:
         found: Dict[str, Any] = {name: np.array(source[name], float) for name in (*_PATHS, "rx_pos", "tx_pos")}
         found["inter"] = source["inter"]
-        return {**found, "frequency": float(source["rt_params"]["frequency"]), "title": "DeepMIMO"}
-    except (KeyError, AttributeError, TypeError, ValueError) as error:
+        return {**found, **_ray_tracer(source["rt_params"]), "title": "DeepMIMO"}
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"no DeepMIMO data set: {error}; pass a folder, or the result of deepmimo.load(..)") from None
+
+
+def _ray_tracer(params: Any) -> Dict[str, Any]:
+    """Carrier and name of the ray tracer."""
+    frequency = float(params["frequency"])
+    if not 0 < frequency < 1e15:
+        raise ValueError(f"a frequency of {frequency:g} Hz")
+    name = params["raytracer_name"] if "raytracer_name" in params else ""
+    return {"frequency": frequency, "ray_tracer": name}
 
 
 def _read_deepmimo(folder: str, pair: Optional[Sequence[int]]) -> Dict[str, Any]:
@@ -210,18 +247,20 @@ def _read_deepmimo(folder: str, pair: Optional[Sequence[int]]) -> Dict[str, Any]
             "deepmimo_scenarios/asu_campus_3p5"
         )
     try:
+        if os.path.getsize(place) > _MOST_BYTES:
+            raise ValueError(f"more than {_MOST_BYTES >> 20} MB")
         with open(place, encoding="utf-8") as file:
             params = json.load(file)
-        frequency = float(params["rt_params"]["frequency"])
+        ray_tracer = _ray_tracer(params["rt_params"])
         senders = {s["id"] for s in params["txrx_sets"].values() if isinstance(s, dict) and s["is_tx"]}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise _at(place, f"not the parameters of a DeepMIMO v4 scenario ({error!r})") from None
     candidates = [p for p in pairs if (p[2] not in senders if pair is None else p == tuple(pair))]
     if len(candidates) != 1:
         raise InputError(f"{folder}: pass pair=.., one of {', '.join(map(str, pairs))}")
     ending = "_t{:03}_tx{:03}_r{:03}".format(*candidates[0])
     found = {name: _matrix(os.path.join(folder, name + ending), name) for name in (*_PATHS, "rx_pos", "tx_pos", "inter")}
-    return {**found, "frequency": frequency, "title": os.path.basename(os.path.abspath(folder))}
+    return {**found, **ray_tracer, "title": os.path.basename(os.path.abspath(folder))}
 
 
 def _at(path: str, problem: str) -> InputError:
@@ -239,16 +278,30 @@ def _matrix(stem: str, name: str) -> Any:
     if path is None:
         raise _at(f"{stem}.npz", "no such file; download the scenario again")
     try:
-        if path.endswith(".npz"):
-            with np.load(path) as arrays:
-                return np.asarray(arrays[name], float)
-        from scipy.io import loadmat
-
-        return np.asarray(loadmat(path)[name], float)
-    except ImportError:
-        raise _at(path, "MATLAB files need SciPy: pip install scipy") from None
+        return _npz_matrix(path, name) if path.endswith(".npz") else read_matrix(path, name, _check_size)
     except Exception as error:  # of many kinds, by the kind of damage
-        raise _at(path, f"no readable matrix `{name}` ({error!r})") from None
+        raise _at(path, f"no readable matrix `{name}` ({str(error) or type(error).__name__}); download the scenario again") from None
+
+
+def _npz_matrix(path: str, name: str) -> Array:
+    """Matrix of an archive of NumPy. Its size is checked before it is read, its checksum after."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
+        shape, _, number = headers[np.lib.format.read_magic(file)](file)
+        _check_size(shape, number.kind in "fiu")
+        file.seek(0)
+        values: Array = np.lib.format.read_array(file, allow_pickle=False)
+        if file.read(1):  # at the end, the checksum is compared
+            raise ValueError("the file goes on after the matrix")
+        return values
+
+
+def _check_size(shape: Sequence[int], is_real: bool) -> None:
+    """Refuses matrices of other types, and those that would need gigabytes."""
+    if not is_real:
+        raise ValueError("its values are not real numbers")
+    if math.prod(shape) > _MOST_VALUES:
+        raise ValueError(f"it has {math.prod(shape):,} values, and at most {_MOST_VALUES:,} are read")
 
 
 def to_deepmimo(scene: PathLike, out: PathLike, *, samples: int = 200, seed: int = 0, progress: bool = True) -> None:

@@ -6,7 +6,10 @@ import contextlib
 import json
 import re
 import sys
+import tracemalloc
 import types
+import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -316,19 +319,71 @@ def test_paths_with_nan_and_users_without_paths_are_left_out(simulated, scenario
     assert np.array_equal(data.tx, whole.tx[rest]) and np.allclose(data.csi, whole.csi[rest], rtol=1e-5)
 
 
-def test_phases_without_the_delay_are_completed(simulated, scenario):
-    receiver = pwrfgs.Dataset.load(simulated / "channels").receivers[0]
-    whole = convert.from_deepmimo(scenario, observe="channel", receiver=receiver)
-    with np.load(scenario / "delay_t000_tx000_r001.npz") as arrays:
-        delay = arrays["delay"].astype(float)
-    edit(scenario, "phase", lambda phase: phase + np.degrees(2 * np.pi * 2.4e9 * delay) % 360)
-    assert np.allclose(
-        convert.from_deepmimo(scenario, observe="channel", receiver=receiver).csi, whole.csi, atol=1e-3 * np.abs(whole.csi).max()
-    )
+def name_ray_tracer(scenario, name):
+    """Replaces the name of the ray tracer of a scenario; None removes it."""
+    params = json.loads((scenario / "params.json").read_text())
+    params["rt_params"].pop("raytracer_name")
+    if name is not None:
+        params["rt_params"]["raytracer_name"] = name
+    (scenario / "params.json").write_text(json.dumps(params))
 
 
-def test_matlab_files_and_several_pairs_are_read(scenario, monkeypatch):
-    io = pytest.importorskip("scipy.io", reason="SciPy reads .mat files; pip install scipy")
+def read(scenario, name):
+    with np.load(scenario / f"{name}_t000_tx000_r001.npz") as arrays:
+        return arrays[name].astype(float)
+
+
+LAG = 360 * 2.4e9  # degrees per second of delay
+
+
+@pytest.mark.parametrize(
+    ("tracer", "lacks", "has_direct", "said"),
+    [
+        ("Sionna Ray Tracing", True, True, ""),
+        ("Sionna Ray Tracing", True, False, ""),
+        ("Remcom Wireless Insite", False, True, ""),
+        ("Remcom Wireless Insite", False, False, ""),
+        ("pwrfgs", True, True, "phases of pwrfgs contain the delay, but those of 12 direct paths lack it"),
+        ("Sionna Ray Tracing", False, True, "phases of Sionna Ray Tracing lack the delay, but those of 12 direct paths contain it"),
+        ("other", True, True, ""),
+        ("other", False, True, ""),
+        ("other", False, False, "the ray tracer 'other' is unknown, and 0 direct paths do not show whether"),
+        (None, True, True, ""),
+    ],
+)
+def test_phases_get_the_delay_that_their_ray_tracer_leaves_out(scenario, tracer, lacks, has_direct, said):
+    if not has_direct:
+        inter = read(scenario, "inter")
+        edit(scenario, "power", lambda power: np.where(inter == 0, np.nan, power))
+        edit(scenario, "inter", lambda _: np.where(inter == 0, np.nan, inter))
+    power, phase, delay = (read(scenario, name) for name in ("power", "phase", "delay"))
+    wanted = np.nansum(10 ** (power / 20) * np.exp(1j * np.deg2rad(phase)), axis=1)
+    if lacks:
+        edit(scenario, "phase", lambda phase: (phase + LAG * delay) % 360)
+    name_ray_tracer(scenario, tracer)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        data = convert.from_deepmimo(scenario, observe="channel", receiver=pwrfgs.Receiver("bs", antennas=[(0, 0, 0)]))
+    assert np.abs(data.csi[:, 0, 0] - wanted).max() < 1e-5 * np.abs(wanted).max()
+    messages = [str(warning.message) for warning in told]
+    assert len(messages) == bool(said) and all(said in message for message in messages), messages
+
+
+def test_few_direct_paths_do_not_contradict_a_known_ray_tracer(scenario):
+    inter = read(scenario, "inter")
+    edit(scenario, "inter", lambda _: np.where((inter == 0) & (np.arange(12)[:, None] > 2), 1.0, inter))
+    whole = convert.from_deepmimo(scenario, observe="power")
+    delay = read(scenario, "delay")
+    edit(scenario, "phase", lambda phase: (phase + LAG * delay) % 360)
+    name_ray_tracer(scenario, "SIONNA ray tracing")
+    assert np.allclose(convert.from_deepmimo(scenario, observe="power").rssi, whole.rssi, atol=1e-3)
+    name_ray_tracer(scenario, "other")
+    with pytest.warns(UserWarning, match="only 3 direct paths decide"):
+        assert np.allclose(convert.from_deepmimo(scenario, observe="power").rssi, whole.rssi, atol=1e-3)
+
+
+def test_matlab_files_and_several_pairs_are_read(scenario):
+    io = pytest.importorskip("scipy.io", reason="SciPy writes .mat files; pip install scipy")
     whole = convert.from_deepmimo(scenario, observe="power")
     for path in scenario.glob("*_t000_tx000_r001.npz"):
         name = path.name.split("_t000")[0]
@@ -343,13 +398,15 @@ def test_matlab_files_and_several_pairs_are_read(scenario, monkeypatch):
     for path in scenario.glob("*tx001*"):
         path.unlink()
     assert np.array_equal(convert.from_deepmimo(scenario, observe="power").rssi, whole.rssi)
-    (scenario / "phase_t000_tx000_r001.mat").write_bytes(b"MATLAB 7.3 MAT-file")
-    with pytest.raises(pwrfgs.InputError, match="phase_t000_tx000_r001.mat: no readable matrix `phase`") as told:
+    (scenario / "phase_t000_tx000_r001.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(140))
+    with pytest.raises(pwrfgs.InputError, match="phase_t000_tx000_r001.mat: no readable matrix `phase`.*of version 5") as told:
         convert.from_deepmimo(scenario)
     assert told.value.path == str(scenario / "phase_t000_tx000_r001.mat")
-    monkeypatch.setitem(sys.modules, "scipy.io", None)
-    with pytest.raises(pwrfgs.InputError, match="MATLAB files need SciPy: pip install scipy"):
-        convert.from_deepmimo(scenario)
+
+
+def carrier(scenario, text):
+    params = (scenario / "params.json").read_text()
+    (scenario / "params.json").write_text(re.sub(r'("frequency":) *[\d.e+]+', rf"\1 {text}", params))
 
 
 @pytest.mark.parametrize(
@@ -365,6 +422,13 @@ def test_matlab_files_and_several_pairs_are_read(scenario, monkeypatch):
         (lambda s: edit(s, "rx_pos", lambda x: x[:, :2]), "rx_pos has shape [12, 2], expected [12, 3]"),
         (lambda s: edit(s, "power", lambda x: x[0]), "power must have the axes users and paths"),
         (lambda s: edit(s, "power", lambda x: x * np.nan), "no transmitter has a path"),
+        (lambda s: edit(s, "power", lambda x: x + 1e5), "power is in "),
+        (lambda s: edit(s, "delay", lambda x: x - 1), "expected 0 to 1; correct the matrix"),
+        (lambda s: edit(s, "phase", lambda x: x + 1j), "phase_t000_tx000_r001.npz: no readable matrix `phase` (its values are not real"),
+        (lambda s: carrier(s, "-1"), "a frequency of -1 Hz"),
+        (lambda s: carrier(s, "NaN"), "a frequency of nan Hz"),
+        (lambda s: (s / "params.json").write_text("[" * 100_000), "not the parameters of a DeepMIMO v4 scenario"),
+        (lambda s: (s / "params.json").write_text(" " * (1 << 24) + "{}"), "more than 16 MB"),
     ],
 )
 def test_damaged_scenarios_are_reported(scenario, damage, said):
@@ -372,6 +436,94 @@ def test_damaged_scenarios_are_reported(scenario, damage, said):
     with pytest.raises(pwrfgs.InputError) as told:
         convert.from_deepmimo(scenario)
     assert said in str(told.value)
+
+
+def header(shape):
+    text = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text.encode()
+
+
+@pytest.mark.parametrize("content", ["claimed", "written", "cut", "long"])
+def test_size_of_a_matrix_is_checked_before_memory_is_reserved(scenario, content):
+    path = scenario / "delay_t000_tx000_r001.npz"
+    shape = (1 << 21, 25) if content in ("claimed", "written") else (1 << 20, 25)
+    count = {"claimed": 12, "written": 25 << 21, "cut": 12, "long": (25 << 20) + 1}[content]
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive, archive.open("delay.npy", "w") as file:
+        file.write(header(shape))
+        for _ in range(count // (1 << 18)):
+            file.write(bytes(1 << 20))
+        file.write(bytes(4 * (count % (1 << 18))))
+    said = {"cut": "no readable matrix", "long": "goes on after the matrix"}.get(content, "52,428,800 values, and at most 33,554,432")
+    tracemalloc.start()
+    with pytest.raises(pwrfgs.InputError, match=f"delay_t000_tx000_r001.npz: .*{said}"):
+        convert.from_deepmimo(scenario)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < (50 << 20) or content in ("cut", "long")
+
+
+def test_large_matrix_of_matlab_is_refused(scenario):
+    io = pytest.importorskip("scipy.io", reason="SciPy writes .mat files; pip install scipy")
+    path = scenario / "delay_t000_tx000_r001.npz"
+    path.unlink()
+    for value, said in [(np.zeros((1 << 21, 25), np.float32), "52,428,800 values"), (np.array(["a"]), "not real numbers")]:
+        io.savemat(path.with_suffix(".mat"), {"delay": value}, do_compression=True)
+        with pytest.raises(pwrfgs.InputError, match=f"delay_t000_tx000_r001.mat: .*{said}"):
+            convert.from_deepmimo(scenario)
+
+
+def test_every_flipped_bit_of_a_matrix_is_named(scenario):
+    path = scenario / "phase_t000_tx000_r001.npz"
+    good = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        size = archive.infolist()[0].compress_size
+    begin = good.index(b"phase.npy") + len(b"phase.npy")
+    for place in np.random.default_rng(0).integers(begin + 20, begin + size, 60):
+        path.write_bytes(good[:place] + bytes([good[place] ^ 1 << (place % 8)]) + good[place + 1 :])
+        with pytest.raises(pwrfgs.InputError, match="phase_t000_tx000_r001.npz: no readable matrix `phase`"):
+            convert.from_deepmimo(scenario)
+    edit(scenario, "power", lambda power: power)  # without compression
+    path = scenario / "power_t000_tx000_r001.npz"
+    good = bytearray(path.read_bytes())
+    good[good.index(b"NUMPY") + 300] ^= 0x80
+    path.write_bytes(good)
+    with pytest.raises(pwrfgs.InputError, match="power_t000_tx000_r001.npz: .*Bad CRC-32.*download the scenario again"):
+        convert.from_deepmimo(scenario)
+
+
+@pytest.mark.parametrize("ending", ["npz", "mat"])
+@pytest.mark.filterwarnings("ignore")
+def test_mutated_scenarios_are_read_or_reported(scenario, ending):
+    if ending == "mat":
+        io = pytest.importorskip("scipy.io", reason="SciPy writes .mat files; pip install scipy")
+        for path in list(scenario.glob("*_t000_tx000_r001.npz")):
+            name = path.name.split("_t000")[0]
+            io.savemat(path.with_suffix(".mat"), {name: read(scenario, name)}, do_compression=name > "e")
+            path.unlink()
+    rng, refused = np.random.default_rng(1), 0
+    files = sorted([*scenario.glob(f"*_t000_tx000_r001.{ending}"), scenario / "params.json"])
+    for case in range(300):
+        path = files[case % len(files)]
+        good = path.read_bytes()
+        bad, (place, other) = bytearray(good), sorted(rng.integers(0, len(good), 2))
+        kind = case // len(files) % 4
+        if kind == 0:
+            bad[place] ^= 1 << rng.integers(8)
+        elif kind == 1:
+            del bad[place:other]
+        elif kind == 2:
+            bad[place:place] = good[place:other]
+        else:
+            bad[place : place + 8] = rng.choice([b"\xff" * 8, b"\0" * 8, b"\x7f" + b"\xff" * 7, b"9" * 8])
+        path.write_bytes(bad)
+        try:
+            data = convert.from_deepmimo(scenario, observe="channel")
+            assert np.isfinite(data.csi).all() and np.isfinite(data.tx).all()
+        except pwrfgs.InputError as error:
+            refused += 1
+            assert len(str(error)) < 2000
+        path.write_bytes(good)
+    assert 100 < refused < 300
 
 
 def test_deepmimo_settings_and_sources_are_checked(scenario):

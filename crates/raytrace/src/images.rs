@@ -4,14 +4,11 @@
 //! image through the clipped face. Only faces inside the beam create further images, and a transmitter is tested
 //! against the beam alone. Blocking walls are not tested here.
 
+use crate::polygon::{LEAST_AREA, Plane, THIN, area, clip};
 use crate::world::World;
 use glam::DVec3;
 use std::ops::Range;
 
-/// Distance below which corners lie in a plane, metres.
-const THIN: f64 = 1e-9;
-/// Minimum area of a clipped face, m²: smaller beams are rounding errors.
-pub(crate) const LEAST_AREA: f64 = 1e-12;
 /// Largest number of images of one point, to limit memory.
 const MOST_IMAGES: usize = 2_000_000;
 /// Largest number of planes of all beams, to limit memory.
@@ -53,7 +50,7 @@ pub struct ImageTree {
     origin: DVec3,
     nodes: Vec<Node>,
     /// Normal and offset: positive inside.
-    planes: Vec<(DVec3, f64)>,
+    planes: Vec<Plane>,
 }
 
 impl ImageTree {
@@ -106,7 +103,7 @@ impl ImageTree {
 
     /// Approximate memory use, bytes.
     pub fn bytes(&self) -> usize {
-        self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<(DVec3, f64)>()
+        self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<Plane>()
     }
 
     /// Calls `see` with each geometrically possible sequence of faces and its reflection points, in order of travel
@@ -176,7 +173,7 @@ impl ImageTree {
 }
 
 /// Image of `image` in `face`, and the part of the face inside the beam; `None` if there is none.
-fn reflect(world: &World, face: u32, image: DVec3, beam: &[(DVec3, f64)]) -> Option<(DVec3, Vec<DVec3>)> {
+fn reflect(world: &World, face: u32, image: DVec3, beam: &[Plane]) -> Option<(DVec3, Vec<DVec3>)> {
     let face = &world.faces[face as usize];
     if face.height(image).abs() < THIN {
         return None;
@@ -189,33 +186,4 @@ fn reflect(world: &World, face: u32, image: DVec3, beam: &[(DVec3, f64)]) -> Opt
         }
     }
     (area(&polygon) > LEAST_AREA).then(|| (face.mirror(image), polygon))
-}
-
-/// Clips a convex polygon to `normal`·x > `offset` (Sutherland and Hodgman, 1974).
-pub(crate) fn clip(polygon: &[DVec3], (normal, offset): (DVec3, f64)) -> Vec<DVec3> {
-    let height = |p: DVec3| {
-        let h = normal.dot(p) - offset;
-        if h.abs() < THIN { 0.0 } else { h }
-    };
-    if polygon.iter().all(|p| height(*p) <= 0.0) {
-        return Vec::new(); // a face in the plane of the last mirror, itself above all
-    }
-    let mut kept = Vec::with_capacity(polygon.len() + 1);
-    for (i, &a) in polygon.iter().enumerate() {
-        let b = polygon[(i + 1) % polygon.len()];
-        let (ha, hb) = (height(a), height(b));
-        if ha >= 0.0 {
-            kept.push(a);
-        }
-        if ha * hb < 0.0 {
-            kept.push(a + (b - a) * (ha / (ha - hb)));
-        }
-    }
-    kept
-}
-
-/// Area of a convex polygon, m².
-pub(crate) fn area(polygon: &[DVec3]) -> f64 {
-    let Some((first, rest)) = polygon.split_first() else { return 0.0 };
-    0.5 * rest.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
 }

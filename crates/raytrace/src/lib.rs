@@ -18,6 +18,7 @@ pub mod output;
 mod patches;
 mod path;
 mod perturb;
+mod polygon;
 mod prepared_receiver;
 mod ray_tracing;
 mod recipe;

@@ -3,9 +3,11 @@
 #[cfg(test)]
 mod tests;
 
+use crate::polygon::{outside, sides};
+use crate::world::hierarchy::{Hierarchy, Triangle};
 use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
-use std::{collections::HashMap, fs, path::Path};
+use std::{cell::Cell, collections::HashMap, fs, path::Path};
 
 /// Ratio of height to longest side below which a triangle is degenerate.
 const FLAT: f64 = 1e-9;
@@ -16,6 +18,11 @@ pub(crate) const MOST_TRIANGLES: usize = 300_000;
 pub(crate) const MOST_BYTES: u64 = 128 << 20;
 /// Largest number of triangles that share an edge.
 const MOST_SHARED: usize = 64;
+/// Ratio of distance to size below which triangles coincide, and of areas below which nothing remains.
+const EQUAL: f64 = 1e-6;
+/// Largest number of pieces of a triangle between others, and of tests, to limit time.
+const MOST_PIECES: usize = 1_000;
+const MOST_TRIALS: usize = 200_000_000;
 
 /// Triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -53,6 +60,9 @@ pub fn read(path: &Path) -> Result<Mesh> {
 pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -> Result<Mesh> {
     let mut mesh = read(file)?;
     mesh.vertices.iter_mut().for_each(|vertex| *vertex = matrix.transform_point3(*vertex));
+    let Some(mut mesh) = mesh.one_sided() else {
+        return Err(Error::input(file, "its triangles overlap in too many places; simplify the mesh"));
+    };
     if solid && mesh.is_closed() && !is_consistent(&mesh) {
         return Err(Error::input(
             file,
@@ -87,6 +97,18 @@ fn is_consistent(mesh: &Mesh) -> bool {
     edges == reversed
 }
 
+/// Whether a part of a triangle remains outside the triangles that `hiding` finds for its pieces.
+fn is_seen(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Triangle>) -> bool {
+    let mut rest = vec![*triangle];
+    for _ in 0..MOST_PIECES {
+        let Some(piece) = rest.pop() else { return false };
+        let Some(other) = hiding(&piece) else { return true };
+        let pieces = outside(&piece, &sides(&other.corners(), other.normal()));
+        rest.extend(pieces.into_iter().filter(|piece| piece.area() > EQUAL * triangle.area()));
+    }
+    true
+}
+
 /// Volume of a closed surface, m³; negative if the normals point inwards.
 fn volume(mesh: &Mesh) -> f64 {
     let origin = mesh.vertices.first().copied().unwrap_or_default();
@@ -95,6 +117,43 @@ fn volume(mesh: &Mesh) -> f64 {
 }
 
 impl Mesh {
+    /// Leaves out triangles that earlier ones in their plane cover, in either corner order: the second side of a sheet. Bodies
+    /// that touch keep their common sides, without which they would be open. `None` if that takes too long.
+    fn one_sided(self) -> Option<Self> {
+        let all: Vec<Triangle> = self.triangles.iter().map(|t| Triangle::new(self.corners(*t))).collect();
+        let (hierarchy, trials) = (Hierarchy::new(&all), Cell::new(0));
+        let mut is_kept = vec![true; all.len()];
+        for i in 0..all.len() {
+            let count = |_| trials.replace(trials.get() + 1) < MOST_TRIALS;
+            let hides = |k: usize, point: DVec3| {
+                let (other, normal) = (&all[k], all[k].normal());
+                let height = |p: DVec3| normal.dot(p - other.corner);
+                let flat = EQUAL * (other.sides[0].length() + other.sides[1].length());
+                all[i].corners().iter().all(|p| height(*p).abs() <= flat)
+                    && other.contains(point - height(point) * normal)
+            };
+            let hiding = |piece: &Triangle| {
+                let middle = piece.corners().iter().sum::<DVec3>() / 3.0;
+                let reach = EQUAL * (piece.sides[0].length() + piece.sides[1].length());
+                hierarchy.around(middle, reach, count).find(|&k| k < i && is_kept[k] && hides(k, middle))
+            };
+            is_kept[i] = is_seen(&all[i], |piece| hiding(piece).map(|k| all[k]));
+        }
+        if trials.get() >= MOST_TRIALS {
+            return None;
+        }
+        if is_kept.iter().all(|kept| *kept) {
+            return Some(self);
+        }
+        let mut kept = is_kept.iter();
+        let mut single = self.clone();
+        single.triangles.retain(|_| kept.next() == Some(&true));
+        let (low, high) =
+            self.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
+        let is_body = self.is_closed() && volume(&self).abs() > FLAT * (high - low).length().powi(3);
+        Some(if is_body && !single.is_closed() { self } else { single.welded() })
+    }
+
     /// Validates all triangles; `path` is named in errors.
     ///
     /// # Errors

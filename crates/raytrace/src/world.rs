@@ -3,8 +3,9 @@
 mod build;
 mod contact;
 mod from_scene;
-mod hierarchy;
+pub(crate) mod hierarchy;
 mod opening;
+mod sheets;
 
 use crate::Complex;
 use crate::scattering::Lobe;
@@ -34,6 +35,14 @@ pub struct Surface {
     pub roughness: f64,
     /// Shape of the diffuse lobe.
     pub lobe: Lobe,
+}
+
+impl Surface {
+    /// Whether another surface has the same properties; names of objects may differ.
+    fn is_like(&self, other: &Self) -> bool {
+        let properties = |s: &Self| (s.eta, s.thickness, s.roughness, s.lobe);
+        properties(self) == properties(other)
+    }
 }
 
 /// Planar piece of surface: connected triangles in one plane.

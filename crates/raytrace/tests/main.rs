@@ -12,3 +12,4 @@ mod link_files;
 mod links;
 mod mitsuba;
 mod reference_paths;
+mod sheets;

@@ -23,6 +23,8 @@ pub struct WorldBuilder {
     bodies: Vec<SolidBody>,
     /// Part index of each face.
     pub(super) parts: Vec<usize>,
+    /// Whether the part of each face is closed.
+    pub(super) shells: Vec<bool>,
     /// Part index of each edge.
     pub(super) owners: Vec<usize>,
     /// Number of parts so far.
@@ -86,6 +88,7 @@ impl WorldBuilder {
             shared.iter().filter_map(|(ends, owners)| edge(part.mesh, (ends, owners), &plain, &face_of, !part.closed));
         self.edges.extend(found);
         self.parts.resize(self.faces.len(), self.count);
+        self.shells.resize(self.faces.len(), part.mesh.is_closed());
         self.owners.resize(self.edges.len(), self.count);
         self.count += 1;
         if part.closed {
@@ -100,6 +103,8 @@ impl WorldBuilder {
     /// # Errors
     /// Too many overlapping faces.
     pub fn build(mut self) -> Result<World, String> {
+        contact::find_twins(&mut self.faces)?;
+        self.join_sheets();
         let hierarchy = Hierarchy::new(&self.triangles);
         let contacts = contact::Contacts::new(&self.faces, &self.triangles, &hierarchy, &self.parts);
         let mut edges = Vec::new();
@@ -108,7 +113,6 @@ impl WorldBuilder {
                 edges.push(edge.clone());
             }
         }
-        contact::find_twins(&mut self.faces)?;
         let Self { surfaces, faces, triangles, bodies, .. } = self;
         Ok(World { surfaces, faces, edges, triangles, bodies, hierarchy })
     }
@@ -116,7 +120,7 @@ impl WorldBuilder {
     fn face(plain: &[Triangle], group: &[usize], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
         let largest = group.iter().map(|&t| &plain[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
         let largest = largest.expect("a group has a triangle");
-        let normal = largest.sides[0].cross(largest.sides[1]).normalize();
+        let normal = largest.normal();
         let (name, surface) = (part.describe)(normal, number);
         let corners = group.iter().flat_map(|&t| plain[t].corners()).collect();
         let hull = convex_hull(corners, normal);
@@ -144,8 +148,7 @@ impl WorldBuilder {
 }
 
 fn triangle(mesh: &Mesh, [a, b, c]: [u32; 3]) -> Triangle {
-    let [a, b, c] = [a, b, c].map(|i| mesh.vertices[i as usize]);
-    Triangle { corner: a, sides: [b - a, c - a], face: u32::MAX }
+    Triangle::new([a, b, c].map(|i| mesh.vertices[i as usize]))
 }
 
 /// Sides of all triangles with their triangles; sides are pairs of vertices, the lower first.
@@ -157,10 +160,6 @@ fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
         }
     }
     edges
-}
-
-fn unit_normal(t: &Triangle) -> DVec3 {
-    t.sides[0].cross(t.sides[1]).normalize()
 }
 
 /// Groups of connected coplanar triangles, in the order of their first.
@@ -178,12 +177,12 @@ fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>
             continue;
         }
         // Compared with the first triangle of the group, not the neighbour: a gently curved surface stays in pieces.
-        let normal = unit_normal(&triangles[start]);
+        let normal = triangles[start].normal();
         let mut group = vec![start];
         let mut next = 0;
         while next < group.len() {
             for &other in &neighbours[group[next]] {
-                if !seen[other] && (unit_normal(&triangles[other]) - normal).length() < COPLANAR {
+                if !seen[other] && (triangles[other].normal() - normal).length() < COPLANAR {
                     seen[other] = true;
                     group.push(other);
                 }
@@ -214,7 +213,7 @@ fn edge(
     let (faces, outer_angle, side) = match *owners {
         [only] => ([face_of[only]; 2], 2.0, 1.0),
         [one, other] if face_of[one] != face_of[other] => {
-            let (n0, n1) = (unit_normal(&plain[one]), unit_normal(&plain[other]));
+            let (n0, n1) = (plain[one].normal(), plain[other].normal());
             let turn = n0.cross(n1).length().atan2(n0.dot(n1));
             let is_convex = n0.dot(third(other) - p) < 0.0;
             // A sheet has two sides: its folds are convex on one of them.
@@ -230,7 +229,7 @@ fn edge(
     }
     let inwards = third(owners[0]) - p;
     let along = (inwards - inwards.dot(direction) * direction).normalize();
-    Some(Edge { ends: [p, q], faces, along, normal: side * unit_normal(&plain[owners[0]]), outer_angle })
+    Some(Edge { ends: [p, q], faces, along, normal: side * plain[owners[0]].normal(), outer_angle })
 }
 
 /// Convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).

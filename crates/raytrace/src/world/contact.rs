@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 /// Distance below which parts touch, metres.
 pub(crate) const TOUCHING: f64 = 1e-4;
 /// Distance beyond an edge at which a continuing surface is probed, metres.
-const BEYOND: f64 = 1e-3;
+pub(super) const BEYOND: f64 = 1e-3;
 /// Largest number of overlapping face pairs, to limit memory.
 const MOST_PAIRS: usize = 5_000_000;
 
@@ -46,7 +46,8 @@ impl<'a> Contacts<'a> {
         };
         let is_near = |t: f64| {
             let point = edge.ends[0].lerp(edge.ends[1], t);
-            let is_apart = |face: u32| !edge.faces.iter().any(|host| lies_on(face, *host));
+            let is_apart =
+                |face: u32| !edge.faces.contains(&face) && !edge.faces.iter().any(|host| lies_on(face, *host));
             let goes_on = |(host, inwards): (u32, DVec3)| {
                 self.is_near_any(point - BEYOND * inwards, part, &|face| lies_on(face, host))
             };

@@ -19,6 +19,16 @@ pub struct Triangle {
 }
 
 impl Triangle {
+    /// Creates a triangle of no face.
+    pub(crate) fn new([a, b, c]: [DVec3; 3]) -> Self {
+        Self { corner: a, sides: [b - a, c - a], face: u32::MAX }
+    }
+
+    /// Unit normal by the order of its corners.
+    pub(crate) fn normal(&self) -> DVec3 {
+        self.sides[0].cross(self.sides[1]).normalize()
+    }
+
     /// Corner positions, metres.
     pub fn corners(&self) -> [DVec3; 3] {
         [self.corner, self.corner + self.sides[0], self.corner + self.sides[1]]
@@ -30,7 +40,7 @@ impl Triangle {
     }
 
     /// Whether a point in its plane lies inside, border included.
-    pub(super) fn contains(&self, point: DVec3) -> bool {
+    pub(crate) fn contains(&self, point: DVec3) -> bool {
         const BORDER: f64 = 1e-12;
         let n = self.sides[0].cross(self.sides[1]);
         let p = point - self.corner;
@@ -43,7 +53,7 @@ impl Triangle {
 
 /// Tree in depth-first order.
 #[derive(Debug)]
-pub(super) struct Hierarchy {
+pub(crate) struct Hierarchy {
     nodes: Vec<Node>,
 }
 
@@ -93,7 +103,7 @@ impl Node {
 }
 
 impl Hierarchy {
-    pub(super) fn new(triangles: &[Triangle]) -> Self {
+    pub(crate) fn new(triangles: &[Triangle]) -> Self {
         let mut leaves: Vec<Node> = triangles.iter().enumerate().map(|(i, t)| Node::of(i, t)).collect();
         let mut nodes = Vec::with_capacity(2 * leaves.len());
         grow(&mut nodes, &mut leaves, 0);
@@ -108,7 +118,7 @@ impl Hierarchy {
 
     /// Candidates that include all triangles closer than `reach` to the point; unordered indices. Subtrees whose box
     /// index `is_wanted` rejects are skipped.
-    pub(super) fn around(
+    pub(crate) fn around(
         &self,
         point: DVec3,
         reach: f64,
@@ -116,6 +126,11 @@ impl Hierarchy {
     ) -> impl Iterator<Item = usize> {
         let is_near = move |node: &Node| point.cmpge(node.low - reach).all() && point.cmple(node.high + reach).all();
         self.leaves(move |number, node| is_near(node) && is_wanted(number))
+    }
+
+    /// Candidates that include all triangles that touch the box between two corners; unordered indices.
+    pub(super) fn touching(&self, [low, high]: [DVec3; 2]) -> impl Iterator<Item = usize> {
+        self.leaves(move |_, node| node.low.cmple(high).all() && node.high.cmpge(low).all())
     }
 
     /// Owner of each box if all its triangles have the same owner.

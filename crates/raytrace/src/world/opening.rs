@@ -3,14 +3,11 @@
 use super::build::WorldBuilder;
 use super::contact::{TOUCHING, is_near};
 use super::{Edge, Face, SurfaceLayer, Triangle};
-use crate::images::{LEAST_AREA, area, clip};
+use crate::polygon::{Plane, outside, sides, within};
 use glam::DVec3;
 
 /// Number of points along each side of an opening that must lie on a face.
 const PLACES: usize = 16;
-
-/// Plane that bounds the opening: normal and offset, positive inside.
-type Plane = (DVec3, f64);
 
 impl WorldBuilder {
     /// Cuts a convex polygon, `hole`, out of every face in its plane. Its rims diffract; edges inside it are removed.
@@ -70,31 +67,34 @@ impl WorldBuilder {
         &self.triangles[self.faces[face].triangles.clone()]
     }
 
-    /// Cuts the opening out of the edges of a face. If only one of the two faces of an edge is removed, the other gets
-    /// a rim.
+    /// Cuts the opening out of the edges of a face.
     fn cut_edges(&mut self, host: u32, sides: &[Plane; 4]) {
         let (edges, owners) = (std::mem::take(&mut self.edges), std::mem::take(&mut self.owners));
         for (edge, owner) in edges.into_iter().zip(owners) {
-            let [a, b] = edge.ends;
-            let tolerance = TOUCHING / a.distance(b);
-            let inside = if edge.faces.contains(&host) { within(edge.ends, sides, -TOUCHING) } else { None };
-            let Some((start, end)) = inside.filter(|(start, end)| end - start > 3.0 * tolerance) else {
-                self.edges.push(edge);
-                self.owners.push(owner);
-                continue;
-            };
-            let piece = |from: f64, to: f64| Edge { ends: [a.lerp(b, from), a.lerp(b, to)], ..edge.clone() };
-            let mut pieces = Vec::new();
-            pieces.extend((start > 2.0 * tolerance).then(|| piece(0.0, start)));
-            pieces.extend((1.0 - end > 2.0 * tolerance).then(|| piece(end, 1.0)));
-            if let Some(k) = edge.faces.iter().position(|f| *f != host) {
-                let (face, along) = (edge.faces[k], edge.inwards()[k]);
-                let normal = self.faces[face as usize].normal;
-                pieces.push(Edge { faces: [face; 2], along, normal, outer_angle: 2.0, ..piece(start, end) });
-            }
+            let ends = edge.ends;
+            let pieces = if edge.faces.contains(&host) { self.cut_edge(edge, host, ends, sides) } else { vec![edge] };
             self.owners.resize(self.owners.len() + pieces.len(), owner);
             self.edges.extend(pieces);
         }
+    }
+
+    /// Pieces of an edge of `host` where the line `probe`, which runs beside it, is outside a convex polygon. If only one of
+    /// its two faces is removed, the other gets a rim.
+    pub(super) fn cut_edge(&self, edge: Edge, host: u32, probe: [DVec3; 2], sides: &[Plane]) -> Vec<Edge> {
+        let [a, b] = edge.ends;
+        let tolerance = TOUCHING / a.distance(b);
+        let inside = within(probe, sides, -TOUCHING);
+        let Some((start, end)) = inside.filter(|(start, end)| end - start > 3.0 * tolerance) else { return vec![edge] };
+        let piece = |from: f64, to: f64| Edge { ends: [a.lerp(b, from), a.lerp(b, to)], ..edge.clone() };
+        let mut pieces = Vec::new();
+        pieces.extend((start > 2.0 * tolerance).then(|| piece(0.0, start)));
+        pieces.extend((1.0 - end > 2.0 * tolerance).then(|| piece(end, 1.0)));
+        if let Some(k) = edge.faces.iter().position(|f| *f != host) {
+            let (face, along) = (edge.faces[k], edge.inwards()[k]);
+            let normal = self.faces[face as usize].normal;
+            pieces.push(Edge { faces: [face; 2], along, normal, outer_angle: 2.0, ..piece(start, end) });
+        }
+        pieces
     }
 
     /// Rims of an opening in a face: the parts of its sides beyond which the face continues and no face of `others`
@@ -134,48 +134,4 @@ impl WorldBuilder {
         }
         rims
     }
-}
-
-/// Planes through the sides of a convex polygon, perpendicular to its plane.
-fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Plane; N] {
-    let middle = corners.iter().sum::<DVec3>() / N as f64;
-    std::array::from_fn(|i| {
-        let across = normal.cross(corners[(i + 1) % N] - corners[i]).normalize();
-        let inwards = if across.dot(middle - corners[i]) < 0.0 { -across } else { across };
-        (inwards, inwards.dot(corners[i]))
-    })
-}
-
-/// Interval, from 0 to 1, in which a segment is more than `least` metres inside.
-fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<(f64, f64)> {
-    let (mut start, mut end) = (0.0_f64, 1.0_f64);
-    for (normal, offset) in sides {
-        let (at_a, at_b) = (normal.dot(a) - offset - least, normal.dot(b) - offset - least);
-        match (at_a >= 0.0, at_b >= 0.0) {
-            (true, true) => {}
-            (false, false) => return None,
-            (false, true) => start = start.max(at_a / (at_a - at_b)),
-            (true, false) => end = end.min(at_a / (at_a - at_b)),
-        }
-    }
-    (start < end).then_some((start, end))
-}
-
-/// Part of a triangle outside the opening, as triangles.
-fn outside(triangle: &Triangle, sides: &[Plane; 4]) -> Vec<Triangle> {
-    let mut rest = triangle.corners().to_vec();
-    let mut pieces = Vec::new();
-    for &(normal, offset) in sides {
-        pieces.push(clip(&rest, (-normal, -offset)));
-        rest = clip(&rest, (normal, offset));
-        if area(&rest) <= LEAST_AREA {
-            return vec![*triangle]; // nothing of it lies inside
-        }
-    }
-    let fan = |piece: Vec<DVec3>| {
-        let (first, rest) = piece.split_first().map_or((DVec3::ZERO, &[][..]), |(first, rest)| (*first, rest));
-        let of = |w: &[DVec3]| Triangle { corner: first, sides: [w[0] - first, w[1] - first], face: triangle.face };
-        rest.windows(2).map(of).filter(|t| t.area() > LEAST_AREA).collect::<Vec<_>>()
-    };
-    pieces.into_iter().flat_map(fan).collect()
 }

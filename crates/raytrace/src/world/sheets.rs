@@ -1,0 +1,122 @@
+//! Coincident faces of one sheet, such as the two sides of a wall: each place keeps the first face.
+
+use super::build::WorldBuilder;
+use super::contact::{BEYOND, is_near};
+use super::hierarchy::Hierarchy;
+use super::{Edge, Triangle};
+use crate::polygon::{outside, sides};
+use glam::DVec3;
+
+/// Finds the triangles in a box that describe the same sheet as a face.
+type Coincident<'a> = &'a dyn Fn(u32, [DVec3; 2]) -> Vec<Triangle>;
+
+impl WorldBuilder {
+    /// Cuts out of each face what earlier faces of the same sheet cover, and removes edges inside a sheet. Needs the twins of
+    /// faces.
+    pub(super) fn join_sheets(&mut self) {
+        let same_sheet = |face: u32| {
+            let twins = self.faces[face as usize].twins.iter().copied();
+            twins.filter(|twin| self.is_same_sheet(*twin, face)).collect()
+        };
+        let sheets: Vec<Vec<u32>> = (0..self.faces.len() as u32).map(same_sheet).collect();
+        if sheets.iter().all(Vec::is_empty) {
+            return;
+        }
+        let hierarchy = Hierarchy::new(&self.triangles);
+        let coincident = |face: u32, bounds: [DVec3; 2]| {
+            let sheet = &sheets[face as usize];
+            let found = (!sheet.is_empty()).then(|| hierarchy.touching(bounds).map(|i| self.triangles[i]));
+            found.into_iter().flatten().filter(|triangle| sheet.contains(&triangle.face)).collect::<Vec<_>>()
+        };
+        let (mut edges, mut owners) = (Vec::new(), Vec::new());
+        for (edge, owner) in self.edges.iter().zip(&self.owners) {
+            edges.extend(self.outer_edges(edge, &coincident));
+            owners.resize(edges.len(), *owner);
+        }
+        let mut triangles = Vec::with_capacity(self.triangles.len());
+        let mut ranges = Vec::with_capacity(self.faces.len());
+        for (face, of) in (0..).zip(&self.faces) {
+            let start = triangles.len();
+            for triangle in &self.triangles[of.triangles.clone()] {
+                let earlier =
+                    coincident(face, bounds(&triangle.corners())).into_iter().filter(|other| other.face < face);
+                triangles.extend(earlier.fold(vec![*triangle], |pieces, other| {
+                    let sides = sides(&other.corners(), other.normal());
+                    pieces.iter().flat_map(|piece| outside(piece, &sides)).collect()
+                }));
+            }
+            ranges.push(start..triangles.len());
+        }
+        (self.edges, self.owners, self.triangles) = (edges, owners, triangles);
+        for (face, range) in self.faces.iter_mut().zip(ranges) {
+            if range.is_empty() {
+                face.hull.clear(); // nothing reflects there
+            }
+            face.triangles = range;
+        }
+    }
+
+    /// Whether coplanar faces describe one sheet where they coincide: those of a mesh, and those with equal material of
+    /// different parts. Bodies that touch keep their shells.
+    fn is_same_sheet(&self, one: u32, other: u32) -> bool {
+        let [one, other] = [one as usize, other as usize];
+        let [a, b] = [&self.faces[one], &self.faces[other]];
+        let [of_a, of_b] = [a, b].map(|face| &self.surfaces[face.surface as usize]);
+        let touch = self.shells[one] && self.shells[other] && a.normal.dot(b.normal) < 0.0;
+        let is_alike = of_a.thickness.is_some() && of_a.is_like(of_b) && !touch;
+        a.layer == b.layer && (self.parts[one] == self.parts[other] || is_alike)
+    }
+
+    /// Pieces of an edge that belong to no earlier face and have nothing of their sheet beyond. A fold of which earlier faces
+    /// cover one side joins them.
+    fn outer_edges(&self, edge: &Edge, coincident: Coincident<'_>) -> Vec<Edge> {
+        let [first, second] = edge.faces;
+        let (bounds, inwards) = (bounds(&edge.ends), edge.inwards());
+        if first == second {
+            return self.outer_rims(edge, coincident(first, bounds));
+        }
+        let cover = [0, 1].map(|k| {
+            let mut others = coincident(edge.faces[k], bounds);
+            others.retain(|other| other.face < edge.faces[k]);
+            let at = |t: f64| {
+                let beside = edge.ends[0].lerp(edge.ends[1], t) + BEYOND * inwards[k];
+                let is_there =
+                    |other: &&Triangle| is_near(&self.faces[other.face as usize], beside, std::slice::from_ref(*other));
+                others.iter().find(is_there).map(|other| other.face)
+            };
+            let found: Vec<u32> = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter_map(at).collect();
+            found.get(2).copied() // most of its length
+        });
+        match cover {
+            [None, None] => vec![edge.clone()],
+            [Some(_), Some(_)] => Vec::new(),
+            [a, b] => vec![Edge { faces: [a.unwrap_or(first), b.unwrap_or(second)], ..edge.clone() }],
+        }
+    }
+
+    /// Pieces of the rim of a face with these other triangles of its sheet.
+    fn outer_rims(&self, edge: &Edge, others: Vec<Triangle>) -> Vec<Edge> {
+        let face = edge.faces[0];
+        let inside = others.iter().filter(|other| other.face < face).map(|other| (BEYOND, other));
+        let beyond = others.iter().map(|other| (-BEYOND, other));
+        let cut = |pieces: Vec<Edge>, (step, other): (f64, &Triangle)| {
+            let sides = sides(&other.corners(), other.normal());
+            let cut = |piece: Edge| {
+                let probe = piece.ends.map(|end| end + step * edge.along);
+                self.cut_edge(piece, face, probe, &sides)
+            };
+            pieces.into_iter().flat_map(cut).collect()
+        };
+        let mut pieces = inside.chain(beyond).fold(vec![edge.clone()], cut);
+        // At acute corners, a probe beside the edge misses its last millimetre.
+        pieces.retain(|piece| piece.ends == edge.ends || piece.ends[0].distance(piece.ends[1]) > 4.0 * BEYOND);
+        pieces
+    }
+}
+
+/// Bounding box of points, with a margin.
+fn bounds(points: &[DVec3]) -> [DVec3; 2] {
+    let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+    let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
+    [low - 2.0 * BEYOND, high + 2.0 * BEYOND]
+}
