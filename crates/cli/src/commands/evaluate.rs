@@ -58,8 +58,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
-        warn_of_receivers(&data, &ensemble);
     }
+    warn_of_receivers(&data, &ensemble);
     let scored = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
     progress.finish();
     let (mut scores, confidence) = scored?;
@@ -111,7 +111,7 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     let (known, listening) = (&setup.receivers, &data.scene.receivers);
     if let ([one], [other]) = (&known[..], &listening[..]) {
         if setup.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
-            output::note("warning: the receiver pose of the data differs from that of the model");
+            output::warning("the receiver pose of the data differs from that of the model");
         }
         return;
     }
@@ -126,6 +126,6 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
         let (shown, more) =
             (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        output::note(&format!("warning: name or pose of receivers differs from that of the model: {shown}{more}"));
+        output::warning(&format!("name or pose of receivers differs from that of the model: {shown}{more}"));
     }
 }
