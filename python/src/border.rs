@@ -1,5 +1,6 @@
 //! Bridge between Rust and Python: errors, warnings, plugins, the interpreter lock (GIL), Ctrl-C and forked processes.
 
+use pwrfgs_core::messages::sanitize_message;
 use pwrfgs_core::plugin::{PluginKind, read_ron};
 use pwrfgs_core::{Error, Plugin, Result};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
@@ -209,7 +210,7 @@ fn without_flags(message: &str) -> String {
 
 /// Exception for input that is invalid only in Python.
 pub(crate) fn wrong(py: Python<'_>, message: &str) -> PyErr {
-    exception(py, "InputError", message)
+    exception(py, "InputError", &sanitize_message(message))
 }
 
 /// Throws an exception through code without exceptions: it unwinds to [`free`] or [`waited`].

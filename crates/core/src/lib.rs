@@ -25,6 +25,7 @@ mod method;
 mod metric;
 pub mod neighbours;
 pub mod npy;
+pub mod numbers;
 pub mod plugin;
 mod pruner;
 mod rasterizer;
