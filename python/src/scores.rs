@@ -20,7 +20,7 @@ fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Imag
         let what = format!("{what} has {axes} axes, but a {} has {of_one}", task.singular);
         return Err(wrong(py, &what));
     }
-    let any = vec![None; axes.max(1)]; // a number is an array of one
+    let any = vec![None; axes];
     let (ends, rows) = if task.is_complex {
         let all = input_array::<Gain>(what, value, &any)?;
         let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
