@@ -23,7 +23,13 @@ impl Metric for Counted {
         assert_eq!(count, evaluation.truths.len());
         let values =
             if self.whole { Values::Whole(count as f64) } else { Values::PerSample(vec![count as f64; count]) };
-        Ok(vec![Measurement { key: format!("counted_{}", self.scope), unit: String::new(), goal: Goal::Lower, values }])
+        Ok(vec![Measurement {
+            key: format!("counted_{}", self.scope),
+            unit: String::new(),
+            goal: Goal::Lower,
+            values,
+            note: None,
+        }])
     }
 
     fn scope(&self) -> Scope {

@@ -17,7 +17,8 @@ pub(crate) type InputArray<'py, T> = PyReadonlyArrayDyn<'py, T>;
 /// Complex number in the precision of the kernels: complex64, or complex128 in the double-precision build.
 pub(crate) type Gain = Complex<Real>;
 
-/// Converts `value` to an array of `T` in C order, without a copy if possible. `None` in `shape` accepts any length.
+/// Converts `value` to an array of `T` in C order, without a copy if possible. `None` in `shape` accepts any length; a
+/// number is also a vector of one.
 ///
 /// # Errors
 /// Not an array of numbers, or another shape; `what` is its name.
@@ -33,7 +34,7 @@ pub(crate) fn input_array<'py, T: Element>(
     };
     let have = array.shape();
     let fits = have.len() == shape.len() && have.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
-    if !fits {
+    if !fits && !(have.is_empty() && matches!(shape, [None | Some(1)])) {
         let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
         let message = format!("{what} has shape {have:?}, expected [{}]", want.join(", "));
         return Err(wrong(py, &message));
@@ -65,18 +66,24 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
     }
     let options = PyDict::new(py);
     options.set_item("dtype", target)?;
-    let array = numpy.call_method("ascontiguousarray", (array,), Some(&options))?;
+    options.set_item("order", "C")?;
+    let array = numpy.call_method("asarray", (array,), Some(&options))?;
     array.cast_into::<PyArrayDyn<T>>().map_err(Into::into)
+}
+
+/// Shape of a value.
+pub(crate) fn shape_of(value: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
+        return Ok(array.shape().to_vec());
+    }
+    let py = value.py();
+    let shape = py.import("numpy")?.call_method1("shape", (value,));
+    shape.map_err(|e| wrong(py, &format!("value is not an array: {e}")))?.extract()
 }
 
 /// Number of axes of a value.
 pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
-    if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
-        return Ok(array.ndim());
-    }
-    let py = value.py();
-    let count = py.import("numpy")?.call_method1("ndim", (value,));
-    count.map_err(|e| wrong(py, &format!("value is not an array: {e}")))?.extract()
+    shape_of(value).map(|shape| shape.len())
 }
 
 /// Reads one position, metres, finite.
@@ -107,6 +114,25 @@ pub(crate) fn numbers<T: Element + Copy>(
 ) -> PyResult<Vec<T>> {
     let array = input_array::<T>(what, value, shape)?;
     array.as_slice().map(<[T]>::to_vec).map_err(|e| wrong(value.py(), &e.to_string()))
+}
+
+/// Reads finite numbers of this shape: the result of a function of a user.
+pub(crate) fn finite(what: &str, value: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<Real>> {
+    let shape: Vec<Option<usize>> = shape.iter().copied().map(Some).collect();
+    check_finite(what, value, numbers(what, value, &shape)?)
+}
+
+/// Returns `numbers`, which were read from `value`, if all are finite.
+pub(crate) fn check_finite(what: &str, value: &Bound<'_, PyAny>, numbers: Vec<Real>) -> PyResult<Vec<Real>> {
+    match numbers.iter().find(|v| !v.is_finite()) {
+        Some(bad) => Err(wrong(value.py(), &format!("{what} holds {bad}; give finite numbers"))),
+        None => Ok(numbers),
+    }
+}
+
+/// Shape of a column of `n` Gaussians: one value per Gaussian has no second axis.
+pub(crate) fn column_shape(n: usize, width: usize) -> Vec<usize> {
+    if width <= 1 { vec![n] } else { vec![n, width] }
 }
 
 /// Reads complex numbers as pairs of real numbers.

@@ -1,5 +1,6 @@
 //! Bridge between Rust and Python: errors, warnings, plugins, the interpreter lock (GIL), Ctrl-C and forked processes.
 
+use pwrfgs_core::messages::sanitize_message;
 use pwrfgs_core::plugin::{PluginKind, read_ron};
 use pwrfgs_core::{Error, Plugin, Result};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
@@ -126,6 +127,21 @@ pub(crate) fn waited<T: Send, E: Send>(
     })
 }
 
+/// Same as `free`, for work that may take long: Ctrl-C sets the flag, and `work` ends with `Error::Stopped`.
+pub(crate) fn stoppable<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> Result<T> + Send) -> PyResult<T> {
+    waited::<T, ()>(py, |_, stop| work(stop), |()| Ok(()))
+}
+
+/// Progress of work that has no other point to stop at: once `stop` is set, it unwinds to [`waited`], which raises the
+/// exception.
+pub(crate) fn stopping(stop: &AtomicBool) -> impl Fn(usize, usize) + Sync {
+    move |_, _| {
+        if stop.load(Ordering::Relaxed) {
+            std::panic::resume_unwind(Box::new("stopped"));
+        }
+    }
+}
+
 /// Next event; `Some(None)` after a pause without one, `None` when the worker has finished.
 #[allow(clippy::option_option)]
 fn next<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
@@ -209,7 +225,7 @@ fn without_flags(message: &str) -> String {
 
 /// Exception for input that is invalid only in Python.
 pub(crate) fn wrong(py: Python<'_>, message: &str) -> PyErr {
-    exception(py, "InputError", message)
+    exception(py, "InputError", &sanitize_message(message))
 }
 
 /// Throws an exception through code without exceptions: it unwinds to [`free`] or [`waited`].

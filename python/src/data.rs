@@ -6,12 +6,12 @@ mod rows;
 pub(crate) use rows::indices;
 
 use crate::arrays::{array, elevation_of, numbers, observations, places, room, vector};
-use crate::border::{free, plugin, text_of, wrong};
+use crate::border::{free, plugin, stoppable, stopping, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Real, Receiver, Sample, Simulation,
-    Spectra, Split, recognise, rng,
+    Spectra, Split, check_stopped, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -20,6 +20,9 @@ use pyo3::types::{PyDict, PyList, PyTuple};
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// Number of observations between checks for Ctrl-C.
+pub(crate) const CHUNK: usize = 64;
 
 /// Transmitters, receivers, and the observation of each link.
 ///
@@ -38,10 +41,13 @@ pub(crate) struct Dataset {
 pub(crate) fn observed<'py>(py: Python<'py>, data: &Data, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let each = data.width * data.height;
     room::<Real>(&[links.len(), each])?;
-    let rows = free(py, || {
+    let rows = stoppable(py, |stop| {
         let mut rows = vec![0.0; links.len() * each];
         let copy = |(row, &i): (&mut [Real], &usize)| row.copy_from_slice(&data.image(i).pixels);
-        rows.par_chunks_exact_mut(each).zip(links).for_each(copy);
+        for (rows, links) in rows.chunks_mut(CHUNK * each).zip(links.chunks(CHUNK)) {
+            check_stopped(stop)?;
+            rows.par_chunks_exact_mut(each).zip(links).for_each(copy);
+        }
         data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
     })?;
     observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
@@ -87,7 +93,7 @@ impl Dataset {
             let reader = plugin::<dyn DataSource>(py, &text)?;
             (text, reader)
         };
-        let data = free(py, || reader.load(std::path::Path::new(""), &|_, _| {}))?;
+        let data = stoppable(py, |stop| reader.load(std::path::Path::new(""), &stopping(stop)))?;
         inputs::warn(py, &data)?;
         Ok(Self::new(data, Some(text)))
     }

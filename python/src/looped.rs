@@ -1,7 +1,7 @@
 //! `Trainer`: custom training loops.
 
 use crate::arrays::numbers;
-use crate::border::{free, without_gil, wrong};
+use crate::border::{stoppable, without_gil, wrong};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::Pipeline;
@@ -69,7 +69,7 @@ impl Trainer {
         crate::strategies::forget();
         let train = train.map(|train| dataset.indices("train", train)).transpose()?;
         let train = train.map(|links| links.into_iter().collect::<BTreeSet<_>>().into_iter().collect());
-        let begin = move || -> Result<TrainerState> {
+        let begin = move |stop: &AtomicBool| -> Result<TrainerState> {
             let inner = pwrfgs::experiment::rebased(&inner, &base)?;
             let partition = match train {
                 Some(train) => Partition { train, ..Partition::default() },
@@ -81,7 +81,7 @@ impl Trainer {
             TrainerState::try_new(data, |data| {
                 let mut trainer = match bytes {
                     Some(bytes) => Inner::restore(&inner.plan()?, data, &partition, &bytes)?,
-                    None => inner.trainer(data, &partition)?,
+                    None => Inner::begin(&inner.plan()?, data, &partition, &|_, _| {}, stop)?,
                 };
                 if let Some(function) = loss {
                     trainer.set_objective(Box::new(PythonLoss { function, task }));
@@ -89,7 +89,7 @@ impl Trainer {
                 Ok(trainer)
             })
         };
-        Ok(Self { held: Mutex::new(free(py, begin)?), failed: AtomicBool::new(false) })
+        Ok(Self { held: Mutex::new(stoppable(py, begin)?), failed: AtomicBool::new(false) })
     }
 
     /// Replaces the Gaussians by `columns`, arrays by name; `is_world` for means in the world frame.

@@ -1,6 +1,6 @@
 //! `run`, `simulate`, `sweep` and `report`, as on the command line; events of a run are passed to Python.
 
-use crate::border::{raised, waited, wrong};
+use crate::border::{raised, stoppable, stopping, waited, wrong};
 use crate::model::Model;
 use crate::settings::Pipeline;
 use pwrfgs::experiment::sweep::{JOINED, SweepEnd, SweepPlan, check, execute};
@@ -231,8 +231,8 @@ pub(crate) fn sweep(
 ) -> PyResult<(PathBuf, Ends)> {
     let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| raised(py, error))?;
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
-    let work = |_: SyncSender<()>, stop: &AtomicBool| {
-        check(&plan, &runs, &mut NoopObserver)?;
+    let work = |stop: &AtomicBool| {
+        check(&plan, &runs, &mut Stopping(stop))?;
         let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE };
         let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &NoopObserver, &mut session)?;
         let whole =
@@ -240,11 +240,11 @@ pub(crate) fn sweep(
         if whole {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
-            write(&study, None, &plan.folder.join("report"), &mut NoopObserver)?;
+            write(&study, None, &plan.folder.join("report"), &mut Stopping(stop))?;
         }
         Ok((ends, joined))
     };
-    let (ends, joined) = waited(py, work, |()| Ok(()))?;
+    let (ends, joined) = stoppable(py, work)?;
     let failed = |end: Result<RunOutcome>| match end {
         Err(error) => Some(error.to_string()),
         Ok(RunOutcome::Finished { .. }) => None,
@@ -258,9 +258,17 @@ pub(crate) fn sweep(
 /// Compares runs, see `pwrfgs.report`: returns the tables as text.
 #[pyfunction]
 pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
-    let work = |_: SyncSender<()>, _: &_| {
+    stoppable(py, |stop| {
         let study = Study::read(&runs)?;
-        write(&study, reference.as_deref(), &out, &mut NoopObserver)
-    };
-    waited(py, work, |()| Ok(()))
+        write(&study, reference.as_deref(), &out, &mut Stopping(stop))
+    })
+}
+
+/// Observer that ends work after Ctrl-C, see [`stopping`].
+struct Stopping<'a>(&'a AtomicBool);
+
+impl Observer for Stopping<'_> {
+    fn on_stage(&mut self, _: &str, done: usize, total: usize) {
+        stopping(self.0)(done, total);
+    }
 }

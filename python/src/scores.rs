@@ -1,16 +1,18 @@
 //! Metrics, baselines and repeatability for any arrays.
 
 use crate::arrays::{Gain, axes, input_array, observations, places, vector};
-use crate::border::{free, plugin, text_of, waited, wrong};
-use crate::data::Dataset;
+use crate::border::{free, plugin, stoppable, text_of, wrong};
+use crate::data::{CHUNK, Dataset};
 use numpy::PyUntypedArrayMethods as _;
+use pwrfgs::experiment::append_measurements;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
-    Baseline, Elevation, Evaluation, FittingSet, Image, ImagePlane, Metric, ModelFacts, Origin, Plugin, Pose, Query,
-    Real, Receiver, Scene, Task, Values, rows_of,
+    Baseline, Elevation, Evaluation, FittingSet, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Plugin,
+    Pose, Query, Real, Receiver, Scene, Scope, Task, Values, check_stopped, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
+use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
 /// Converts observations of `task`.
@@ -20,7 +22,7 @@ fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Imag
         let what = format!("{what} has {axes} axes, but a {} has {of_one}", task.singular);
         return Err(wrong(py, &what));
     }
-    let any = vec![None; axes.max(1)]; // a number is an array of one
+    let any = vec![None; axes];
     let (ends, rows) = if task.is_complex {
         let all = input_array::<Gain>(what, value, &any)?;
         let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
@@ -72,9 +74,17 @@ pub(crate) fn measure<'py>(
         return Err(wrong(py, &format!("truth holds {bad}, expected 0 to 1 (divide bytes by 255)")));
     }
     let scene = empty_scene(vec![]);
-    let found = free(py, || {
-        let given = (predictions.as_slice(), truths.as_slice());
-        metric.evaluate(&Evaluation { task, ..evaluation(given, &plane, &scene) })
+    let of = |given: (&[Image], &[Image])| metric.evaluate(&Evaluation { task, ..evaluation(given, &plane, &scene) });
+    let found = stoppable(py, |stop| {
+        if metric.scope() != Scope::Sample {
+            return of((&predictions, &truths));
+        }
+        let mut found: Vec<Measurement> = Vec::new();
+        for given in predictions.chunks(CHUNK).zip(truths.chunks(CHUNK)) {
+            check_stopped(stop)?;
+            append_measurements(&mut found, of(given)?, given.0.len())?;
+        }
+        Ok(found)
     })?;
     measurements(py, found)
 }
@@ -164,9 +174,14 @@ pub(crate) fn predict_baseline<'py>(
         return Err(wrong(py, &format!("invalid receiver index {receiver} (expected 0 to below {count})")));
     }
     let txs = places("tx", tx)?;
-    let found: Vec<Image> = free(py, || {
+    let found: Vec<Image> = stoppable(py, |stop| {
         let predictor = baseline.fit(data, FittingSet::train(&train))?;
-        Ok(txs.iter().map(|tx| predictor.predict(Query::at(*tx, receiver))).collect())
+        let mut found = Vec::new();
+        for txs in txs.chunks(CHUNK) {
+            check_stopped(stop)?;
+            found.par_extend(txs.par_iter().map(|tx| predictor.predict(Query::at(*tx, receiver))));
+        }
+        Ok(found)
     })?;
     let count = found.len();
     let rows = found.into_iter().flat_map(|image| image.pixels).collect();
@@ -181,7 +196,7 @@ pub(crate) fn repeatability<'py>(
     metrics: Vec<String>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let metrics = metrics.iter().map(|text| plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
-    let found = waited::<_, ()>(py, |_, stop| work::repeatability(&dataset.data, &metrics, stop), |()| Ok(()))?;
+    let found = stoppable(py, |stop| work::repeatability(&dataset.data, &metrics, stop))?;
     let all = PyDict::new(py);
     for (name, similarity) in [("near", &found.near), ("far", &found.far)] {
         let own = PyDict::new(py);

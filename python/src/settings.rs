@@ -1,6 +1,6 @@
 //! Plugins, pipelines and their text.
 
-use crate::border::{free, unplaced, wrong};
+use crate::border::{free, stoppable, stopping, unplaced, wrong};
 use pwrfgs::experiment::{pipeline_text as read_pipeline_text, rebased};
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
@@ -85,9 +85,9 @@ impl Pipeline {
 
     /// Loads the data.
     fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
-        let (data, source) = free(py, || {
+        let (data, source) = stoppable(py, |stop| {
             let source = rebased(&self.now(), &self.base)?.data;
-            Ok((source.load(&self.base, &|_, _| {})?, source))
+            Ok((source.load(&self.base, &stopping(stop))?, source))
         })?;
         Ok(crate::data::Dataset::new(data, Some(to_ron(&source))))
     }

@@ -26,9 +26,10 @@ pub(crate) use objects::{cloud_object, cloud_of, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
 use pwrfgs_core::{
     Baseline, ColumnSpec, Deformation, GaussianCloud, Initializer, JsonSchema, Metric, Pruner, Real, Result, Split,
-    WeightSpec, schemars,
+    WeightSpec, did_you_mean, schemars,
 };
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -139,6 +140,22 @@ fn columns(in_strategy_call: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
         Some((name, what)) => Err(wrong(in_strategy_call.py(), &format!("columns: `{name}` {what}"))),
         None => Ok(all),
     }
+}
+
+/// Returns an error for a key that is not among `names`; `what` begins its message.
+pub(crate) fn check_keys<'a>(
+    what: &str,
+    dict: &Bound<'_, PyDict>,
+    names: impl IntoIterator<Item = &'a str> + Clone,
+) -> PyResult<()> {
+    for key in dict.keys() {
+        let key: String = key.str()?.extract()?;
+        if names.clone().into_iter().all(|name| name != key) {
+            let hint = did_you_mean(&key, names);
+            return Err(wrong(dict.py(), &format!("{what} `{key}`{hint}")));
+        }
+    }
+    Ok(())
 }
 
 /// Problem of a column; `others` precede it.

@@ -15,6 +15,11 @@ def spectra(n=30):
     return np.random.default_rng(1).uniform(size=(n, 12, 36)).astype(np.float32)
 
 
+def test_huge_numbers_have_an_exponent_in_messages():
+    with pytest.raises(pwrfgs.InputError, match=r"rssi\[0, 0\] is 1\.0\d*e35, no power in dBm"):
+        pwrfgs.Dataset.from_arrays([[1, 2, 3]], rssi=[[1e35]], receivers=[[0, 0, 0]])
+
+
 def test_spectra_come_and_go(tmp_path):
     given = spectra()
     receiver = pwrfgs.Receiver("gate", (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))

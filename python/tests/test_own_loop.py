@@ -15,6 +15,9 @@ from networks import Plane, Swelling, squared
 import pwrfgs
 
 SIZE = dict(height=15, width=60)
+UNCONSTRAINED = dict(
+    means=np.zeros((2, 3)), log_scales=np.zeros((2, 3)), quats=np.ones((2, 4)), opacity_logits=np.zeros(2), signals=np.zeros((2, 2))
+)
 
 
 def waves(seed=0):
@@ -136,6 +139,8 @@ def test_gaussians_of_ones_own_are_trained_and_pruned(pipeline, dataset):
         ({"means": np.zeros((2, 3))}, "cloud lacks quats, scales"),
         ({"means": np.zeros((2, 3)), "log_scales": np.zeros((2, 3))}, "cloud lacks quats, opacity_logits"),
         ({**{name: values[:0] for name, values in waves().items()}}, "0 Gaussians"),
+        ({**UNCONSTRAINED, "log_scales": np.zeros((3, 2))}, r"log_scales has shape \[3, 2\], expected \[2, 3\]"),
+        ({**UNCONSTRAINED, "opacity_logits": np.zeros((2, 1))}, r"opacity_logits has shape \[2, 1\], expected \[2\]"),
     ],
 )
 def test_set_cloud_rejects_invalid_input(pipeline, dataset, cloud, said):
@@ -217,7 +222,9 @@ def test_own_loss_of_channels_is_complex(tmp_path):
     [
         ("L1", "loss is 'L1'; give a function"),
         (lambda p, t: 3.0, r"loss: expected \(number, derivative"),
-        (lambda p, t: (1.0, np.zeros(3)), "loss: the derivative has 3 numbers"),
+        (lambda p, t: (1.0, np.zeros(3)), r"loss: the derivative has shape \[3\], expected \[4, 15, 60\]"),
+        (lambda p, t: (1.0, np.zeros_like(p).transpose(0, 2, 1)), r"has shape \[4, 60, 15\], expected \[4, 15, 60\]"),
+        (lambda p, t: (np.zeros(1), np.zeros_like(p)), r"loss: the value has shape \[1\], expected \[\]"),
         (lambda p, t: (float("nan"), np.zeros_like(p)), "holds NaN"),
         (lambda p, t: 1 / 0, "division by zero"),
     ],
@@ -260,6 +267,59 @@ def test_own_network_is_trained_resumed_and_saved(pipeline, tmp_path):
     assert np.allclose(own.predict(tx), want, atol=1e-5)
     own.save(tmp_path / "own.safetensors")
     assert np.array_equal(pwrfgs.Model.load(tmp_path / "own.safetensors").predict(tx), own.predict(tx))
+
+
+class Turned(Plane):
+    """Returns what `turn` makes of the result of one method."""
+
+    turn = {}
+
+    def weights(self):
+        return super().weights()
+
+    def forward(self, weights, means, tx):
+        return self.turn.get("forward", lambda found: found)(super().forward(weights, means, tx))
+
+    def vjp(self, weights, means, tx, cotangents):
+        return self.turn.get("vjp", lambda found: found)(super().vjp(weights, means, tx, cotangents))
+
+
+@pytest.mark.parametrize(
+    ("method", "turn", "said"),
+    [
+        ("forward", lambda d: {"signals": d["signals"].transpose(1, 0, 2)}, r"`signals` has shape \[60, 4, 2\], expected \[4, 60, 2\]"),
+        ("forward", lambda d: {"signal": d["signals"]}, "forward: unknown term `signal`; did you mean `signals`"),
+        ("vjp", lambda d: ({**d[0], "tx": d[0]["tx"].T}, d[1]), r"vjp: `tx` has shape \[2, 3\], expected \[3, 2\]"),
+        ("vjp", lambda d: (d[0], d[1].T), r"the derivative in the centres has shape \[3, 60\], expected \[60, 3\]"),
+        ("vjp", lambda d: ({**d[0], "tz": d[0]["tx"]}, d[1]), "vjp: unknown tensor `tz`; did you mean `tx`"),
+        ("vjp", lambda d: ({"tx": d[0]["tx"]}, d[1]), "vjp: `centre` is missing"),
+        ("vjp", lambda d: d[0], "vjp: expected"),
+    ],
+)
+def test_shapes_and_names_of_own_network_are_compared(pipeline, dataset, monkeypatch, method, turn, said):
+    monkeypatch.setattr(Turned, "turn", {method: turn})
+    pipeline.deformation = Turned()
+    with pytest.raises(pwrfgs.InputError, match=said):
+        steps(pwrfgs.Trainer(pipeline, dataset), 1)
+
+
+def test_own_loss_of_channels_compares_shapes_and_numbers(tmp_path):
+    rng = np.random.default_rng(0)
+    tx = rng.uniform((0, 0, 1), (4, 3, 1.5), (10, 3))
+    csi = rng.normal(size=(10, 2, 3)) + 1j * rng.normal(size=(10, 2, 3))
+    receiver = pwrfgs.Receiver(antennas=[(0.0, 0.0, 0.0), (0.5, 0.0, 0.0)])
+    data = pwrfgs.Dataset.from_arrays(tx, csi=csi, frequencies_hz=5e7 + 5e6 * np.arange(3), receivers=receiver)
+    data.save(tmp_path / "csi")
+    pipeline = pwrfgs.Pipeline(
+        name="c", data=data, split=pwrfgs.Random(test=0.2), initializer=pwrfgs.Random(count=5, std=2.0), deformation=pwrfgs.Fixed(),
+        training=dict(steps=4, batch=4, densify_until=0, prune_until=0),
+    )
+    for slope, said in [
+        (lambda p: p.transpose(0, 2, 1), r"has shape \[4, 3, 2\], expected \[4, 2, 3\]"),
+        (lambda p: np.full_like(p, np.nan), "the derivative holds NaN"),
+    ]:
+        with pytest.raises(pwrfgs.InputError, match=said):
+            pwrfgs.Trainer(pipeline, data, loss=lambda p, t, slope=slope: (1.0, slope(p))).step()
 
 
 def test_network_that_changes_scales_is_trained(pipeline, dataset):

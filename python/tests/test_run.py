@@ -6,6 +6,7 @@ import importlib
 import os
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -93,6 +94,25 @@ def test_stopped_and_resumed_it_ends_in_the_same_files(run, tmp_path):
         assert (tmp_path / "r/checkpoint.safetensors").is_file() and not pwrfgs.Run(tmp_path / "r").finished
     resumed = pwrfgs.run(tmp_path / "r", progress=False)
     assert files(resumed.folder) == files(run.folder)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "pwrfgs.baselines.kriging(data, np.zeros((10**6, 3)))",
+        "pwrfgs.Dataset.load(pwrfgs.Teacher(gaussians=5, samples=10**6, width=60, height=15))",
+    ],
+)
+def test_ctrl_c_ends_a_long_call(call):
+    code = (
+        "import numpy as np, pwrfgs, time\nfrom conftest import SMALL\n"
+        "data = pwrfgs.Pipeline(SMALL).load_data(); print('there', flush=True)\n"
+        f"try:\n    pass\n    {call}\n    print('not stopped', flush=True)\n"
+        "except KeyboardInterrupt: print('stopped', flush=True)\n"
+    )
+    begun = time.monotonic()
+    assert interrupted(code, after=1.5) == "stopped\n"
+    assert time.monotonic() - begun < 15
 
 
 def test_ctrl_c_in_a_terminal(run, tmp_path):

@@ -324,7 +324,7 @@ class Says(Asks):
     what = {}
 
     def columns(self):
-        return [pwrfgs.Column("own", learning_rate=0.1), pwrfgs.Column("fixed")]
+        return [pwrfgs.Column("own", learning_rate=0.1), pwrfgs.Column("wide", width=2, learning_rate=0.1), pwrfgs.Column("fixed")]
 
     def gate(self, cloud, context):
         return self.what.get("gate", lambda n: None)(len(cloud))
@@ -336,7 +336,7 @@ class Says(Asks):
         return self.what.get("needs", [])
 
     def update(self, cloud, stats, context):
-        pass
+        self.what.get("update", lambda cloud: None)(cloud)
 
 
 @pytest.mark.parametrize(
@@ -346,7 +346,13 @@ class Says(Asks):
         ({"gate": lambda n: (np.ones(n), np.ones(n))}, "a value of ndarray as its derivatives"),
         ({"gate": lambda n: (-np.ones(n), {"own": np.ones(n)})}, "a factor is -1; give numbers from 0 to 1"),
         ({"gate": lambda n: (np.ones(n), {"own": np.full(n, np.nan)})}, "the derivative in `own` holds NaN"),
-        ({"gate": lambda n: (np.ones(n), {"own": np.ones(n + 1)})}, "has 61 numbers, expected 60"),
+        ({"gate": lambda n: (np.ones(n), {"own": np.ones(n + 1)})}, r"has shape \[61\], expected \[60\]"),
+        ({"gate": lambda n: (np.ones(n), {"own": np.ones((n, 1))})}, r"derivative in `own` has shape \[60, 1\], expected \[60\]"),
+        ({"gate": lambda n: (np.ones(n), {"wide": np.ones((2, n))})}, r"`wide` has shape \[2, 60\], expected \[60, 2\]"),
+        ({"gate": lambda n: (np.ones((6, n // 6)), {"own": np.ones(n)})}, r"the factor has shape \[6, 10\], expected \[60\]"),
+        ({"penalty": lambda n: (np.ones(1), {"own": np.ones(n)})}, r"penalty: the value has shape \[1\], expected \[\]"),
+        ({"penalty": lambda n: (1.0, {"wide": np.ones(2 * n)})}, r"`wide` has shape \[120\], expected \[60, 2\]"),
+        ({"update": lambda cloud: cloud.columns.update(wide=cloud["wide"].T)}, r"update: `wide` has shape \[2, 60\], expected \[60, 2\]"),
         ({"gate": lambda n: (np.ones(n), {"owm": np.ones(n)})}, "unknown column `owm`; did you mean `own`"),
         ({"gate": lambda n: (np.ones(n), {"fixed": np.ones(n)})}, "`fixed` has no learning_rate"),
         ({"gate": lambda n: (np.ones(n), {"own": np.ones(n)}, "existences")}, "unknown third entry"),
@@ -367,6 +373,55 @@ def test_a_statistic_that_is_not_there_is_told_when_it_is_set(pipeline, monkeypa
         pipeline.pruners = [Says()]
     with pytest.raises(pwrfgs.InputError, match="unknown statistic"):
         pwrfgs.run(SMALL, pruners=[Says()])
+
+
+@dataclass
+class Gives(pwrfgs.Initializer):
+    """Four Gaussians with whatever the test wants."""
+
+    what = {}
+
+    def initialize(self, room, rng):
+        return self.what if isinstance(self.what, list) else {"means": np.zeros((4, 3)), "scales": 0.5, **self.what}
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"opacity": np.full(4, 0.3)}, "initialize: unknown entry `opacity`; did you mean `opacities`"),
+        ({"scale": 0.1}, "unknown entry `scale`; did you mean `scales`"),
+        ({"scales": np.ones((3, 4))}, r"scales has shape \[3, 4\], expected \[4, 3\]"),
+        ({"opacities": np.full((4, 1), 0.3)}, r"opacities has shape \[4, 1\], expected \[4\]"),
+        ({"quats": np.zeros((4, 4))}, r"quats\[0\] is zero"),
+        ({"quats": np.full((4, 4), np.nan)}, "quats holds NaN"),
+        ({"signals": np.zeros((4, 2))}, r"signals has shape \[4, 2\], expected \[4\]"),
+        ([1], "initialize returned no dict"),
+    ],
+)
+def test_entries_of_an_initialiser_are_checked(pipeline, monkeypatch, what, said):
+    monkeypatch.setattr(Gives, "what", what)
+    pipeline.initializer = Gives()
+    with pytest.raises(pwrfgs.InputError, match=said):
+        pwrfgs.Trainer(pipeline)
+
+
+@dataclass
+class OfPowers(pwrfgs.Baseline):
+    """Predicts a number for every link, in one form."""
+
+    shape: str = "number"
+
+    def predict(self, tx, receiver):
+        return {"number": -60.0, "scalar": np.float32(-60), "array": np.array(-60.0), "vector": np.array([-60.0])}[self.shape]
+
+
+def test_prediction_of_a_power_is_a_number():
+    tx, rssi = np.random.default_rng(0).uniform(1, 5, (6, 3)), np.full((6, 1), -60.0) - np.arange(6)[:, None]
+    data = pwrfgs.Dataset.from_arrays(tx, rssi=rssi, receivers=[[0, 0, 0]])
+    for shape in ("number", "scalar", "array"):
+        assert (pwrfgs.baselines.predict(OfPowers(shape), data, tx) == -60).all()
+    with pytest.raises(pwrfgs.InputError, match=r"has shape \[1\], expected \[\]"):
+        pwrfgs.baselines.predict(OfPowers("vector"), data, tx)
 
 
 class Nothing(pwrfgs.Pruner):

@@ -39,7 +39,7 @@ struct Arguments {
     /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = count)]
     threads: Option<usize>,
-    /// Print only errors and results
+    /// Print only errors, warnings and results
     #[arg(short, long, global = true, action = ArgAction::SetTrue, conflicts_with = "verbose")]
     quiet: bool,
     /// Print debug output

@@ -23,7 +23,7 @@ pub(crate) const INTERRUPTED: u8 = 130;
 /// Amount of output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub(crate) enum Verbosity {
-    /// Only errors and results.
+    /// Only errors, warnings and results.
     Quiet,
     /// Also progress.
     Normal,

@@ -238,10 +238,8 @@ impl Observer for RunProgress {
     }
 
     fn on_warning(&mut self, warning: &str) {
-        if self.verbosity != Verbosity::Quiet {
-            self.finish();
-            output::warning(warning);
-        }
+        self.finish();
+        output::warning(warning);
     }
 }
 

@@ -201,6 +201,22 @@ fn reports_command_line_errors() {
 }
 
 #[test]
+fn huge_numbers_have_an_exponent_in_messages() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), SMALL);
+    for (set, words) in [
+        ("split=Voxel(size_m: -1e300)", "`size_m` is -1e300; use"),
+        ("split=Random(test: 1.5e300)", "`test` is 1.5e300; it is"),
+        ("data=Channels(spacing_hz: -1e300)", "`spacing_hz` is -1e300; give"),
+        ("pruners=[OpacityThreshold(epsilon: 1e35)]", "`epsilon` is 1e35; give"),
+        ("baselines=[RayTracing(position_error_m: 1e300)]", "`position_error_m` is 1e300; give"),
+    ] {
+        refuse(here, &["check", "p.ron", "--set", set], 2, &[words]);
+    }
+}
+
+#[test]
 fn rejects_too_many_threads_in_the_environment() {
     let called = |name: &str, value: &str, arguments: &[&str]| {
         let output = pwrfgs(Path::new(".")).args(arguments).env(name, value).output().unwrap();

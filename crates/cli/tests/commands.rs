@@ -144,7 +144,7 @@ fn extrapolates(here: &Path) {
     let training = model.training_positions.clone().unwrap();
     let near = training.positions()[0];
     write(&here.join("far.csv"), format!("x,y,z\n{},{},{}\n22,0,1\n23,0,1\n", near[0], near[1], near[2]));
-    let output = succeed(here, &["predict", "m.safetensors", "--tx-csv", "far.csv", "--out", "far"]);
+    let output = succeed(here, &["predict", "m.safetensors", "--tx-csv", "far.csv", "--out", "far", "-q"]);
     let list = read(&here.join("far/predictions.csv"));
     let distances: Vec<f64> =
         list.lines().skip(1).map(|row| row.rsplit(',').next().unwrap().parse().unwrap()).collect();

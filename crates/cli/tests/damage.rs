@@ -111,6 +111,9 @@ fn checks_settings_read_from_model_file() {
         &["gaussians.means", "expected [9223372036854775808, 3]"],
     );
     message("width: 16", "width: 0", &["width is 0"]);
+    let note = Tensors::from_bytes(&whole).unwrap().note;
+    let receiver = note.split_once("\"receivers\":[").unwrap().1.split_once("]},\"plane\"").unwrap().0;
+    message(receiver, &format!("{receiver},{receiver}"), &["two receivers have the name"]);
     let drawn = |rasterizer: &str, readout: &str| {
         format!("rasterizer: {rasterizer}, calibration: Physical, readout: {readout}")
     };

@@ -2,7 +2,7 @@
 
 #![cfg(all(feature = "report", feature = "viewer"))]
 
-use crate::common::{picture, refuse, stderr, stdout, succeed, write};
+use crate::common::{call, picture, refuse, stderr, stdout, succeed, write};
 use crate::view::Served;
 use pwrfgs::data::{base_station_yaml, npy_header_as, save};
 use pwrfgs_core::{Channels, Dataset, Image, Observations, Pose, Real, Receiver, Sample, Spectra, gains_of, recognise};
@@ -274,6 +274,36 @@ fn compare_scores_predictions_of_other_program_like_baseline() {
         2,
         &["two baselines are called `mine`; rename the predictions"],
     );
+}
+
+#[test]
+fn compare_leaves_out_methods_that_cannot_predict_the_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    folders(here);
+    // Spectra of 144 pixels, fewer than the rays of NeRF2.
+    let message = stderr(&succeed(here, &["compare", "spectra", "--split-csv", "spectra.csv"]));
+    assert!(!message.contains("left out"), "{message}");
+    let short = ["compare", "spectra", "--methods", "NeRF2", "--seeds", "1", "--scale", "0.002"];
+    assert!(stdout(&succeed(here, &short)).contains("NeRF2"));
+    let message = stderr(&succeed(here, &["compare", "images", "--split-csv", "images.csv"]));
+    for method in ["waves", "NeRF2", "WRF-GS"] {
+        assert!(
+            message.contains(&format!("note: {method} is left out, since it cannot predict these data")),
+            "{message}"
+        );
+    }
+    assert!(!message.contains("P-WRFGS") && !message.contains(".ron"), "{message}");
+    let named = ["compare", "images", "--methods", "P-WRFGS", "--split-csv", "named.csv"];
+    assert!(!stderr(&succeed(here, &named)).contains("left out"));
+    let split = |name: &str| std::fs::read_to_string(here.join(name)).unwrap();
+    assert_eq!((split("named.csv"), split("named.csv").lines().count()), (split("images.csv"), COUNT + 1));
+    for (methods, words) in [("waves", "rasterizer"), ("P-WRFGS,NeRF2", "Nerf2")] {
+        let output = call(here, &["compare", "images", "--methods", methods, "--split-csv", "other.csv"]);
+        let message = stderr(&output);
+        assert!(output.status.code() == Some(2) && message.contains(words) && !message.contains(".ron"), "{message}");
+    }
+    assert!(!here.join("other.csv").exists());
 }
 
 /// Damages the prediction of test sample `id`.

@@ -1,5 +1,5 @@
 //! `pwrfgs simulate`: a folder that the rest of the program reads, and mistakes that leave nothing behind.
-use crate::common::{call, pwrfgs, stderr, stdout};
+use crate::common::{call, pwrfgs, stderr, stdout, succeed};
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -109,7 +109,12 @@ fn model_of_moving_receiver_predicts_at_poses() {
     refuse(&predict(&["--tx", "1,1,1,0,0,0.6,0.9"], "two"), "the quaternion has length");
     refuse(&predict(&["--tx-csv", "fixed/tx_pos.csv"], "two"), "tx_pos.csv:1:1: no column `qx`");
     refuse(&["evaluate", model, "--set", "data.root=fixed"], "moves, and that of the other is fixed");
-    refuse(&["compare", "walk"], "add --methods waves,P-WRFGS");
+    let left_out = stderr(&succeed(folder, &["compare", "walk", "--split-csv", "walk.csv"]));
+    assert!(
+        ["NeRF2", "WRF-GS"].iter().all(|method| left_out.contains(&format!("note: {method} is left out"))),
+        "{left_out}"
+    );
+    refuse(&["compare", "walk", "--methods", "NeRF2", "--split-csv", "other.csv"], "Nerf2");
     refuse(&["run", "walk.ron", "--set", "method=Nerf2()", "--out", "nerf"], "Nerf2");
 }
 

@@ -7,6 +7,7 @@ use crate::{
     Camera, Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver,
     Result, Sample, Scene, Spectra, Task, Transmitter, Vec3, carrier_fault, place_fault,
 };
+use std::collections::BTreeSet;
 
 /// All data of a source, in columns: transmitters, receivers, links between them, and the observation of each link.
 #[derive(Clone, Debug)]
@@ -290,11 +291,15 @@ impl Dataset {
 }
 
 /// Checks for at least one receiver, valid positions, unique names, antennas and carriers.
-fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
+///
+/// # Errors
+/// The message names the receiver and its fault.
+pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     if receivers.is_empty() {
         return Err("no receiver; give at least one".into());
     }
-    for (i, Receiver { name, pose, antennas, carrier_hz }) in receivers.iter().enumerate() {
+    let mut names = BTreeSet::new();
+    for Receiver { name, pose, antennas, carrier_hz } in receivers {
         let subject =
             if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", strip_control(name)) };
         if let Some((_, fault)) = pose.fault() {
@@ -311,7 +316,7 @@ fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
         if let Some(fault) = carrier_hz.and_then(carrier_fault) {
             return Err(format!("{subject}: {fault}"));
         }
-        if receivers[..i].iter().any(|other| other.name == *name) {
+        if !names.insert(name) {
             return Err(format!("two receivers have the name `{}`; give each a unique name", strip_control(name)));
         }
     }

@@ -1,6 +1,6 @@
 //! Error type with messages for users: each names the object and the next step.
 
-use crate::messages::{sanitize_message, strip_control};
+use crate::messages::{sanitize_message, sanitize_path, strip_control};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -105,7 +105,7 @@ pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
 }
 
 fn shown(path: &Path) -> String {
-    sanitize_message(&path.display().to_string()).replace(['\n', '\t'], " ")
+    sanitize_path(path).replace(['\n', '\t'], " ")
 }
 
 fn place(at: Option<(usize, usize)>) -> String {

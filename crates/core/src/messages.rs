@@ -1,6 +1,8 @@
 //! Sanitised display of foreign text: file contents may hold control characters and reach a terminal or a web page.
 
 use std::borrow::Cow;
+use std::fmt::Write as _;
+use std::path::Path;
 
 /// First characters of spreadsheet formulas.
 const FORMULA: [char; 4] = ['=', '+', '-', '@'];
@@ -9,6 +11,8 @@ const TOKEN: usize = 60;
 /// Maximum length of a message, characters; longer messages repeat a file. The end, with the next step, is kept.
 const MESSAGE: usize = 1_200;
 const END: usize = 400;
+/// Longest number in a message, digits before its point; longer ones are written as powers of ten.
+const DIGITS: usize = 30;
 
 /// Returns a name on one line without control characters, which could change the state of a terminal, and without marks
 /// of text direction.
@@ -32,8 +36,18 @@ pub fn escape_control(text: &str) -> String {
     text.chars().map(|c| if is_harmless(c) || c == '\n' || c == '\t' { c } else { '\u{fffd}' }).collect()
 }
 
-/// Returns a message for users: without control characters, and without its middle if it repeats much of a file.
+/// Returns a message for users: without control characters, with long numbers as powers of ten, and without its middle if it
+/// repeats much of a file.
 pub fn sanitize_message(message: &str) -> String {
+    shortened(&with_exponents(message))
+}
+
+/// Returns a path for users, as [`sanitize_message`] without its change of numbers.
+pub fn sanitize_path(path: &Path) -> String {
+    shortened(&path.display().to_string())
+}
+
+fn shortened(message: &str) -> String {
     let (start, is_long) = first(message, MESSAGE - END);
     let count = if is_long { message.chars().count() } else { 0 };
     if count <= MESSAGE {
@@ -41,6 +55,25 @@ pub fn sanitize_message(message: &str) -> String {
     }
     let end: String = message.chars().skip(count - END).collect();
     escape_control(&format!("{start} .. {end}"))
+}
+
+/// Writes numbers of more than [`DIGITS`] digits as powers of ten: `1e300` has 301 digits.
+fn with_exponents(text: &str) -> Cow<'_, str> {
+    let is_digit = |c: char| c.is_ascii_digit();
+    let (mut out, mut rest) = (String::new(), text);
+    while let Some(start) = rest.find(is_digit) {
+        let whole = rest[start..].len() - rest[start..].trim_start_matches(is_digit).len();
+        let after = &rest[start + whole..];
+        let decimals = after.strip_prefix('.').map_or(0, |more| more.len() - more.trim_start_matches(is_digit).len());
+        let end = start + whole + if decimals > 0 { decimals + 1 } else { 0 };
+        out.push_str(&rest[..start]);
+        match rest[start..end].parse::<f64>() {
+            Ok(number) if whole > DIGITS && number.is_finite() => _ = write!(out, "{number:e}"),
+            _ => out.push_str(&rest[start..end]),
+        }
+        rest = &rest[end..];
+    }
+    if out.is_empty() { text.into() } else { (out + rest).into() }
 }
 
 /// Returns text as a cell of a table. Text that begins with `=`, `+`, `-` or `@` is a formula for spreadsheets: it gets
@@ -63,6 +96,20 @@ fn first(text: &str, most: usize) -> (&str, bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_numbers_have_exponents() {
+        for (text, shown) in [
+            (format!("`test` is {}; give less", -1e300), "`test` is -1e300; give less"),
+            (format!("{:.2} m and {:.1}", 1.5e300, 2.5), "1.5e300 m and 2.5"),
+            (format!("{} of {}.", u64::MAX, 0.1), "18446744073709551615 of 0.1."),
+            ("v1.2.3, é 5.".into(), "v1.2.3, é 5."),
+        ] {
+            assert_eq!(sanitize_message(&text), shown);
+        }
+        let name = format!("{}.png", "1".repeat(40));
+        assert_eq!(sanitize_path(Path::new(&name)), name);
+    }
 
     #[test]
     fn table_cell_round_trips_text_without_formulas() {

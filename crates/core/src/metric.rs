@@ -140,6 +140,8 @@ pub struct Measurement {
     pub goal: Goal,
     /// Values.
     pub values: Values,
+    /// What readers must know of the values, such as a busy machine: a note below tables.
+    pub note: Option<String>,
 }
 
 /// Values of a [`Measurement`].

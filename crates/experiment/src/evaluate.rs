@@ -97,6 +97,8 @@ pub fn evaluate(
     let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
     let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
     notes.extend(intervals.iter().map(|own| own.note(data.task(), &intervals[0])));
+    let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));
+    notes.extend(measured.filter_map(|(name, one)| Some(format!("{} of {name}: {}", one.key, one.note.as_ref()?))));
     let known = ScoreTable { task: data.task(), oracles, members, samples, intervals, notes, ..ScoreTable::default() };
     let mut scores = Scores { intervals: columns, ..Scores::new(ids, predictors, known) };
     let summaries: Vec<_> = ceiling.of.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();

@@ -130,7 +130,7 @@ impl<'a> EvaluationSet<'a> {
                 refuse_infinite(name, &some)?;
                 let inputs = self.inputs(&some, &of_them, links, scored.facts, None);
                 for (found, metric) in found.iter_mut().zip(metrics).filter(|(_, m)| m.scope() == Scope::Sample) {
-                    append(found, metric.evaluate(&inputs)?, some.len())?;
+                    append_measurements(found, metric.evaluate(&inputs)?, some.len())?;
                 }
                 if together {
                     predictions.extend(some);
@@ -207,7 +207,10 @@ impl<'a> EvaluationSet<'a> {
 }
 
 /// Appends the measurements of the next `count` samples.
-fn append(all: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
+///
+/// # Errors
+/// The metric does not give one number per sample.
+pub fn append_measurements(all: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
     let broken = |m: &Measurement| {
         Err(Error::Config(format!(
             "the metric `{}` says that it looks at one sample at a time, but does not give one number each; its \

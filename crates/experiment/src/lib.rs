@@ -34,7 +34,7 @@ pub mod text;
 mod training;
 
 pub use evaluate::{check_alike, evaluate};
-pub use evaluation_set::EvaluationSet;
+pub use evaluation_set::{EvaluationSet, append_measurements};
 pub use facts::{Facts, FileDigest, Machine, VERSION};
 pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};

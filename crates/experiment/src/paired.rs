@@ -135,7 +135,7 @@ mod tests {
     fn paired(ahead: f64, noise: f64, goal: Goal) -> PairedRow {
         let values = |of: &dyn Fn(u32) -> f64| {
             let (key, values) = ("ssim".to_owned(), Values::PerSample((0..64).map(of).collect()));
-            vec![Measurement { key, unit: String::new(), goal, values }]
+            vec![Measurement { key, unit: String::new(), goal, values, note: None }]
         };
         let place = |id: u32| f64::from(id * 37 % 64) / 64.0;
         let predictors = vec![

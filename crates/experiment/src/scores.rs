@@ -358,7 +358,7 @@ impl Scores {
             (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
         };
         let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
-        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
+        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values, note: None };
         // JSON has neither infinity nor NaN: the summary is computed from the values.
         if let Some(cell) = row.cells.get_mut(place) {
             *cell = ScoreCell::of(&measurement);
@@ -400,7 +400,8 @@ mod tests {
     use super::*;
 
     fn scores() -> Scores {
-        let measure = |key: &str, goal, values| Measurement { key: key.into(), unit: String::new(), goal, values };
+        let measure =
+            |key: &str, goal, values| Measurement { key: key.into(), unit: String::new(), goal, values, note: None };
         let notes = vec!["k, far has seen the test spectra".into()];
         Scores::new(
             vec![3, 7],

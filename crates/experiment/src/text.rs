@@ -1,50 +1,11 @@
-//! Text format of numbers, durations, tables and CSV.
+//! Text format of durations, tables and CSV; [`number`] and others format numbers.
 
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::messages::cell;
+pub use pwrfgs_core::numbers::{fixed, grouped, number};
 use pwrfgs_core::{Error, Result};
 use serde::de::DeserializeOwned;
 use std::path::Path;
-
-/// Formats about four significant digits, without exponent in the usual range; integers in full.
-pub fn number(value: f64) -> String {
-    let size = value.abs();
-    if !value.is_finite() {
-        return if value.is_nan() {
-            "n/a".into()
-        } else if value > 0.0 {
-            "∞".into()
-        } else {
-            "−∞".into()
-        };
-    }
-    if value.fract() == 0.0 && (10.0..1e15).contains(&size) {
-        return grouped(value as i64);
-    }
-    match size {
-        0.0 => "0".into(),
-        s if s >= 1000.0 => grouped(value.round() as i64),
-        s if s >= 100.0 => format!("{value:.1}"),
-        s if s >= 10.0 => format!("{value:.2}"),
-        s if s >= 1.0 => format!("{value:.3}"),
-        s if s >= 1e-4 => format!("{value:.4}"),
-        _ => format!("{value:.2e}"),
-    }
-}
-
-/// Formats a number with the given decimals, or with two digits if it would have fewer (up to six decimals).
-pub fn fixed(value: f64, decimals: usize) -> String {
-    if !value.is_finite() {
-        return if value > 0.0 { "∞".into() } else { "−∞".into() };
-    }
-    let two_digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
-    let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
-    let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
-    let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
-    // Values rounded to 0 have no sign.
-    let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
-    if negative { format!("−{text}") } else { text }
-}
 
 /// Joins the first `most` names by commas, followed by the number of the others.
 pub fn listed<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
@@ -57,19 +18,6 @@ pub fn listed<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usiz
 pub fn field(name: &str) -> String {
     let name = cell(name);
     if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.into() }
-}
-
-/// Groups digits: 65469 as `65,469`.
-pub fn grouped(value: i64) -> String {
-    let digits = value.unsigned_abs().to_string();
-    let mut out = String::from(if value < 0 { "-" } else { "" });
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
 }
 
 /// Formats a duration: `42 s`, `3 min 20 s`, `2 h 05 min`.
@@ -181,30 +129,6 @@ pub(crate) fn damaged(path: &Path, line: usize, what: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn formats_numbers_with_four_digits() {
-        let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456].map(number);
-        assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5"]);
-    }
-
-    #[test]
-    fn formats_two_digits_without_negative_zero() {
-        let all = [
-            (0.8012, 3),
-            (0.0035, 3),
-            (12.3, 0),
-            (8.666, 0),
-            (8.0, 0),
-            (12_345.6, 0),
-            (-0.25, 2),
-            (-1e-9, 3),
-            (0.0, 3),
-        ];
-        let found = all.map(|(value, decimals)| fixed(value, decimals));
-        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
-        assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
-    }
 
     #[test]
     fn durations_are_readable() {

@@ -58,7 +58,7 @@ fn one(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
 }
 
 fn measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Measurement {
-    Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values }
+    Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values, note: None }
 }
 
 /// Returns the reason why a metric of the model does not apply to a baseline.

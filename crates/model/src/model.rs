@@ -4,7 +4,7 @@ use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, AngleAxis, Dataset, Deformation, Error, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method,
-    Origin, Parameters, Projector, Real, Receiver, Result, WeightSpec, carrier_fault,
+    Origin, Parameters, Projector, Real, Result, WeightSpec, check_receivers,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -142,13 +142,7 @@ impl Stages {
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
             return Err(format!("{} receivers, expected 1 to {MAX_RECEIVERS}", self.receivers.len()));
         }
-        for Receiver { pose, antennas, carrier_hz, .. } in &self.receivers {
-            pose.fault().map_or(Ok(()), |(field, why)| Err(format!("pose, {field}: {why}")))?;
-            if antennas.is_empty() || antennas.as_flattened().iter().any(|v| !v.is_finite()) {
-                return Err("a receiver has no antennas, or an antenna position is not finite".into());
-            }
-            carrier_hz.and_then(carrier_fault).map_or(Ok(()), Err)?;
-        }
+        check_receivers(&self.receivers)?;
         let gains = (self.frequencies_hz.len(), 2 * self.receivers[0].antennas.len());
         let expected = if self.task.is_complex { gains } else { (1, 1) };
         if !self.task.has_pixels && (width, height) != expected {

@@ -1,6 +1,6 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
-use crate::arrays::{Gain, axes, input_array, numbers};
+use crate::arrays::{Gain, axes, input_array, numbers, shape_of};
 use crate::border::wrong;
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
@@ -12,7 +12,7 @@ use pyo3::types::PyTuple;
 
 /// Exception for received powers without receiver positions.
 pub(super) fn receivers_missing(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
-    let shape: Vec<usize> = rssi.py().import("numpy")?.call_method1("shape", (rssi,))?.extract()?;
+    let shape = shape_of(rssi)?;
     let count = shape.get(1).copied().unwrap_or(1);
     let what = format!("rssi has shape {shape:?}, but receivers is missing; pass receivers=[..] with {count} ");
     Ok(wrong(rssi.py(), &format!("{what}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))

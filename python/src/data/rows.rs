@@ -2,7 +2,7 @@
 
 use super::{Dataset, inputs};
 use crate::arrays::{array, numbers, observations, places};
-use crate::border::{free, raised, wrong};
+use crate::border::{free, raised, stoppable, stopping, wrong};
 use pwrfgs_core::{
     Camera, Dataset as Data, Elevation, Features, Number, Observations, Real, Sample, Simulation, Spectra,
 };
@@ -112,7 +112,7 @@ impl Dataset {
         if let Some(source) = state.get_item("source")? {
             let text: String = source.extract()?;
             let reader = crate::border::plugin::<dyn pwrfgs_core::DataSource>(py, &text)?;
-            let data = free(py, || reader.load(std::path::Path::new(""), &|_, _| {}))?;
+            let data = stoppable(py, |stop| reader.load(std::path::Path::new(""), &stopping(stop)))?;
             return Ok(Self::new(data, Some(text)));
         }
         let get = |name: &str| state.as_any().get_item(name);

@@ -3,7 +3,7 @@
 use super::Model;
 use crate::arrays::{axes, elevation_of, numbers, place, places};
 use crate::border::{free, plugin, wrong};
-use crate::strategies::cloud_of;
+use crate::strategies::{check_keys, cloud_of};
 use pwrfgs::experiment::model_file;
 use pwrfgs::model::{Ensemble, Stages, TrainingPositions, file};
 use pwrfgs_core::{
@@ -88,7 +88,7 @@ fn member_name(path: &str) -> String {
 }
 
 /// Weights in the layout of the method: initial values, or those of `given` by name.
-fn weights_of(stages: &Stages, given: Option<&Bound<'_, PyDict>>, py: Python<'_>) -> PyResult<Vec<Real>> {
+fn weights_of(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<Real>> {
     let layout = stages.layout();
     let mut all = layout.init(&mut rng::stream(0, "network", 0));
     if let Some(deformation) = stages.deformation() {
@@ -104,13 +104,7 @@ fn weights_of(stages: &Stages, given: Option<&Bound<'_, PyDict>>, py: Python<'_>
         }
         rest = tail;
     }
-    for name in given.keys() {
-        let name: String = name.extract()?;
-        if layout.weights.iter().all(|spec| spec.name != name) {
-            let hint = pwrfgs_core::did_you_mean(&name, layout.weights.iter().map(|spec| spec.name.as_str()));
-            return Err(wrong(py, &format!("weights: the network has no tensor `{name}`{hint}")));
-        }
-    }
+    check_keys("weights: the network has no tensor", given, layout.weights.iter().map(|spec| spec.name.as_str()))?;
     Ok(all)
 }
 
@@ -149,7 +143,7 @@ pub(crate) fn model_of(
         let stages = Stages { setup: MeasurementSetup { origin, receivers, ..stages.setup }, ..stages };
         stages.check().map_err(Error::Config).map(|()| stages)
     })?;
-    let weights = weights_of(&stages, weights, py)?;
+    let weights = weights_of(&stages, weights)?;
     let positions: Vec<[Real; 3]> = trained.iter().map(|tx| origin.local(*tx)).collect();
     let training_positions = TrainingPositions::thinned(&positions);
     Ok(Model::new(Ensemble::of(pwrfgs::model::Model { stages, cloud, weights, training_positions })))

@@ -1,16 +1,14 @@
 //! Python classes as networks, and Python functions as losses.
 
-use super::Strategy;
-use super::objects::given_flat;
-use crate::arrays::{array, observations, pairs};
+use super::{Strategy, check_keys};
+use crate::arrays::{array, check_finite, finite, observation_rows, observations, shape_of};
 use crate::border::{call_strategy, throw, wrong};
 use pwrfgs::train::Objective;
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, Layout, Real, Task, WeightSpec,
-    rows_of,
 };
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyDict;
 
 /// Names and widths of the terms of a network.
 const TERMS: [(&str, usize); 3] = [("scales", 3), ("quats", 4), ("signals", 2)];
@@ -43,8 +41,8 @@ pub(super) fn initial(own: &Bound<'_, PyAny>) -> PyResult<Vec<(WeightSpec, Vec<R
     };
     let one = |(name, values): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
         let name: String = name.extract()?;
-        let shape: Vec<usize> = py.import("numpy")?.call_method1("shape", (&values,))?.extract()?;
-        let values = given_flat(&format!("weights: `{name}`"), &values, shape.iter().product())?;
+        let shape = shape_of(&values)?;
+        let values = finite(&format!("weights: `{name}`"), &values, &shape)?;
         Ok((WeightSpec::zeros(name, shape), values))
     };
     found.iter().map(one).collect()
@@ -75,22 +73,19 @@ impl Deformation for Strategy {
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
-        let rows = inputs.txs.len() * inputs.means.len();
         self.with(|py, own| {
             let [weights, means, txs] = self.arguments(py, inputs)?;
             let found = own.call_method1("forward", (weights, means, txs))?;
             let Ok(found) = found.cast_into::<PyDict>() else {
                 return Err(wrong(py, "forward returned no dict; give a dict with `signals` [B, N, 2]"));
             };
+            check_keys("forward: unknown term", &found, TERMS.map(|(term, _)| term))?;
             let mut deltas = Deltas::default();
-            for (name, values) in found.iter() {
-                let name: String = name.extract()?;
-                let Some((_, width)) = TERMS.iter().find(|(term, _)| *term == name) else {
-                    let hint = pwrfgs_core::did_you_mean(&name, TERMS.map(|(term, _)| term));
-                    return Err(wrong(py, &format!("forward: unknown term `{name}`{hint}")));
-                };
-                let values = given_flat(&format!("forward: `{name}`"), &values, rows * width)?;
-                match name.as_str() {
+            for (name, width) in TERMS {
+                let Some(values) = found.get_item(name)? else { continue };
+                let shape = [inputs.txs.len(), inputs.means.len(), width];
+                let values = finite(&format!("forward: `{name}`"), &values, &shape)?;
+                match name {
                     "scales" => deltas.scales = values.as_chunks().0.to_vec(),
                     "quats" => deltas.quats = values.as_chunks().0.to_vec(),
                     _ => deltas.signals = values.as_chunks().0.to_vec(),
@@ -123,20 +118,24 @@ impl Deformation for Strategy {
             }
             let found = own.call_method1("vjp", (weights, means, txs, cotangents))?;
             let form = "vjp: expected ({name: derivative}, derivative in the centres [N, 3] or None)";
-            let Ok(parts) = found.cast::<PyTuple>() else { return Err(wrong(py, form)) };
-            let (Ok(of_weights), Ok(of_means)) = (parts.get_item(0), parts.get_item(1)) else {
+            let Ok((of_weights, of_means)) = found.extract::<(Bound<'_, PyDict>, Bound<'_, PyAny>)>() else {
                 return Err(wrong(py, form));
             };
+            let names = || self.object.weights.iter().map(|(spec, _)| spec.name.as_str());
+            check_keys("vjp: unknown tensor", &of_weights, names())?;
             let mut rest = d_weights;
             for (spec, _) in &self.object.weights {
                 let (sum, tail) = rest.split_at_mut(spec.len());
                 let what = format!("vjp: `{}`", spec.name);
-                let own = given_flat(&what, &of_weights.get_item(&spec.name)?, spec.len())?;
+                let Some(own) = of_weights.get_item(&spec.name)? else {
+                    return Err(wrong(py, &format!("{what} is missing; give the derivative in every tensor")));
+                };
+                let own = finite(&what, &own, &spec.shape)?;
                 sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
                 rest = tail;
             }
             if let Some(sums) = d_means.filter(|_| !of_means.is_none()) {
-                let own = given_flat("vjp: the derivative in the centres", &of_means, 3 * sums.len())?;
+                let own = finite("vjp: the derivative in the centres", &of_means, &[sums.len(), 3])?;
                 sums.as_flattened_mut().iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
             }
             Ok(())
@@ -161,13 +160,9 @@ impl Objective for PythonLoss {
             let Ok((value, slope)) = found.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() else {
                 return Err(wrong(py, form));
             };
-            let d = if self.task.is_complex {
-                let shape = [links, height / 2, width].map(Some);
-                rows_of(&pairs("loss: the derivative", &slope, &shape)?, width)
-            } else {
-                given_flat("loss: the derivative", &slope, predictions.len())?
-            };
-            Ok((given_flat("loss: the value", &value, 1)?[0], d))
+            let what = "loss: the derivative";
+            let d = observation_rows(what, &slope, self.task, (width, height), &[links])?;
+            Ok((finite("loss: the value", &value, &[])?[0], check_finite(what, &slope, d)?))
         };
         call_strategy(|| Python::attach(call)).unwrap_or_else(|error: PyErr| throw(error))
     }

@@ -114,6 +114,7 @@ impl Metric for Strategy {
                 unit: text("unit", "")?,
                 goal: if higher { Goal::Higher } else { Goal::Lower },
                 values,
+                note: None,
             }])
         })
     }

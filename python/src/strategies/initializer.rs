@@ -1,8 +1,8 @@
 //! Python classes as initialisers.
 
-use super::Strategy;
 use super::objects::generator;
-use crate::arrays::{array, axes, numbers, pairs};
+use super::{Strategy, check_keys};
+use crate::arrays::{array, axes, finite, pairs};
 use crate::border::wrong;
 use pwrfgs_core::{ExtraColumn, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, logit, rng};
 use pyo3::prelude::*;
@@ -24,8 +24,10 @@ impl Initializer for Strategy {
             );
             let scene_object = py.import("pwrfgs._types")?.getattr("Room")?.call1(arguments)?;
             let found = own.call_method1("initialize", (scene_object, generator(py, random)?))?;
-            let found = found.cast::<PyDict>().map_err(PyErr::from)?;
-            start(found, scene)
+            let Ok(found) = found.cast_into::<PyDict>() else {
+                return Err(wrong(py, "initialize returned no dict; give a dict with means [N, 3] and scales"));
+            };
+            start(&found, scene)
         })
     }
 }
@@ -38,13 +40,14 @@ fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
             .get_item(name)?
             .ok_or_else(|| wrong(py, &format!("initialize returned no `{name}`; means [N, 3] and scales are required")))
     };
+    check_keys("initialize: unknown entry", found, ["means", "scales", "opacities", "quats", "signals"])?;
     let means = crate::arrays::places("means", &need("means")?)?;
     let n = means.len();
     let scales = need("scales")?;
     let scales: Vec<[Real; 3]> = match axes(&scales)? {
         0 => vec![[scales.extract()?; 3]; n],
-        1 => numbers::<Real>("scales", &scales, &[Some(n)])?.into_iter().map(|s| [s; 3]).collect(),
-        _ => numbers::<Real>("scales", &scales, &[Some(n), Some(3)])?.as_chunks().0.to_vec(),
+        1 => finite("scales", &scales, &[n])?.into_iter().map(|s| [s; 3]).collect(),
+        _ => finite("scales", &scales, &[n, 3])?.as_chunks().0.to_vec(),
     };
     if !scales.as_flattened().iter().all(|s| s.is_finite() && *s > 0.0) {
         return Err(wrong(py, "scales: give metres above 0"));
@@ -52,19 +55,22 @@ fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     let opacities = match found.get_item("opacities")? {
         None => vec![0.1; n],
         Some(value) if axes(&value)? == 0 => vec![value.extract()?; n],
-        Some(value) => numbers::<Real>("opacities", &value, &[Some(n)])?,
+        Some(value) => finite("opacities", &value, &[n])?,
     };
     if !opacities.iter().all(|o| *o > 0.0 && *o < 1.0) {
         return Err(wrong(py, "opacities: give numbers between 0 and 1"));
     }
     let quats = match found.get_item("quats")? {
         None => vec![[1.0, 0.0, 0.0, 0.0]; n],
-        Some(value) => numbers::<Real>("quats", &value, &[Some(n), Some(4)])?.as_chunks().0.to_vec(),
+        Some(value) => finite("quats", &value, &[n, 4])?.as_chunks().0.to_vec(),
     };
     let signals = match found.get_item("signals")? {
         None => vec![[0.0; 2]; n],
         Some(value) => pairs("signals", &value, &[Some(n)])?,
     };
+    if let Some(i) = quats.iter().position(|quat| *quat == [0.0; 4]) {
+        return Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)")));
+    }
     Ok(GaussianCloud {
         means: means.iter().map(|mean| scene.origin.local(*mean)).collect(),
         log_scales: scales.iter().map(|s| s.map(Real::ln)).collect(),

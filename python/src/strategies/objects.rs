@@ -1,7 +1,6 @@
 //! Arguments of strategies: columns of the toolkit as records of `pwrfgs._types`.
 
-use crate::arrays::{array, axes, input_array, vector};
-use crate::border::wrong;
+use crate::arrays::{array, column_shape, finite, shape_of, vector};
 use pwrfgs_core::tape::TracedCloud;
 use pwrfgs_core::{COLUMN_NAMES, CloudStats, Dataset, ExtraColumn, GaussianCloud, Origin, Real, StepContext, rng};
 use pyo3::prelude::*;
@@ -27,10 +26,8 @@ pub(super) fn columns_object<'py, 'a>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let object = PyDict::new(py);
     for (name, values) in columns {
-        // Columns with one value per Gaussian have no second axis.
         let width = values.len().checked_div(n).unwrap_or(1);
-        let shape: &[usize] = if width <= 1 { &[n] } else { &[n, width] };
-        let column = array(py, values, shape)?;
+        let column = array(py, values, &column_shape(n, width))?;
         if !writable {
             column.getattr("flags")?.setattr("writeable", false)?;
         }
@@ -47,13 +44,13 @@ pub(crate) fn cloud_of(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResult<
     let mut cloud = GaussianCloud::zeros(n);
     cloud.means = means.iter().map(|mean| origin.local(*mean)).collect();
     for (name, width, values) in cloud.columns_mut().skip(1) {
-        values.copy_from_slice(&given_flat(name, &need(name)?, n * width)?);
+        values.copy_from_slice(&finite(name, &need(name)?, &column_shape(n, width))?);
     }
     for (name, values) in columns {
         let name: String = name.extract()?;
         if !COLUMN_NAMES.contains(&name.as_str()) {
-            let width = values.getattr("size")?.extract::<usize>()? / n.max(1);
-            let values = given_flat(&name, &values, n * width)?;
+            let width = shape_of(&values)?.get(1).copied().unwrap_or(1);
+            let values = finite(&name, &values, &column_shape(n, width))?;
             cloud.extra.push(ExtraColumn { name, width, values });
         }
     }
@@ -111,17 +108,4 @@ pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]
 /// NumPy random generator, seeded from the run.
 pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
-}
-
-/// Reads `length` finite numbers of any shape.
-pub(super) fn given_flat(what: &str, values: &Bound<'_, PyAny>, length: usize) -> PyResult<Vec<Real>> {
-    let array = input_array::<Real>(what, values, &vec![None; axes(values)?.max(1)])?; // a number becomes an array of one
-    let all = array.as_slice().map_err(|e| wrong(values.py(), &e.to_string()))?;
-    if all.len() != length {
-        return Err(wrong(values.py(), &format!("{what} has {} numbers, expected {length}", all.len())));
-    }
-    match all.iter().find(|v| !v.is_finite()) {
-        Some(bad) => Err(wrong(values.py(), &format!("{what} holds {bad}; give finite numbers"))),
-        None => Ok(all.to_vec()),
-    }
 }

@@ -1,8 +1,8 @@
 //! Python classes as pruners.
 
 use super::Strategy;
-use super::objects::{cloud_object, context_object, given_flat, stats_object, traced_object};
-use crate::arrays::numbers;
+use super::objects::{cloud_object, context_object, stats_object, traced_object};
+use crate::arrays::{column_shape, finite, numbers};
 use crate::border::wrong;
 use dfdx::tensor_ops::SumTo as _;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op};
@@ -82,8 +82,9 @@ impl Strategy {
             if self.object.columns.iter().any(|own| own.name == name && own.learning_rate.is_none()) {
                 return refuse(&format!("column `{name}` has no learning_rate, so its derivative has no effect"));
             }
-            let length = pwrfgs_core::tape::values(cloud.leaf(&name)).len();
-            slopes.push(given_flat(&format!("{method}: the derivative in `{name}`"), &values, length)?);
+            let width = pwrfgs_core::tape::values(cloud.leaf(&name)).len() / cloud.len().max(1);
+            let shape = column_shape(cloud.len(), width);
+            slopes.push(finite(&format!("{method}: the derivative in `{name}`"), &values, &shape)?);
             columns.push(cloud.column(&name));
         }
         if columns.is_empty() {
@@ -140,7 +141,7 @@ impl Pruner for Strategy {
         let n = cloud.len();
         self.curve("gate", "(factor [N], {column: derivative})", (cloud, context), |found| {
             let Curve { value, columns, slopes, word } = found;
-            let factor = given_flat("gate: the factor", &value, n)?;
+            let factor = finite("gate: the factor", &value, &[n])?;
             if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
                 return Err(wrong(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1")));
             }
@@ -165,7 +166,7 @@ impl Pruner for Strategy {
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         self.curve("penalty", "(number, {column: derivative})", (cloud, context), |found| {
             let Curve { value, columns, slopes, .. } = found;
-            let number = given_flat("penalty: the value", &value, 1)?;
+            let number = finite("penalty: the value", &value, &[])?;
             let vjp = move |cotangents: Vec<Vec<Real>>| {
                 slopes.iter().map(|slopes| slopes.iter().map(|slope| slope * cotangents[0][0]).collect()).collect()
             };
@@ -180,10 +181,10 @@ impl Pruner for Strategy {
         self.with(|py, own| {
             let object = cloud_object(py, cloud, true)?;
             own.call_method1("update", (&object, stats_object(py, stats)?, context_object(py, context)?))?;
-            let columns = object.getattr("columns")?;
-            for (name, _, values) in cloud.columns_mut() {
+            let (columns, n) = (object.getattr("columns")?, cloud.len());
+            for (name, width, values) in cloud.columns_mut() {
                 let column = columns.get_item(name)?;
-                values.copy_from_slice(&given_flat(&format!("update: `{name}`"), &column, values.len())?);
+                values.copy_from_slice(&finite(&format!("update: `{name}`"), &column, &column_shape(n, width))?);
             }
             Ok(())
         });
@@ -195,7 +196,7 @@ impl Pruner for Strategy {
         }
         self.with(|py, own| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
-            given_flat("the score", &own.call_method1("score", arguments)?, cloud.len())
+            finite("the score", &own.call_method1("score", arguments)?, &[cloud.len()])
         })
     }
 }

@@ -7,10 +7,12 @@ use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::Predictions;
-use pwrfgs::experiment::sweep::{Experiment, ListedRun, Listing, PlannedRun, SweepPlan, check};
-use pwrfgs::experiment::{CEILING, distinct, samples, scores::MODEL};
+use pwrfgs::experiment::sweep::{Axis, Experiment, ListedRun, Listing, PlannedRun, SweepPlan, check};
+use pwrfgs::experiment::{CEILING, samples, scores::MODEL};
+use pwrfgs::pipeline::Pipeline;
+use pwrfgs::train::{Rays, Trainer, Training};
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::plugin::{name_of as plugin_name, registered};
+use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
 use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
 use std::path::{Path, PathBuf};
 
@@ -31,7 +33,7 @@ pub(crate) struct Compare {
     /// Score the predictions in this folder as NAME; repeatable
     #[arg(long, value_name = "NAME=FOLDER")]
     pub(crate) predictions: Vec<String>,
-    /// Train only these methods, separated by commas [default: all]
+    /// Train only these methods, separated by commas [default: all that can predict the data]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(crate) methods: Vec<String>,
     /// Number of seeds per method
@@ -52,7 +54,7 @@ pub(crate) struct Compare {
 
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
-    let mut plan = plan(arguments, &survey)?;
+    let mut plan = plan(arguments, &survey, verbosity)?;
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
@@ -76,47 +78,96 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         return sweep::dry_run(&plan, &runs, 1, verbosity);
     }
     check_earlier_runs(&plan)?;
-    RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
+    RunProgress::during(verbosity, |progress| check(&plan, &runs, progress)).map_err(unplaced)?;
     sweep::here(&plan, &runs, 1, (external.first().map(|own| own.name()).as_deref(), verbosity))
 }
 
-/// Runs of the chosen methods, all with the same split.
-fn plan(arguments: &Compare, survey: &DataSurvey) -> Result<SweepPlan> {
-    let (data, task) = (&survey.data, survey.data.task());
+/// Runs of the methods that support the data, all with the same split. A method that was not named and cannot predict the
+/// data is left out, with a note.
+fn plan(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Result<SweepPlan> {
+    let experiment = experiment(arguments, &survey.data)?;
+    let known: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
+    if let Some(name) = arguments.methods.iter().find(|name| !known.contains(&name.as_str())) {
+        let near = did_you_mean(name, known.iter().copied());
+        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", known.join(", "));
+        return Err(Error::Config(why));
+    }
+    let folder = arguments.folder.canonicalize().map_err(|e| Error::read(&arguments.folder, e))?;
+    let mut base = pipeline_of(survey, &folder, Path::new("compare.ron"))?;
+    (base.split_seed, base.baselines) = (Some(0), baselines(&survey.data));
+    let mut all: Option<SweepPlan> = None;
+    for method in known {
+        let is_named = arguments.methods.iter().any(|name| name == method);
+        if !is_named && !arguments.methods.is_empty() {
+            continue;
+        }
+        match plan_of(method, &experiment, &base, (arguments, survey)) {
+            Ok(mut plan) => match &mut all {
+                Some(all) => {
+                    let combination = all.runs.last().map_or(0, |run| run.combination + 1);
+                    plan.runs.iter_mut().for_each(|run| run.combination = combination);
+                    all.runs.extend(plan.runs);
+                }
+                None => all = Some(plan),
+            },
+            Err(error) if !is_named && error.is_input() => {
+                verbosity.note(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    all.ok_or_else(|| Error::input(&arguments.folder, "no method can predict these data; see docs/data.md"))
+}
+
+/// Shipped experiment with the methods for the task of `data`.
+fn experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
-        None if task.is_scalar => "methods-powers",
-        None if task.is_complex => "methods-channels",
+        None if data.task().is_scalar => "methods-powers",
+        None if data.task().is_complex => "methods-channels",
         None => "methods",
     };
     let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
     let text = file.expect("the facade registers its experiments").source;
-    let path = PathBuf::from(format!("{}/{name}.ron", ShippedFile::EXPERIMENTS));
-    let mut experiment = Experiment::parse(text, &path)?;
+    let mut experiment = Experiment::parse(text, Path::new(name))?;
     experiment.name = format!("compare-{}", name_of(&arguments.folder));
     experiment.seeds = (0..arguments.seeds as u64).collect();
-    let folder = arguments.folder.canonicalize().map_err(|e| Error::read(&arguments.folder, e))?;
-    let mut base = pipeline_of(survey, &folder, Path::new("compare.ron"))?;
-    (base.split_seed, base.baselines) = (Some(0), baselines(data));
+    Ok(experiment)
+}
+
+/// Runs of one method, checked with the data.
+fn plan_of(
+    method: &str,
+    experiment: &Experiment,
+    base: &Pipeline,
+    (arguments, survey): (&Compare, &DataSurvey),
+) -> Result<SweepPlan> {
+    let axis = &experiment.axes[0];
+    let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
+    let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
+    let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
     let set = arguments.changes.all();
-    let mut plan = SweepPlan::of(&experiment, (&path, text), Some(&base), &set, arguments.out.as_deref())?;
-    let known = distinct(plan.runs.iter().map(|run| run.labels[0].1.clone()));
-    if let Some(name) = arguments.methods.iter().find(|name| !known.contains(name)) {
-        let near = did_you_mean(name, known.iter().map(String::as_str));
-        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", known.join(", "));
-        return Err(Error::Config(why));
-    }
-    if data.orientations.is_some() && arguments.methods.is_empty() {
-        let why = "the receiver of these data moves, which not all methods support; add --methods waves,P-WRFGS";
-        return Err(Error::Config(why.into()));
-    }
-    plan.runs.retain(|run| arguments.methods.is_empty() || arguments.methods.contains(&run.labels[0].1));
+    // No text: positions in it would be those of all methods.
+    let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &set, arguments.out.as_deref());
+    let mut plan = plan.map_err(unplaced)?;
+    let data = &survey.data;
     for PlannedRun { pipeline, .. } in &mut plan.runs {
         let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
         let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
-        pipeline.set_all(&[vec![batch], if is_rays { rays(data) } else { Vec::new() }].concat())?;
+        pipeline.set_all(&[vec![batch], if is_rays { rays(data, &pipeline.training) } else { Vec::new() }].concat())?;
     }
+    let pipeline = &plan.runs[0].pipeline;
+    pipeline.check_data(data)?;
+    Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
     Ok(plan)
+}
+
+/// Error without a place in the experiment, whose file is inside the program and has no path.
+fn unplaced(error: Error) -> Error {
+    match error {
+        Error::Input { path, message, .. } if path.as_os_str().is_empty() => Error::Config(message),
+        other => other,
+    }
 }
 
 /// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
@@ -128,12 +179,18 @@ fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Settings of NeRF2 for the size of the site: rays reach across it; beyond a room, this length is the unit.
-fn rays(data: &Dataset) -> Vec<String> {
+/// Settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room, this length is
+/// the unit.
+fn rays(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
     let unit = if far > 20.0 { far } else { 1.0 };
-    [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into()
+    let pixels = data.width.div_ceil(training.stride) * data.height.div_ceil(training.stride);
+    let fewer = match training.rays {
+        Rays::Same(count) if count > pixels && data.task().has_pixels => Some(format!("training.rays=Same({pixels})")),
+        _ => None,
+    };
+    [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into_iter().chain(fewer).collect()
 }
 
 /// All registered baselines for the data, and further numbers of neighbours.

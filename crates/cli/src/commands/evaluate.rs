@@ -59,8 +59,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
-        warn_of_receivers(&data, &ensemble);
     }
+    warn_of_receivers(&data, &ensemble);
     let scored = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
     progress.finish();
     let (mut scores, confidence) = scored?;
@@ -112,7 +112,7 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     let (known, listening) = (&setup.receivers, &data.scene.receivers);
     if let ([one], [other]) = (&known[..], &listening[..]) {
         if setup.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
-            output::note("warning: the receiver pose of the data differs from that of the model");
+            output::warning("the receiver pose of the data differs from that of the model");
         }
         return;
     }
@@ -125,6 +125,6 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
         let names = listed(names.iter(), 8);
-        output::note(&format!("warning: name or pose of receivers differs from that of the model: {names}"));
+        output::warning(&format!("name or pose of receivers differs from that of the model: {names}"));
     }
 }

@@ -84,9 +84,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let imported = RunProgress::during(verbosity, |progress| {
         staged(progress, "spectra", |progress| work.write(&arguments.out, progress))
     })?;
+    let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);
+    position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
     if verbosity != Verbosity::Quiet {
-        let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);
-        position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
         let ([m, h, w], (low, high)) = (imported.shape, imported.range);
         let kind = match imported.number {
             Number::U8 => "8-bit",

@@ -107,7 +107,10 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         progress.on_stage("fingerprints", 0, 0);
         Locator::fit(&data, partition.known(), &model, &SHARES)
     })?;
-    verbosity.note(&summary(&locator));
+    match locator.missing_regions().filter(|_| locator.validation == 0) {
+        Some(why) => output::warning(why),
+        None => verbosity.note(&summary(&locator)),
+    }
     let locator = match prior {
         Some(bounds) => {
             locator.within(move |place| bounds.holds(place)).map_err(|e| Error::Config(format!("--prior: {e}")))?
@@ -137,9 +140,6 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
 /// What was chosen, in one line.
 fn summary(locator: &Locator<'_>) -> String {
     let (choice, missing) = (locator.choice, locator.missing_regions());
-    if let Some(why) = missing.filter(|_| locator.validation == 0) {
-        return format!("warning: {why}");
-    }
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
     format!(
         "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{}",

@@ -4,7 +4,7 @@ mod layers;
 mod plane;
 
 use super::options::{check_positions, chosen, read_models};
-use crate::output::Verbosity;
+use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use layers::{MapLayer, MapQuantity, layers, quantities};
@@ -110,8 +110,8 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
         let missing = grouped(missing as i64);
-        verbosity.note(&format!(
-            "warning: {missing} values are not finite because the model overflows there; the images show them in grey"
+        output::warning(&format!(
+            "{missing} values are not finite because the model overflows there; the images show them in grey"
         ));
     }
     let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));

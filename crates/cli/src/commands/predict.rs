@@ -3,7 +3,7 @@
 mod writers;
 
 use super::options::{check_positions, chosen, numbers, position, read_models};
-use crate::output::Verbosity;
+use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{read_poses, read_transmitters};
@@ -111,8 +111,9 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     writer.finish()?;
     folder.put("predictions.csv", list.as_bytes())?;
     made.publish()?;
-    if let Some(note) = extrapolation(distances.as_ref()) {
-        verbosity.note(&note);
+    match &distances {
+        Some(distances) => extrapolation(distances).iter().for_each(|warning| output::warning(warning)),
+        None => verbosity.note("note: the model has no training positions, so extrapolations are not marked"),
     }
     let kind = if count == 1 { task.singular } else { task.plural };
     verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
@@ -151,16 +152,13 @@ fn factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
     }
 }
 
-/// Warning about extrapolations, or note that the distances to training positions are unknown.
-fn extrapolation(distances: Option<&TrainingDistances>) -> Option<String> {
-    let Some(distances) = distances else {
-        return Some("note: the model has no training positions, so extrapolations are not marked".into());
-    };
+/// Warning about extrapolations.
+fn extrapolation(distances: &TrainingDistances) -> Option<String> {
     let TrainingDistances { metres, limit } = distances;
     let beyond: Vec<f64> = (0..metres.len()).filter(|&k| distances.is_beyond(k)).map(|k| metres[k]).collect();
     let largest = beyond.iter().copied().reduce(f64::max)?;
     Some(format!(
-        "warning: {} of {} predictions are extrapolations: farther than {limit:.2} m from all training positions (up to \
+        "{} of {} predictions are extrapolations: farther than {limit:.2} m from all training positions (up to \
          {largest:.2} m)",
         grouped(beyond.len() as i64),
         grouped(metres.len() as i64)

@@ -61,7 +61,7 @@ pub(super) fn of_sweep(folder: &Path, reference: Option<&str>, verbosity: Verbos
 fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
     match RunProgress::during(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
         Err(error) if error.is_input() => {
-            output::note(&format!("warning: {} is not rebuilt: {error}", run.join(REPORT).display()));
+            output::warning(&format!("{} is not rebuilt: {error}", run.join(REPORT).display()));
             Ok(())
         }
         rebuilt => rebuilt,

@@ -102,6 +102,7 @@ mod tests {
                 unit: String::new(),
                 goal: Goal::Higher,
                 values: Values::PerSample(vec![ratio]),
+                note: None,
             };
             curve(&snrs().map(at).collect::<Vec<_>>())
         };
