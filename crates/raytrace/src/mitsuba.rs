@@ -1,6 +1,7 @@
 //! Scenes of Mitsuba 3 and Sionna RT: an XML file with meshes and radio materials.
 
 mod export;
+mod limits;
 
 pub use export::export;
 
@@ -9,6 +10,7 @@ use crate::mesh::MOST_TRIANGLES;
 use crate::scene::Finish;
 use crate::scene::Object;
 use glam::{DAffine3, DMat4, DVec3};
+use limits::{LONGEST, check_tags, expand};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result, did_you_mean, files};
 use roxmltree::{Document, Node};
@@ -18,16 +20,10 @@ use std::path::Path;
 
 /// Largest XML file, bytes.
 const MOST_BYTES: u64 = 8 << 20;
-/// Largest number of tags.
-const MOST_TAGS: usize = 500_000;
-/// Largest numbers of attributes of an element and of namespaces: the parser compares each with all others.
-const MOST_ATTRIBUTES: usize = 100;
 /// Largest number of shapes; each is a file.
 const MOST_SHAPES: usize = 5_000;
 /// Largest number of variables.
 const MOST_VARIABLES: usize = 100;
-/// Longest value of a variable, and longest attribute with variables before and after they are replaced, bytes.
-const LONGEST: usize = 1_000;
 /// Thickness of a material that states none, as in Sionna RT, metres.
 const THICKNESS: f64 = 0.1;
 /// Properties of radio materials in Sionna RT, the last three of scattering patterns.
@@ -104,26 +100,6 @@ impl MitsubaScene {
     }
 }
 
-/// Rejects text for which the parser would need much memory, or a time that grows with the square of its length.
-fn check_tags(path: &Path, text: &str) -> Result<()> {
-    let mut namespaces = 0;
-    for (i, (start, _)) in text.match_indices('<').enumerate() {
-        let tag = text[start + 1..].split('<').next().unwrap_or_default();
-        namespaces += tag.matches("xmlns").count();
-        let attributes = if tag.starts_with(['!', '?']) { 0 } else { tag.matches('=').count() };
-        let (most, things) = match () {
-            () if i >= MOST_TAGS => (MOST_TAGS, "tags"),
-            () if attributes > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "attributes"),
-            () if namespaces > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "namespaces"),
-            () => continue,
-        };
-        let (line, before) = text[..start].split('\n').enumerate().last().unwrap_or_default();
-        let what = format!("more than {most} {things}; cut out a part of the scene");
-        return Err(Error::at(path, line + 1, before.chars().count() + 1, what));
-    }
-    Ok(())
-}
-
 /// State of the parser.
 struct Reader<'a> {
     path: &'a Path,
@@ -194,25 +170,7 @@ impl<'a> Reader<'a> {
     /// Value of an attribute with variables replaced.
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
-        let Some((start, rest)) = value.split_once('$') else { return Ok(Some(value.to_owned())) };
-        let check = |length| {
-            let what = format_args!("`{name}` is longer than 1,000 characters; shorten it or its variables");
-            self.require(length <= LONGEST, node, what)
-        };
-        check(value.len())?;
-        let mut expanded = start.to_owned();
-        for part in rest.split('$') {
-            // In reverse order, the longest name comes first.
-            let found = self.variables.iter().rev().find(|(variable, _)| part.starts_with(**variable));
-            let (variable, text) = found.ok_or_else(|| {
-                let hint = did_you_mean(part, self.variables.keys().copied());
-                let what = format!("unknown variable {}{hint}; add a `default` for it", quoted(&format!("${part}")));
-                self.fault(node, what)
-            })?;
-            check(expanded.len() + text.len() + part.len() - variable.len())?;
-            expanded = expanded + text + &part[variable.len()..];
-        }
-        Ok(Some(expanded))
+        expand(name, value, &self.variables).map(Some).map_err(|what| self.fault(node, what))
     }
 
     fn required(&self, node: Element<'_>, name: &str) -> Result<String> {

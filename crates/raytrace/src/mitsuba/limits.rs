@@ -1,0 +1,55 @@
+//! Limits of an XML file, checked before the parser and before variables are replaced.
+
+use pwrfgs_core::messages::quoted;
+use pwrfgs_core::{Error, Result, did_you_mean};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Largest number of tags.
+const MOST_TAGS: usize = 500_000;
+/// Largest numbers of attributes of an element and of namespaces: the parser compares each with all others.
+const MOST_ATTRIBUTES: usize = 100;
+/// Longest value of a variable, and longest attribute with variables before and after they are replaced, bytes.
+pub(super) const LONGEST: usize = 1_000;
+
+/// Rejects text for which the parser would need much memory, or a time that grows with the square of its length.
+pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
+    let mut namespaces = 0;
+    for (i, (start, _)) in text.match_indices('<').enumerate() {
+        let tag = text[start + 1..].split('<').next().unwrap_or_default();
+        namespaces += tag.matches("xmlns").count();
+        let attributes = if tag.starts_with(['!', '?']) { 0 } else { tag.matches('=').count() };
+        let (most, things) = match () {
+            () if i >= MOST_TAGS => (MOST_TAGS, "tags"),
+            () if attributes > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "attributes"),
+            () if namespaces > MOST_ATTRIBUTES => (MOST_ATTRIBUTES, "namespaces"),
+            () => continue,
+        };
+        let (line, before) = text[..start].split('\n').enumerate().last().unwrap_or_default();
+        let what = format!("more than {most} {things}; cut out a part of the scene");
+        return Err(Error::at(path, line + 1, before.chars().count() + 1, what));
+    }
+    Ok(())
+}
+
+/// Replaces the variables in `value`, the attribute `name`; returns the problem if there is one.
+pub(super) fn expand(name: &str, value: &str, variables: &BTreeMap<&str, &str>) -> Result<String, String> {
+    let Some((start, rest)) = value.split_once('$') else { return Ok(value.to_owned()) };
+    let check = |length: usize| {
+        let what = || format!("`{name}` is longer than 1,000 characters; shorten it or its variables");
+        if length <= LONGEST { Ok(()) } else { Err(what()) }
+    };
+    check(value.len())?;
+    let mut expanded = start.to_owned();
+    for part in rest.split('$') {
+        // In reverse order, the longest name comes first.
+        let found = variables.iter().rev().find(|(variable, _)| part.starts_with(**variable));
+        let (variable, text) = found.ok_or_else(|| {
+            let hint = did_you_mean(part, variables.keys().copied());
+            format!("unknown variable {}{hint}; add a `default` for it", quoted(&format!("${part}")))
+        })?;
+        check(expanded.len() + text.len() + part.len() - variable.len())?;
+        expanded = expanded + text + &part[variable.len()..];
+    }
+    Ok(expanded)
+}
