@@ -74,7 +74,7 @@ impl WorldBuilder {
         let [first, second] = edge.faces;
         let (bounds, inwards) = (bounds(&edge.ends), edge.inwards());
         if first == second {
-            return self.outer_rims(edge, coincident(first, bounds));
+            return self.outer_rims(edge, &coincident(first, bounds));
         }
         let cover = [0, 1].map(|k| {
             let mut others = coincident(edge.faces[k], bounds);
@@ -96,7 +96,7 @@ impl WorldBuilder {
     }
 
     /// Pieces of the rim of a face with these other triangles of its sheet.
-    fn outer_rims(&self, edge: &Edge, others: Vec<Triangle>) -> Vec<Edge> {
+    fn outer_rims(&self, edge: &Edge, others: &[Triangle]) -> Vec<Edge> {
         let face = edge.faces[0];
         let inside = others.iter().filter(|other| other.face < face).map(|other| (BEYOND, *other));
         let beyond = others.iter().map(|other| (-BEYOND, *other));
