@@ -26,7 +26,11 @@ impl WorldBuilder {
         let coincident = |face: u32, bounds: [DVec3; 2]| {
             let sheet = &sheets[face as usize];
             let found = (!sheet.is_empty()).then(|| hierarchy.touching(bounds).map(|i| self.triangles[i]));
-            found.into_iter().flatten().filter(|triangle| sheet.contains(&triangle.face)).collect::<Vec<_>>()
+            found
+                .into_iter()
+                .flatten()
+                .filter(|triangle| sheet.binary_search(&triangle.face).is_ok())
+                .collect::<Vec<_>>()
         };
         let (mut edges, mut owners) = (Vec::new(), Vec::new());
         for (edge, owner) in self.edges.iter().zip(&self.owners) {
@@ -40,10 +44,7 @@ impl WorldBuilder {
             for triangle in &self.triangles[of.triangles.clone()] {
                 let earlier =
                     coincident(face, bounds(&triangle.corners())).into_iter().filter(|other| other.face < face);
-                triangles.extend(earlier.fold(vec![*triangle], |pieces, other| {
-                    let sides = sides(&other.corners(), other.normal());
-                    pieces.iter().flat_map(|piece| outside(piece, &sides)).collect()
-                }));
+                triangles.extend(uncovered(triangle, earlier));
             }
             ranges.push(start..triangles.len());
         }
@@ -73,7 +74,7 @@ impl WorldBuilder {
         let [first, second] = edge.faces;
         let (bounds, inwards) = (bounds(&edge.ends), edge.inwards());
         if first == second {
-            return self.outer_rims(edge, coincident(first, bounds));
+            return self.outer_rims(edge, &coincident(first, bounds));
         }
         let cover = [0, 1].map(|k| {
             let mut others = coincident(edge.faces[k], bounds);
@@ -95,23 +96,39 @@ impl WorldBuilder {
     }
 
     /// Pieces of the rim of a face with these other triangles of its sheet.
-    fn outer_rims(&self, edge: &Edge, others: Vec<Triangle>) -> Vec<Edge> {
+    fn outer_rims(&self, edge: &Edge, others: &[Triangle]) -> Vec<Edge> {
         let face = edge.faces[0];
-        let inside = others.iter().filter(|other| other.face < face).map(|other| (BEYOND, other));
-        let beyond = others.iter().map(|other| (-BEYOND, other));
-        let cut = |pieces: Vec<Edge>, (step, other): (f64, &Triangle)| {
+        let inside = others.iter().filter(|other| other.face < face).map(|other| (BEYOND, *other));
+        let beyond = others.iter().map(|other| (-BEYOND, *other));
+        let mut pieces = vec![edge.clone()];
+        for (step, other) in inside.chain(beyond) {
             let sides = sides(&other.corners(), other.normal());
             let cut = |piece: Edge| {
                 let probe = piece.ends.map(|end| end + step * edge.along);
                 self.cut_edge(piece, face, probe, &sides)
             };
-            pieces.into_iter().flat_map(cut).collect()
-        };
-        let mut pieces = inside.chain(beyond).fold(vec![edge.clone()], cut);
+            pieces = pieces.into_iter().flat_map(cut).collect();
+            if pieces.is_empty() {
+                break;
+            }
+        }
         // At acute corners, a probe beside the edge misses its last millimetre.
         pieces.retain(|piece| piece.ends == edge.ends || piece.ends[0].distance(piece.ends[1]) > 4.0 * BEYOND);
         pieces
     }
+}
+
+/// Pieces of a triangle outside others.
+fn uncovered(triangle: &Triangle, others: impl Iterator<Item = Triangle>) -> Vec<Triangle> {
+    let mut pieces = vec![*triangle];
+    for other in others {
+        let sides = sides(&other.corners(), other.normal());
+        pieces = pieces.iter().flat_map(|piece| outside(piece, &sides)).collect();
+        if pieces.is_empty() {
+            break;
+        }
+    }
+    pieces
 }
 
 /// Bounding box of points, with a margin.
