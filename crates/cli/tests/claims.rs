@@ -156,13 +156,12 @@ fn headers_name_pages_that_have_their_results() {
 
 #[test]
 fn scores_of_kriged_residuals_have_their_share() {
+    let (name, score) =
+        (Regex::new("esiduals Kriged|Kriged residuals").unwrap(), Regex::new(r"\| \**-?\d+\.\d{2}").unwrap());
     for page in pages() {
         let content = std::fs::read_to_string(&page).unwrap();
-        let rows = content.lines().filter(|line| {
-            line.starts_with('|') && line.contains("esiduals Kriged")
-                || line.starts_with('|') && line.contains("Kriged residuals")
-        });
-        for row in rows.filter(|row| Regex::new(r"\| [*]*-?\d+\.\d{2}").unwrap().is_match(row)) {
+        let rows = content.lines().filter(|line| line.starts_with('|') && name.is_match(line) && score.is_match(line));
+        for row in rows {
             assert!(row.contains("b = "), "{}: a score without the share b of the model: {row}", page.display());
         }
     }

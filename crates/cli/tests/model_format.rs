@@ -232,7 +232,7 @@ pub(crate) fn unlisted(bytes: &[u8]) -> Vec<String> {
     let axes = |shape: &str| shape.split(", ").count();
     let row = Regex::new(r"(?m)^\| `([a-z_.<>]+)` \| \[([^\]]+)\] \|").unwrap();
     let placeholder = Regex::new("<[a-z]+>").unwrap();
-    let rows = row.captures_iter(&page).map(|row| {
+    let rows = row.captures_iter(page).map(|row| {
         let name = placeholder.replace_all(&row[1].replace('.', r"\."), ".+").into_owned();
         (Regex::new(&format!(r"^(members\.\d+\.)?{name}$")).unwrap(), axes(&row[2]))
     });
