@@ -308,6 +308,7 @@ fn maps_powers(here: &Path) {
     for (arguments, words) in [
         (&["--plane", "w=1"][..], &["--plane w=1", "such as z=1.2"][..]),
         (&["--plane", "z=1", "--step", "0"], &["--step 0"]),
+        (&["--plane", "z=1", "--step", "1e300"], &["--step 1e300: expected"]),
         (&["--plane", "z=1", "--bounds", "2,1,0,1"], &["--bounds 2,1,0,1", "the smaller first"]),
         (&["--plane", "z=1", "--bounds", "0,90000,0,90000"], &["too large", "increase --step"]),
         (&["--plane", "z=1", "--of", "direction"], &["--of direction", "received powers"]),

@@ -87,16 +87,16 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let receivers = chosen(model.receivers(), &arguments.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    let bounds = if let Some(bounds) = bounds {
-        bounds
+    let (bounds, note) = if let Some(bounds) = bounds {
+        (bounds, None)
     } else {
         let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
         let (bounds, source) = default_bounds(&ensemble, plane, listening)?;
         let bounds = bounds.outwards(arguments.step);
-        verbosity.note(&message(plane, bounds, source));
-        bounds
+        (bounds, Some(message(plane, bounds, source)))
     };
     let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
+    note.iter().for_each(|note| verbosity.note(note));
     let folder = NewFolder::begin(&arguments.out)?;
     let mut layers = RunProgress::during(verbosity, |progress| {
         layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()))

@@ -1,7 +1,7 @@
 //! Axis-parallel plane of a map, and the grid of positions on it.
 
 use crate::commands::options::numbers;
-use pwrfgs_core::{Error, Result, coordinate_fault};
+use pwrfgs_core::{Error, MAX_COORDINATE_M, Result, coordinate_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
@@ -128,9 +128,9 @@ impl PlaneGrid {
         step: f64,
         layers: usize,
     ) -> Result<Self> {
-        if !(step.is_finite() && step >= 1e-6) {
+        if !(1e-6..=MAX_COORDINATE_M).contains(&step) {
             return Err(Error::Config(format!(
-                "--step {step}: expected a grid spacing in metres, at least 1e-6, such as 0.1"
+                "--step {step}: expected a grid spacing in metres, 1e-6 to {MAX_COORDINATE_M:e}, such as 0.1"
             )));
         }
         let count = |[low, high]: [f64; 2]| ((high - low) / step + 1e-6).floor() + 1.0;
@@ -179,7 +179,7 @@ mod tests {
         assert_eq!((grid.columns, grid.rows), (4, 3));
         let last = grid.place(11);
         assert!((last[0] - 0.3).abs() < 1e-12 && last[1] == 9.0 && (last[2] - 1.2).abs() < 1e-12, "{last:?}");
-        for step in [0.0, -1.0, f64::NAN, 1e-5] {
+        for step in [0.0, -1.0, f64::NAN, 1e-5, 1e300] {
             assert!(PlaneGrid::new(plane, PlaneBounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
         }
         assert_eq!(PlaneBounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
