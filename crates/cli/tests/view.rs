@@ -351,7 +351,7 @@ fn saved_pages_of_powers_and_channels_show_predictions() {
     hall(here);
     free_space(here);
     succeed(here, &["run", "waves.ron", "--out", "waves-run", "--scale", "0.05", "-q"]);
-    for (run, titles) in [("run", "Received power"), ("waves-run", "Magnitude,Power delay profile")] {
+    for (run, titles) in [("run", "Received power"), ("waves-run", "Magnitude")] {
         let file = here.join(format!("{run}.html"));
         succeed(here, &["view", run, "--save", file.to_str().unwrap()]);
         let address = format!("file://{}", file.display());

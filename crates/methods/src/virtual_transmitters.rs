@@ -13,13 +13,13 @@ mod turn;
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
 pub use links::{ChannelInputs, VirtualSources, snr_of};
+pub(crate) use pursuit::expected_seconds;
 pub use pursuit::{PursuitOptions, pursue};
 
 use crate::groups::ReceiverGroup;
 use crate::readout::magnitudes;
 use crate::{Activation, Calibration};
 use harmonics::{HIGHEST, terms};
-use pursuit::expected_seconds;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Activated, Cache, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,

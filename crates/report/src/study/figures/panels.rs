@@ -25,8 +25,8 @@ pub(super) fn methods(setting: &Setting) -> Vec<&StudyVariant> {
     let count = |variant: &StudyVariant| variant.runs[0].facts.gaussians;
     let reach = |n: usize| families.iter().filter(|way| way.variants.iter().any(|v| count(v) == n)).count();
     let common = setting.variants.iter().map(count).max_by_key(|&n| (reach(n), Reverse(n))).unwrap_or(0);
-    let nearest = |variants: Vec<_>| variants.into_iter().min_by_key(|v| count(v).abs_diff(common));
-    families.into_iter().filter_map(|way| nearest(way.variants)).collect()
+    let far = |variant: &&StudyVariant| count(variant).abs_diff(common);
+    families.into_iter().filter_map(|way| way.variants.into_iter().min_by_key(far)).collect()
 }
 
 /// Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
