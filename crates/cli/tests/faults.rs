@@ -185,12 +185,12 @@ fn next_start_removes_what_killed_command_left() {
     succeed(here, &["run", "tiny.ron", "--out", "r", "-q"]);
     let all = std::env::var_os("PWRFGS_FAULTS").is_some_and(|which| which == "all");
     let commands: [(&[&str], usize); 7] = [
-        (&["compress", "r", "--out", "new"], 1),
-        (&["export", "r", "--npz", "new"], 1),
+        (&["compress", "r/model.safetensors", "--out", "new"], 1),
+        (&["export", "r/model.safetensors", "--npz", "new"], 1),
         (&["view", "r", "--save", "new"], 2),
-        (&["update", "kriged", "--data", "data", "--out", "new"], 2),
-        (&["predict", "r", "--tx", "0.3,0.1,0.9", "--out", "new"], 2),
-        (&["evaluate", "r", "--out", "new"], 4),
+        (&["update", "kriged/model.safetensors", "--data", "data", "--out", "new"], 2),
+        (&["predict", "r/model.safetensors", "--tx", "0.3,0.1,0.9", "--out", "new"], 2),
+        (&["evaluate", "r/model.safetensors", "--out", "new"], 4),
         (&["report", "r", "--out", "new"], 23),
     ];
     let out = here.join("new");

@@ -268,10 +268,10 @@ fn new_file_never_replaces_file_that_appears_meanwhile() {
     succeed(here, &[&run("p.ron", "kriged")[..], &validated].concat());
     succeed(here, &run("a.ron", "r"));
     let commands: [&[&str]; 5] = [
-        &["compress", "r", "--out"],
-        &["export", "r", "--npz"],
+        &["compress", "r/model.safetensors", "--out"],
+        &["export", "r/model.safetensors", "--npz"],
         &["view", "r", "--save"],
-        &["update", "kriged", "--data", "data", "--out"],
+        &["update", "kriged/model.safetensors", "--data", "data", "--out"],
         &["compare", "data", "--split-csv"],
     ];
     for command in commands {
@@ -307,8 +307,8 @@ fn folder_that_appears_meanwhile_is_invalid_input() {
     succeed(here, &run("a.ron", "r"));
     let import = ["import", "--spectra", "data/spectrum", "--tx", "data/tx_pos.csv", "--elevation", "-90,90"];
     let commands: [&[&str]; 4] = [
-        &["predict", "r", "--tx", "0.3,0.1,0.9", "--no-png"],
-        &["evaluate", "r"],
+        &["predict", "r/model.safetensors", "--tx", "0.3,0.1,0.9", "--no-png"],
+        &["evaluate", "r/model.safetensors"],
         &["plan", "data", "--count", "2"],
         &[&import[..], &["--receiver", "0,0,0", "--orientation", "0,0,0,1"]].concat(),
     ];
