@@ -7,7 +7,9 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
-use pwrfgs::experiment::{Facts, Machine, Session, evaluate as score, load as load_data, read_pipeline, write_results};
+use pwrfgs::experiment::{
+    Facts, Machine, Session, evaluate as score, load_with_findings, read_pipeline, write_results,
+};
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::messages::strip_control;
@@ -55,7 +57,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         refuse_foreign(out, "a new folder")?;
     }
     let mut progress = RunProgress::new(verbosity);
-    let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
+    let (data, partition, findings) = load_with_findings(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
         warn_of_receivers(&data, &ensemble);
@@ -77,6 +79,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::here(),
             gaussians: ensemble.gaussians(),
+            findings,
             scores: Some(scores.table.clone()),
             ..Facts::default()
         };
