@@ -5,6 +5,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod agreement;
 mod evaluate;
 mod evaluation_set;
 mod events;
@@ -33,6 +34,7 @@ pub mod sweep;
 pub mod text;
 mod training;
 
+pub use agreement::Agreement;
 pub use evaluate::{check_alike, evaluate};
 pub use evaluation_set::EvaluationSet;
 pub use facts::{Facts, FileDigest, Machine, VERSION};
