@@ -1,8 +1,8 @@
 //! The pose check on poses that are right, on one that is wrong, and on the measured set.
 
 use glam::{DQuat, DVec3};
-use pwrfgs::experiment::NoopObserver;
-use pwrfgs::experiment::inspect::{DataSummary, PoseCheck, PoseVerdict};
+use pwrfgs::experiment::inspect::{Correction, DataSummary, PoseCheck, PoseVerdict};
+use pwrfgs::experiment::{Finding, NoopObserver, findings};
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{DataSource, Dataset, Plugin, Pose, Sample, Spectra};
 use pwrfgs_data::Nerf2Spectrum;
@@ -14,11 +14,13 @@ fn found(data: &Dataset) -> PoseCheck {
 }
 
 /// The office of the quickstart, a few spectra.
-static OFFICE: LazyLock<Dataset> = LazyLock::new(|| {
-    let source = r#"Simulated(scene: "scenes/office.ron", samples: 160, cache: false)"#;
+static OFFICE: LazyLock<Dataset> = LazyLock::new(|| simulated("office"));
+
+fn simulated(scene: &str) -> Dataset {
+    let source = format!("Simulated(scene: \"scenes/{scene}.ron\", samples: 160, cache: false)");
     let base = Path::new(env!("CARGO_MANIFEST_DIR"));
-    Plugin::<dyn DataSource>::parse(source).unwrap().load(base, &|_, _| {}).unwrap()
-});
+    Plugin::<dyn DataSource>::parse(&source).unwrap().load(base, &|_, _| {}).unwrap()
+}
 
 /// The same with another recorded orientation.
 fn recorded_as(data: &Dataset, orientation: DQuat) -> Dataset {
@@ -43,6 +45,13 @@ fn pose_check_confirms_correct_pose_and_corrects_wrong_pose() {
     assert!(wrong.sentences().iter().any(|s| s.contains("This orientation fits: [")));
 }
 
+/// A few transmitters, seen within some degrees: the best rotation gains less than a pixel.
+#[test]
+fn correct_pose_of_a_narrow_view_gives_no_finding() {
+    let data = simulated("lab-s23");
+    assert_eq!(findings(&data, None).unwrap(), []);
+}
+
 #[test]
 fn recognises_quaternion_in_other_order() {
     let data = &*OFFICE;
@@ -56,6 +65,35 @@ fn recognises_quaternion_in_other_order() {
     );
 }
 
+#[test]
+fn recognises_wrong_orientations_of_a_moving_receiver() {
+    let data = simulated("office-moving");
+    let recorded_as = |change: &dyn Fn(DQuat) -> DQuat| {
+        let changed = |own: &[f64; 4]| change(DQuat::from_array(*own)).normalize().to_array();
+        let orientations = data.orientations.as_ref().map(|all| all.iter().map(changed).collect());
+        found(&Dataset { orientations, ..data.clone() })
+    };
+    let right = recorded_as(&|q| q);
+    assert!(right.verdict == PoseVerdict::Right && right.recorded < 4.0, "{right:?}");
+    let words = |found: &PoseCheck| (found.verdict, found.sentences().concat());
+    let conjugate = words(&recorded_as(&|q| q.conjugate()));
+    assert!(conjugate.0 == PoseVerdict::Off && conjugate.1.contains("turned the other way"), "{conjugate:?}");
+    let order = words(&recorded_as(&|q| DQuat::from_xyzw(q.w, q.x, q.y, q.z)));
+    assert!(
+        order.0 == PoseVerdict::Off && order.1.contains("If the recorded numbers are w, x, y, z, the"),
+        "{order:?}"
+    );
+
+    let error = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.6);
+    for (found, correction) in
+        [(recorded_as(&|q| q * error), Correction::Right), (recorded_as(&|q| error * q), Correction::Left)]
+    {
+        assert!(found.verdict == PoseVerdict::Off && found.correction == correction, "{found:?}");
+        let left = DQuat::from_array(found.orientation).angle_between(error.inverse()).to_degrees();
+        assert!(left < 2.0, "{left}: {found:?}");
+    }
+}
+
 /// The spectra with rows or columns reversed.
 fn flipped(data: &Dataset, flip: impl Fn(&mut [u8], usize)) -> Dataset {
     let (width, mut pixels) = (data.width, Vec::new());
@@ -65,6 +103,20 @@ fn flipped(data: &Dataset, flip: impl Fn(&mut [u8], usize)) -> Dataset {
         pixels.extend(own);
     }
     Dataset { observations: Spectra::grey((width, data.height), pixels).unwrap().into(), ..data.clone() }
+}
+
+#[test]
+fn counts_black_spectra_among_others() {
+    let number = std::cell::Cell::new(0);
+    let data = flipped(&OFFICE, |pixels, _| {
+        number.set(number.get() + 1);
+        if number.get() % 2 == 0 {
+            pixels.fill(0);
+        }
+    });
+    let found = findings(&data, None).unwrap();
+    let [Finding { name, count: 80, .. }] = &found[..] else { panic!("{found:?}") };
+    assert_eq!(name, "constant-spectra");
 }
 
 #[test]

@@ -188,12 +188,12 @@ def test_wrong_units_are_warned_of(tmp_path):
     for data, words in [
         (dict(rssi=10 ** np.linspace(-9, -4, 30), receivers=ONE), "10 \\* log10"),
         (dict(rssi=np.full(30, 45.0) - 90 * (np.arange(30) < 3), receivers=ONE), "the median is 45.0 dBm"),
-        (dict(spectra=np.tile(spectra(1), (30, 1, 1))), "all 30 are equal"),
+        (dict(spectra=np.tile(spectra(1), (30, 1, 1))), "all 30 spectra are equal"),
     ]:
         with pytest.warns(UserWarning, match=words):
             made = pwrfgs.Dataset.from_arrays(TX, **data)
     made.save(tmp_path / "equal")
-    with pytest.warns(UserWarning, match="all 30 are equal"):
+    with pytest.warns(UserWarning, match="all 30 spectra are equal"):
         pwrfgs.Dataset.load(tmp_path / "equal")
     with pytest.warns(UserWarning, match="convert them to metres"):
         pwrfgs.Dataset.from_arrays(100 * TX, rssi=np.linspace(-60, -50, 30), receivers=ONE)

@@ -1,6 +1,8 @@
 //! Models whose residuals are Kriged: every command reads them, and a stopped run ends in the same bytes.
 use crate::common::{SMALL, call, measured, picture, pwrfgs, refuse, stderr, stdout, succeed, write};
+use pwrfgs::data::save;
 use pwrfgs::model::file;
+use pwrfgs_core::{Dataset, Pose, Real, Receiver, Sample};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -220,4 +222,61 @@ fn update_adds_measurements_and_refuses_other_data() {
     }
     refuse(here, &update(model, "data", "no"), 2, &["12 x 6", "48 x 24"]);
     assert!(!here.join("no").exists());
+}
+
+/// Received powers of `count` transmitters in a hall of 10 m by 6 m at two receivers, changed.
+fn hall(here: &Path, name: &str, from: usize, count: usize, change: &dyn Fn(f64) -> f64, unit: f64) {
+    let receivers = [("a", [0.0, 0.0, 2.5]), ("b", [10.0, 6.0, 2.5])];
+    let at = |(name, position): (&str, [f64; 3])| Receiver::new(name, Pose { position, ..Pose::IDENTITY });
+    let place = |k: usize| [(k * 7 % 60) as f64 / 6.0, (k * 11 % 61) as f64 / 10.0, 1.0];
+    let (mut samples, mut powers) = (Vec::new(), Vec::new());
+    for k in from..from + count {
+        for (receiver, (_, to)) in receivers.iter().enumerate() {
+            let squares: f64 = place(k).iter().zip(to).map(|(a, b)| (a - b).powi(2)).sum();
+            // Fading that no model of positions explains.
+            let fading = ((k * 31 + receiver * 17) % 23) as f64 / 6.0;
+            samples.push(Sample { id: k as u32, tx: place(k).map(|v| unit * v), receiver });
+            powers.push(change(-40.0 - 10.0 * squares.log10() - fading) as Real);
+        }
+    }
+    let data = Dataset::of_links(name, receivers.map(at).into(), vec![], &samples, powers.into()).unwrap();
+    save(&data, &here.join(name)).unwrap();
+}
+
+#[test]
+fn update_refuses_data_that_are_far_from_the_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here, "known", 0, 120, &|dbm| dbm, 1.0);
+    let text = "Pipeline(name: \"p\", data: Nerf2Rssi(root: \"known\"), split: Random(validation: 0.4), residuals: Kriged(), \
+                initializer: Grid(count: 12), readout: ReceivedPower(sky_deg: 30), deformation: Factored(depth: 1, width: 8, \
+                tx_encoding: Octaves(1)), training: (steps: 4, batch: 4, densify_until: 2, prune_until: 3, prune_every: 1, \
+                validate_every: 0, densify: (every: 0)), baselines: [], metrics: [PowerError()])";
+    write(&here.join("p.ron"), text);
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    let update = ["update", "r/model.safetensors", "--out", "new.safetensors", "--data"];
+    let with = |name: &'static str| [&update[..], &[name]].concat();
+    for (name, change, unit) in [
+        ("milliwatts", &(|dbm: f64| 10_f64.powf(dbm / 10.0)) as &dyn Fn(f64) -> f64, 1.0),
+        ("strong", &|dbm| dbm + 30.0, 1.0),
+        ("codes", &|dbm| if dbm < -50.0 { 100.0 } else { dbm }, 1.0),
+        ("millimetres", &|dbm| dbm, 1000.0),
+    ] {
+        hall(here, name, 120, 60, change, unit);
+        refuse(here, &with(name), 2, &["far from the model: error [dB]", "% intervals", "--accept far-from-model"]);
+    }
+    assert!(!here.join("new.safetensors").exists());
+    hall(here, "right", 120, 60, &|dbm| dbm, 1.0);
+    let message = stderr(&succeed(here, &with("right")));
+    assert!(message.contains("new data against the model: error [dB]") && !message.contains("warning"), "{message}");
+
+    std::fs::remove_file(here.join("new.safetensors")).unwrap();
+    refuse(here, &[&with("strong")[..], &["--accept", "no-such"]].concat(), 2, &["far-from-model"]);
+    succeed(here, &[&with("strong")[..], &["--accept", "far-from-model"]].concat());
+    // Without calibration, distances are printed, and nothing is refused.
+    let plain = file::read_ensemble(&here.join("r/model.safetensors")).unwrap().with_calibration(None);
+    file::write_ensemble(&here.join("plain.safetensors"), &plain).unwrap();
+    let update = ["update", "plain.safetensors", "--data", "strong", "--out", "other.safetensors"];
+    let message = stderr(&succeed(here, &update));
+    assert!(message.contains("new data against the model: error [dB]") && !message.contains("intervals"), "{message}");
 }

@@ -1,6 +1,6 @@
 //! Data in wrong units or in a wrong order can be read: every command that loads them warns once, with what to do.
 
-use crate::common::{stderr, succeed, write};
+use crate::common::{SMALL, stderr, stdout, succeed, write};
 use pwrfgs::data::{npy_header, save};
 use pwrfgs_core::{Dataset, Number, Observations, Pose, Real, Receiver, Sample};
 use std::path::Path;
@@ -52,7 +52,9 @@ fn warns_once_of_wrong_units_and_axis_order() {
         ("alike", with_positions(&|_| [1.0, 2.0, 1.0]), false, "all 60 transmitters are at [1.0, 2.0, 1.0]"),
         ("milliwatts", with_powers(&|dbm| 10_f64.powf(dbm / 10.0)), false, "all lie within 0.1 of zero"),
         ("strong", with_powers(&|dbm| dbm + 91.0), false, "give 10 * log10(mW)"),
-        ("equal", with_powers(&|_| -60.0), false, "all 60 are equal"),
+        ("codes", with_powers(&|dbm| if dbm < -58.0 { 100.0 } else { dbm }), false, "above 30 dBm, which is a watt"),
+        ("kilometres", with_positions(&|p| p.map(|v| v / 1000.0)), false, "the site is only"),
+        ("equal", with_powers(&|_| -60.0), false, "all 60 received powers are equal"),
         ("swapped", hall(), true, "exchange train_index.txt and test_index.txt"),
     ] {
         powers(here, name, data, is_swapped);
@@ -89,6 +91,110 @@ fn import_warns_of_wrong_units() {
     write(&here.join("s.npy"), array(Number::U8, &[COUNT, 6, 24], vec![200; COUNT * 24 * 6]));
     let pose = ["--receiver", "0,0,1", "--orientation", "0,0,0,1", "--out", "mine", "-q"];
     let found = warned(here, &[&["import", "--spectra", "s.npy", "--tx", "tx.npy"][..], &pose].concat());
-    let words = ["convert them to metres", "all 60 are equal"];
+    let words = ["convert them to metres", "all 60 spectra are equal"];
     assert!(found.len() == 2 && found.iter().zip(words).all(|(one, words)| one.contains(words)), "{found:?}");
+}
+
+/// The text in brackets after `name: `.
+fn list<'a>(text: &'a str, name: &str) -> &'a str {
+    text.split_once(&format!("{name}: [")).unwrap().1.split_once(']').unwrap().0
+}
+
+/// `SMALL` on the data in `root`.
+fn small(root: &str) -> String {
+    SMALL
+        .replace("Teacher(gaussians: 4, samples: 40, width: 48, height: 12)", &format!("Arrays(root: \"{root}\")"))
+        .replace("Official", "Random")
+        .replace("LearnableMask(lambda: 0.02, learning_rate: 0.1), OpacityThreshold()", "")
+        .replace("steps: 60", "steps: 60, scale: 0.05, stride: 3")
+}
+
+/// The orientation that the warning prints mends the data.
+#[test]
+fn wrong_orientation_warns_in_every_command_with_the_quaternion() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    succeed(here, &["simulate", "office", "--npy", "--no-paths", "--samples", "60", "--out", "office", "-q"]);
+    let pose = std::fs::read_to_string(here.join("office/gateway_info.yml")).unwrap();
+    let (receiver, orientation) = (list(&pose, "position").replace(' ', ""), list(&pose, "orientation"));
+    let import = |orientation: &str, out: &str| {
+        let files = ["import", "--spectra", "office/spectra.npy", "--tx", "office/tx_pos.csv", "--receiver", &receiver];
+        warned(here, &[&files[..], &["--orientation", orientation, "--out", out]].concat())
+    };
+    write(&here.join("small.ron"), small("mine"));
+    let of_import = import("0,0,0,1", "mine");
+    assert_eq!(of_import.len(), 1, "{of_import:?}");
+    for arguments in
+        [&["init", "mine"][..], &["inspect", "mine"], &["check", "mine.ron"], &["run", "small.ron", "--out", "run"]]
+    {
+        assert_eq!(warned(here, arguments), of_import, "{arguments:?}");
+    }
+    let page = std::fs::read_to_string(here.join("run/report.html")).unwrap();
+    let quaternion = of_import[0].split_once("with [").unwrap().1.split_once(']').unwrap().0;
+    assert!(of_import[0].starts_with("warning: orientation: ") && page.contains(quaternion), "{of_import:?}");
+    let numbers = |text: &str| text.split(',').map(|v| v.trim().parse().unwrap()).collect::<Vec<f64>>();
+    let dot: f64 = numbers(quaternion).iter().zip(numbers(orientation)).map(|(a, b)| a * b).sum();
+    assert!(2.0 * dot.abs().min(1.0).acos().to_degrees() < 3.0, "{quaternion} is not {orientation}");
+    assert!(import(&quaternion.replace(' ', ""), "mended").is_empty());
+}
+
+#[test]
+fn other_order_of_the_orientations_of_a_moving_receiver_warns() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    succeed(here, &["simulate", "office-moving", "--npy", "--no-paths", "--samples", "60", "--out", "walk", "-q"]);
+    assert!(warned(here, &["init", "walk", "--out", "right.ron"]).is_empty());
+    let poses = std::fs::read_to_string(here.join("walk/rx_pose.csv")).unwrap();
+    let row = |line: &str| match &line.split(',').collect::<Vec<_>>()[..] {
+        ["x", ..] => line.to_owned(),
+        [x, y, z, qx, qy, qz, qw] => [x, y, z, qw, qx, qy, qz].map(|v| (*v).to_owned()).join(","),
+        other => panic!("{other:?}"),
+    };
+    write(&here.join("walk/rx_pose.csv"), poses.lines().map(|line| row(line) + "\n").collect::<String>());
+    let found = warned(here, &["init", "walk", "--out", "wrong.ron"]);
+    assert!(found.len() == 1 && found[0].contains("if the recorded numbers are w, x, y, z, it is "), "{found:?}");
+}
+
+/// A room of 5 m by 5 m by 3 m, its points in another unit or frame.
+#[test]
+fn point_cloud_in_another_unit_or_frame_warns_with_both_extents() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let array = |number, shape: &[usize], bytes: Vec<u8>| -> Vec<u8> { [npy_header(number, shape), bytes].concat() };
+    let count = 15;
+    let positions = (0..count).flat_map(|k| [(k * 7 % 15) as f64 / 3.0, (k * 4 % 15) as f64 / 3.0, 1.2]);
+    let pixels = (0..count * 24 * 6).map(|i| (i * 7919 % 251) as u8).collect();
+    write(&here.join("s.npy"), array(Number::U8, &[count, 6, 24], pixels));
+    write(&here.join("tx.npy"), array(Number::F64, &[count, 3], positions.flat_map(f64::to_le_bytes).collect()));
+    let pose = ["--receiver", "2,2,2.5", "--orientation", "0,0,0,1", "--out", "room", "-q"];
+    succeed(here, &[&["import", "--spectra", "s.npy", "--tx", "tx.npy"][..], &pose].concat());
+    let room = |k: usize| [(k * 13 % 41) as f64 / 8.0, (k * 29 % 41) as f64 / 8.0, (k * 17 % 41) as f64 * 0.075];
+    type Change = fn([f64; 3]) -> [f64; 3];
+    let clouds: [(&str, Change, &str); 5] = [
+        ("metres", |p| p, ""),
+        ("millimetres", |p| p.map(|v| 1000.0 * v), "divide its coordinates by 1000"),
+        ("utm", |[x, y, z]| [x + 455_000.0, y + 5_410_000.0, z + 120.0], "give both in metres, in one frame"),
+        ("y-up", |[x, y, z]| [x, z, -y], "save its columns as x, -z, y"),
+        ("a-corner", |p| p.map(|v| 0.5 * v), ""),
+    ];
+    for (name, change, words) in clouds {
+        let line = |p: [f64; 3]| format!("{} {} {}\n", p[0], p[1], p[2]);
+        write(&here.join("room/points.xyz"), (0..41).map(|k| line(change(room(k)))).collect::<String>());
+        let text = small("room").replace("root: \"room\"", "root: \"room\", points: \"room/points.xyz\"");
+        write(&here.join(format!("{name}.ron")), text);
+        let (pipeline, written, run) = (format!("{name}.ron"), format!("{name}-new.ron"), format!("run-{name}"));
+        for arguments in [
+            &["init", "room", "--out", &written][..],
+            &["inspect", &pipeline],
+            &["check", &pipeline],
+            &["run", &pipeline, "--out", &run],
+        ] {
+            let found = warned(here, arguments);
+            let expected = usize::from(!words.is_empty());
+            let is_right = |one: &String| one.contains(words) && one.contains("; transmitters x 0.00 to 4.67, y 0.00");
+            assert!(found.len() == expected && found.iter().all(is_right), "{name}, {arguments:?}: {found:?}");
+        }
+    }
+    let shown = stdout(&succeed(here, &["inspect", "a-corner.ron", "-q"]));
+    assert!(shown.contains("41 points, x 0.00 to 2.50, y 0.00 to 2.50, z 0.00 to 1.50 m"), "{shown}");
 }

@@ -48,10 +48,6 @@ pub struct Imported {
     pub number: Number,
     /// Smallest and largest value after scaling.
     pub range: (f64, f64),
-    /// Positions of the transmitters, `[M, 3]`, metres.
-    pub tx: Vec<[f64; 3]>,
-    /// Whether all spectra are equal.
-    pub are_equal: bool,
 }
 
 impl Import {
@@ -73,7 +69,7 @@ impl Import {
         let folder = NewFolder::begin(out)?;
         let mut sink = Sink::new(self, folder.path().join("spectra.npy"), progress);
         source::pictures(&self.spectra, txs.len(), &mut sink)?;
-        let mut imported = sink.finish(&self.spectra)?;
+        let imported = sink.finish(&self.spectra)?;
         let numbers = txs.as_flattened().iter().flat_map(|v| v.to_le_bytes());
         folder
             .put("tx.npy", npy_header(Number::F64, &[txs.len(), 3]).into_iter().chain(numbers).collect::<Vec<u8>>())?;
@@ -88,7 +84,6 @@ impl Import {
         });
         folder.put("manifest.json", format!("{manifest:#}\n"))?;
         folder.publish()?;
-        imported.tx = txs;
         Ok(imported)
     }
 }
@@ -106,27 +101,13 @@ struct Sink<'a> {
     done: usize,
     range: Range,
     bytes: Vec<u8>,
-    /// First spectrum as read, while all later ones are equal to it.
-    first: Option<Vec<u8>>,
 }
 
 impl<'a> Sink<'a> {
     fn new(&Import { scale, elevation, .. }: &Import, path: PathBuf, progress: Progress<'a>) -> Self {
         let numbers = (Number::U8, Number::U8);
         let (range, bytes) = (Range::default(), Vec::new());
-        Self {
-            scale,
-            elevation,
-            path,
-            progress,
-            file: None,
-            shape: [0; 3],
-            numbers,
-            done: 0,
-            range,
-            bytes,
-            first: None,
-        }
+        Self { scale, elevation, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
     }
 
     /// Called before the first spectrum, which comes from `from`.
@@ -151,10 +132,6 @@ impl<'a> Sink<'a> {
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();
         let (range, width, i) = (&mut self.range, self.shape[2], self.done);
         let mut at = 0;
-        if i == 0 {
-            self.first = Some(bytes.to_vec());
-        }
-        self.first.take_if(|first| first != bytes);
         self.bytes.clear();
         number.each(bytes, |v| {
             let value = v * factor;
@@ -181,8 +158,7 @@ impl<'a> Sink<'a> {
         self.range.check(from, self.scale)?;
         let file = self.file.map(|mut file| file.flush().and_then(|()| file.get_ref().sync_all()));
         file.transpose().map_err(|e| Error::write(&self.path, e))?;
-        let (range, are_equal) = (self.range.ends(), self.first.is_some());
-        Ok(Imported { shape: self.shape, number: self.numbers.1, range, tx: Vec::new(), are_equal })
+        Ok(Imported { shape: self.shape, number: self.numbers.1, range: self.range.ends() })
     }
 }
 

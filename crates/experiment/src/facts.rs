@@ -1,5 +1,6 @@
 //! `run.json`: settings, machine, time and results of a run.
 
+use crate::findings::Finding;
 use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed};
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
@@ -28,6 +29,9 @@ pub struct Facts {
     pub simulated: bool,
     /// Numbers of training, validation and test samples.
     pub samples: [usize; 3],
+    /// What is implausible about the data.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub findings: Vec<Finding>,
     /// Number of completed steps.
     pub steps: u64,
     /// Number of Gaussians.

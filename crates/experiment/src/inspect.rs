@@ -1,13 +1,11 @@
 //! Checks before training: [`preview`] for `pwrfgs check` (size and cost of a run, with a [`DataSummary`]), and
 //! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
-mod pose;
-mod spectra;
-
-pub use pose::{PoseCheck, PoseVerdict};
+pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 
 use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
+use crate::findings::{cloud, pose, spectra};
 use crate::input::prepared;
 use crate::load::{load, observed};
 use crate::repeatability::{ceiling, in_order};
@@ -51,8 +49,6 @@ pub struct Preview {
     pub observed: String,
     /// Numbers of training, validation and test samples.
     pub samples: [usize; 3],
-    /// Number of points of the cloud.
-    pub points: usize,
     /// Number of network weights.
     pub weights: usize,
     /// Warnings about settings without effect.
@@ -94,7 +90,6 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         title: data.title.clone(),
         observed: observed(&data),
         samples: partition.sizes(),
-        points: data.scene.points.len(),
         weights,
         summary: DataSummary::of(&data, SUMMARIZED, observer)?,
         test_distance: test_distance(&data, &partition),
@@ -129,6 +124,7 @@ impl DataSummary {
         }
         let fixed = if data.orientations.is_some() { "transmitter" } else { "receiver" };
         summary.facts.push((fixed, receivers(data)));
+        summary.facts.push(("point cloud", points(data)));
         if !data.task().has_pixels {
             summary.facts.push(levels(data));
             return Ok(summary);
@@ -169,12 +165,10 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
 /// Extent, step length between consecutive ids, and positions that occur twice.
 fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let places: Vec<[f64; 3]> = data.transmitters.iter().map(|t| t.position).collect();
-    let end = |k: usize, pick: fn(f64, f64) -> f64| places.iter().map(|p| p[k]).reduce(pick).unwrap_or(f64::NAN);
-    let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], end(k, f64::min), end(k, f64::max));
     let mut ordered = places.clone();
     ordered.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     let shared: usize = ordered.chunk_by(|a, b| a == b).map(<[_]>::len).filter(|count| *count > 1).sum();
-    let mut text = format!("{} m", [0, 1, 2].map(axis).join(", "));
+    let mut text = cloud::extent(places).map_or_else(String::new, cloud::words);
     if shared > 0 {
         _ = write!(text, "; {} at the position of another", grouped(shared as i64));
     }
@@ -203,6 +197,14 @@ fn receivers(data: &Dataset) -> String {
     let pose = data.scene.origin.world_pose(data.scene.pose());
     let boresight = pose.world_from_receiver().z_axis.to_array().map(|v| (f64::from(v) * 1e3).round() / 1e3);
     format!("at ({}) m, boresight ({})", list(pose.position), list(boresight))
+}
+
+/// Number and extent of the points of the room.
+fn points(data: &Dataset) -> String {
+    let points = &data.scene.points;
+    let extent = cloud::extent(points.iter().map(|point| data.scene.origin.world(*point)));
+    let count = grouped(points.len() as i64);
+    extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::words(extent)))
 }
 
 /// Median and range of the levels of all links.

@@ -5,10 +5,12 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod agreement;
 mod evaluate;
 mod evaluation_set;
 mod events;
 mod facts;
+mod findings;
 pub mod folder;
 mod input;
 pub mod inspect;
@@ -33,12 +35,14 @@ pub mod sweep;
 pub mod text;
 mod training;
 
+pub use agreement::Agreement;
 pub use evaluate::{check_alike, evaluate};
 pub use evaluation_set::{EvaluationSet, append_measurements};
 pub use facts::{Facts, FileDigest, Machine, VERSION};
+pub use findings::{Finding, findings, warn_of_findings};
 pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};
-pub use load::{data_warnings, equality_warning, load, observed, position_warning};
+pub use load::{load, load_with_findings, observed};
 pub use model_file::model_file;
 pub use page::{rebuild_page, with_run, write_results};
 pub use paired::Paired;

@@ -1,6 +1,7 @@
 //! `RunFolder`: one folder per run, locked by one process at a time.
 
 use crate::facts::Facts;
+use crate::findings::Finding;
 use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed};
 use crate::input;
 use crate::scores::ScoreTable;
@@ -87,7 +88,7 @@ impl RunFolder {
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Opens `run.json` for another start on `data`; for a joined model with the folders of its `members`. Replaces
+    /// Opens `run.json` for another start on `data` with `findings`; for a joined model with the folders of its `members`. Replaces
     /// `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since earlier
     /// checksums and baselines may become invalid.
     ///
@@ -98,13 +99,14 @@ impl RunFolder {
     pub(crate) fn begin(
         &mut self,
         pipeline: &Pipeline,
-        (data, partition): (&Dataset, &Partition),
+        (data, partition, findings): (&Dataset, &Partition, Vec<Finding>),
         members: Vec<String>,
     ) -> Result<Facts> {
         let facts = Facts {
             data: data.title.clone(),
             simulated: data.is_simulated(),
             samples: partition.sizes(),
+            findings,
             members,
             ..Facts::open(self.path(), pipeline.seed)?
         };

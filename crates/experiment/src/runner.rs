@@ -6,7 +6,7 @@ use crate::folder::{CURVE, MODEL_FILE};
 use crate::input::prepared;
 use crate::intervals::calibrated;
 use crate::journal::Journal;
-use crate::load::load;
+use crate::load::{load, load_with_findings};
 use crate::page::conclude;
 use crate::residuals::{check_residuals, with_residuals};
 use crate::run_folder::{RunFolder, RunState};
@@ -107,7 +107,7 @@ fn attempt(
             folder.settle(facts.verify_file(folder.path(), MODEL_FILE))?;
         }
     }
-    let (data, partition) = load(pipeline, base, session.observer)?;
+    let (data, partition, findings) = load_with_findings(pipeline, base, session.observer)?;
     pipeline.check_data(&data)?;
     check_residuals(pipeline, &data, &partition, false)?;
     // Created before a new folder is claimed: invalid settings must not leave files.
@@ -125,7 +125,7 @@ fn attempt(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let facts = folder.begin(pipeline, (&data, &partition), Vec::new());
+    let facts = folder.begin(pipeline, (&data, &partition, findings), Vec::new());
     let facts = folder.settle(facts)?;
     let training = Training { pipeline, data: &data, partition: &partition, session, begun };
     let ended = complete(training, trainer, (&folder, facts));

@@ -20,7 +20,7 @@ use crate::evaluate::evaluate;
 use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
 use crate::intervals::calibrated;
-use crate::load::load;
+use crate::load::load_with_findings;
 use crate::page::conclude;
 use crate::residuals::with_residuals;
 use crate::run_folder::RunFolder;
@@ -185,10 +185,10 @@ impl Join<'_, '_> {
         {
             return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
-        let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
+        let (data, partition, findings) = load_with_findings(self.pipeline, Path::new(""), self.session.observer)?;
         self.pipeline.check_data(&data)?;
         let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
-        let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
+        let facts = folder.begin(self.pipeline, (&data, &partition, findings), members)?;
         let known = (&data, &partition);
         let fitted = with_residuals(ensemble, self.pipeline, known, self.plan.runs.len(), self.session);
         ensemble = match fitted.and_then(|fitted| calibrated(fitted, self.pipeline, known, self.session)) {

@@ -1,10 +1,10 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
 use crate::arrays::{Gain, axes, input_array, numbers, shape_of};
-use crate::border::wrong;
+use crate::border::{free, wrong};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
-use pwrfgs::experiment::data_warnings;
+use pwrfgs::experiment::findings;
 use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -78,7 +78,8 @@ pub(super) fn turned(
 pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
-    data_warnings(data, None).into_iter().try_for_each(warn)
+    let found = free(py, || findings(data, None))?;
+    found.iter().map(ToString::to_string).try_for_each(warn)
 }
 
 /// Reads spectra; bytes stay bytes.

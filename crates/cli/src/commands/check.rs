@@ -9,7 +9,7 @@ use clap::Args;
 use pwrfgs::experiment::inspect::{inspect as summary, length};
 use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::text::{aligned, duration, grouped};
-use pwrfgs::experiment::{Observer as _, Preview, data_warnings, preview, read_pipeline, staged};
+use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline, staged, warn_of_findings};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::train::{Rays, TimeEstimate};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
@@ -67,7 +67,6 @@ fn text(p: &Preview) -> String {
         ("data", format!("{}: {}", p.title, p.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
         ("test distance", format!("{} to the nearest training transmitter (median)", length(p.test_distance))),
-        ("point cloud", if p.points > 0 { format!("{} points", n(p.points)) } else { "none".into() }),
         (
             "Gaussians",
             match p.time.start.gaussians {
@@ -157,7 +156,7 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     let text = RunProgress::during(verbosity, |progress| {
         let (pipeline, data) = opened(&arguments.data, &arguments.set, progress)?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
-        data_warnings(&data, partition.as_ref()).iter().for_each(|warning| progress.on_warning(warning));
+        warn_of_findings(&data, partition.as_ref(), progress)?;
         summary(&pipeline, &data, progress)
     });
     output::result(&text?)

@@ -5,7 +5,7 @@ use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::{Args, Subcommand};
 use pwrfgs::experiment::text::{aligned, grouped};
-use pwrfgs::experiment::{Observer as _, data_warnings, observed, staged};
+use pwrfgs::experiment::{observed, staged, warn_of_findings};
 use pwrfgs_core::files::{digest, if_found, read};
 use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Dataset, Result, recognise};
@@ -160,7 +160,7 @@ fn checked(folder: &Path, verbosity: Verbosity) -> Result<String> {
     };
     let data = RunProgress::during(verbosity, |progress| {
         let data = staged(progress, "observations", |bar| source.load(Path::new(""), bar))?;
-        data_warnings(&data, None).iter().for_each(|warning| progress.on_warning(warning));
+        warn_of_findings(&data, None, progress)?;
         Ok(data)
     })?;
     let none = || "digests: no file of a known public data set; `pwrfgs data` lists them\n".to_owned();

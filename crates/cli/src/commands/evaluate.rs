@@ -8,7 +8,7 @@ use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::{listed, number};
 use pwrfgs::experiment::{
-    Facts, Machine, Session, evaluate as score, load as load_data, model_file, read_pipeline, write_results,
+    Facts, Machine, Session, evaluate as score, load_with_findings, model_file, read_pipeline, write_results,
 };
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
@@ -56,7 +56,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let pipeline = read_pipeline(path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let mut progress = RunProgress::new(verbosity);
-    let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
+    let (data, partition, findings) = load_with_findings(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
     }
@@ -77,6 +77,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::here(),
             gaussians: ensemble.gaussians(),
+            findings,
             scores: Some(scores.table.clone()),
             ..Facts::default()
         };

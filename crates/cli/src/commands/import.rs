@@ -1,13 +1,14 @@
 //! `pwrfgs import`: converts spectra and positions, or a table of links, into a data folder.
 
+use super::init::unknown_folder;
 use super::options::{numbers, position};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::import::{Import as Work, links};
 use pwrfgs::data::save;
-use pwrfgs::experiment::{data_warnings, equality_warning, observed, position_warning, staged};
-use pwrfgs_core::{Elevation, Error, Number, Pose, Result};
+use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -82,7 +83,13 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         simulated: arguments.simulated,
     };
     let imported = RunProgress::during(verbosity, |progress| {
-        staged(progress, "spectra", |progress| work.write(&arguments.out, progress))
+        let imported = staged(progress, "spectra", |progress| work.write(&arguments.out, progress))?;
+        if verbosity != Verbosity::Quiet {
+            let source = recognise(&arguments.out).ok_or_else(|| unknown_folder(&arguments.out))?;
+            let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
+            warn_of_findings(&data, None, progress)?;
+        }
+        Ok::<_, Error>(imported)
     })?;
     let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);
     position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
@@ -107,7 +114,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
 fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
     let (data, silent) = links(path, name, arguments.simulated)?;
     save(&data, &arguments.out)?;
-    data_warnings(&data, None).iter().for_each(|warning| output::warning(warning));
+    warn_of_findings(&data, None, &mut RunProgress::new(verbosity))?;
     let out = arguments.out.display();
     let left_out = if silent == 0 { String::new() } else { format!("; rows of -100 dBm, not received: {silent}") };
     verbosity.note(&format!("{} in {out}{left_out}; next: `pwrfgs init {out}`", observed(&data)));

@@ -6,7 +6,7 @@ use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{check_alike, staged};
+use pwrfgs::experiment::{Agreement, check_alike, staged, warn_of_findings};
 use pwrfgs::model::file;
 use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::messages::strip_control;
@@ -18,7 +18,8 @@ use std::time::Instant;
 #[command(after_help = "\
 The model needs a residual process (residuals: Kriged() in its pipeline). All links of the new data
 become known links. Nothing is trained: the Gaussians, the network and the correlation stay.
-The data need the observations, receivers and frequencies of the model.
+The data need the observations, receivers and frequencies of the model, and most links must lie
+inside its 99 % intervals. A model without calibration of intervals prints the distances only.
 
 EXAMPLES
   pwrfgs update runs/lab --data data/today --out today.safetensors")]
@@ -32,7 +33,13 @@ pub(crate) struct Update {
     /// Model file to write; must not exist
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
+    /// Accept data that are far from the model, such as after a change of the room
+    #[arg(long, value_name = "FINDING", value_parser = [FAR])]
+    pub(crate) accept: Vec<String>,
 }
+
+/// Name of the finding that most links lie outside the intervals of the model.
+const FAR: &str = "far-from-model";
 
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
@@ -59,6 +66,16 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
         let what = format!("receiver `{name}` has another pose than in the model; give data of the same receivers");
         return Err(Error::input(&arguments.data, what));
     }
+    warn_of_findings(&data, None, &mut progress)?;
+    let agreement = Agreement::measure(&model, &data, &mut progress)?;
+    if agreement.is_far() && arguments.accept.is_empty() {
+        let what = format!(
+            "new data are far from the model: {agreement}; check the order, units, axes and poses of the data, or add \
+             `--accept {FAR}` if the room has changed"
+        );
+        return Err(Error::input(&arguments.data, what));
+    }
+    verbosity.note(&format!("new data against the model: {agreement}"));
     let begun = Instant::now();
     let (updated, added) = residuals.updated(&model, &data)?;
     let updated = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());

@@ -108,6 +108,7 @@ impl Section {
             },
         );
         let mut warnings = message.split_off(1);
+        warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.holes());
         warnings.extend(comparison.ambiguous());
         warnings.extend(drawn.left_out);

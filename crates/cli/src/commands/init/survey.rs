@@ -2,7 +2,7 @@
 
 use pwrfgs::data::read_points;
 use pwrfgs::experiment::inspect::test_distance;
-use pwrfgs::experiment::{Observer, data_warnings, observed, staged};
+use pwrfgs::experiment::{Observer, observed, staged, warn_of_findings};
 use pwrfgs_core::plugin::name_of as plugin_name;
 use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, Split, recognise, rng};
 use std::collections::BTreeSet;
@@ -70,11 +70,16 @@ impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
     pub(crate) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
-        let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
+        let mut data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested_split(&data)?;
-        data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
+        let clouds = clouds(folder);
+        if let Some((_, points)) = clouds.first().filter(|_| data.camera.is_none()) {
+            data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();
+        }
+        warn_of_findings(&data, Some(&partition), observer)?;
         let nearest = test_distance(&data, &partition);
-        Ok(Self { source, data, split, partition, nearest, clouds: clouds(folder) })
+        let clouds = clouds.into_iter().map(|(path, points)| (path, points.len())).collect();
+        Ok(Self { source, data, split, partition, nearest, clouds })
     }
 
     /// Stride of training pixels: spectra of a small array are smooth.
@@ -161,7 +166,7 @@ pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
 }
 
 /// Readable point clouds in the folder, by name.
-fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
+fn clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
     let is_cloud = |path: &PathBuf| {
         let extension = extension(path);
         let points = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));
@@ -171,7 +176,7 @@ fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
     let mut paths: Vec<PathBuf> = entries.filter(is_cloud).collect();
     paths.sort();
     let read = |path: PathBuf| {
-        let points = read_points(&path).ok()?.len();
+        let points = read_points(&path).ok()?;
         Some((PathBuf::from(path.file_name()?), points))
     };
     paths.into_iter().filter_map(read).collect()

@@ -2,14 +2,13 @@
 //!
 //! If most transmitters are received strongest along the direct path, the strongest directions of spectra are the lines of
 //! sight in the receiver's frame, up to one rotation: the error of the recorded orientation. The rotation that fits best
-//! is compared with one constant direction, which ignores the transmitter.
-//!
-//! Wahba's problem, max over R of Σ w bᵀRa, is the largest eigenvector of a symmetric 4 x 4 matrix (Davenport's
-//! q-method). With weights 1/angle, updated iteratively, the result minimises the sum of angles: reflections that are
-//! stronger than the direct path then have little influence.
+//! is compared with one constant direction, which ignores the transmitter. A moving receiver has an orientation per
+//! spectrum: the rotation is then one of the array in the frame that moves, or one of the world.
 
+use super::finding::Finding;
+use super::rotation::{DirectionPair, angle, best, middle};
 use super::spectra::SpectrumSummary;
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use pwrfgs_core::{AngleAxis, Dataset, ImagePlane, evenly, statistics};
 
 /// Largest number of compared pairs.
@@ -30,8 +29,11 @@ pub struct PoseCheck {
     pub constant: f64,
     /// Angle of the best rotation.
     pub turn: f64,
-    /// Orientation x, y, z, w after the best rotation of the recorded one.
+    /// Orientation x, y, z, w after the best rotation of the recorded one. For a moving receiver: the factor of every
+    /// recorded orientation.
     pub orientation: [f64; 4],
+    /// Meaning of `orientation`.
+    pub correction: Correction,
     /// Angle of lines of sight from their mean direction.
     pub spread: f64,
     /// Alternative interpretations of the recorded numbers, with the angle.
@@ -42,57 +44,101 @@ pub struct PoseCheck {
     pub verdict: PoseVerdict,
 }
 
-/// Checks the recorded pose; `None` if fewer than twenty spectra have a strongest direction, or the receiver moves.
-pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
-    if data.orientations.is_some() {
+/// Meaning of the orientation that fits best.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Correction {
+    /// It replaces the one that is recorded.
+    Replaced,
+    /// Each orientation of a moving receiver is multiplied by it from the right: a rotation of the array.
+    Right,
+    /// Each orientation of a moving receiver is multiplied by it from the left: a rotation of the world.
+    Left,
+}
+
+/// Line of sight in the world, recorded orientation and strongest direction of a spectrum.
+#[derive(Clone, Copy)]
+struct Sighting {
+    sight: DVec3,
+    recorded: DQuat,
+    strongest: DVec3,
+}
+
+impl Sighting {
+    /// Line of sight by another meaning of the recorded orientation, and the strongest direction.
+    fn pair(self, meaning: Meaning) -> DirectionPair {
+        (meaning(self.recorded).inverse() * self.sight, self.strongest)
+    }
+}
+
+/// Meaning of recorded numbers: the orientation from receiver to world.
+type Meaning = fn(DQuat) -> DQuat;
+/// Numbers w, x, y, z that were read as x, y, z, w.
+const W_FIRST: Meaning = |q| DQuat::from_xyzw(q.y, q.z, q.w, q.x);
+
+/// Checks the recorded pose; `None` for camera images, or if fewer than twenty spectra have a strongest direction.
+pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
+    if data.camera.is_some() || !data.placed {
         return None;
     }
     // The first of several receivers; each has its own pose.
     let receiver = data.scene.origin.world_pose(data.scene.pose());
-    let pair = |spectrum: &SpectrumSummary| {
-        let sample = data.sample(spectrum.sample);
-        let sight = DVec3::from_array(sample.tx) - DVec3::from_array(receiver.position);
-        if sample.receiver != 0 {
-            return None;
-        }
-        Some((sight.try_normalize()?, spectrum.strongest?))
+    let moves = data.orientations.is_some();
+    let sighting = |spectrum: &SpectrumSummary| {
+        let query = data.query(spectrum.sample);
+        let towards = DVec3::from_array(query.tx) - DVec3::from_array(receiver.position);
+        let [x, y, z, w] = query.orientation.unwrap_or(receiver.orientation);
+        // The receiver of a moving array is at the position of the "transmitter".
+        let sight = if moves { -towards } else { towards }.try_normalize()?;
+        let recorded = DQuat::from_xyzw(x, y, z, w).normalize();
+        (query.receiver == 0).then_some(Sighting { sight, recorded, strongest: spectrum.strongest? })
     };
-    let in_world: Vec<DirectionPair> = evenly(&spectra.iter().filter_map(pair).collect::<Vec<_>>(), PAIRS);
-    if in_world.len() < FEWEST {
+    let all: Vec<Sighting> = evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS);
+    if all.len() < FEWEST {
         return None;
     }
-    let [x, y, z, w] = receiver.orientation;
-    let recorded = DQuat::from_xyzw(x, y, z, w).normalize();
-    let with = |world_from_receiver: DQuat| -> Vec<DirectionPair> {
-        in_world.iter().map(|(sight, strongest)| (world_from_receiver.inverse() * *sight, *strongest)).collect()
-    };
-    let other_order = DQuat::from_xyzw(y, z, w, x).normalize();
-    let readings = [
-        ("x, y, z, w, turned the other way (receiver from world)", recorded.inverse()),
-        ("w, x, y, z", other_order),
-        ("w, x, y, z, turned the other way", other_order.inverse()),
+    let by = |meaning| all.iter().map(|one| one.pair(meaning)).collect::<Vec<DirectionPair>>();
+    let pairs = by(|recorded| recorded);
+    let readings: [(_, Meaning); 3] = [
+        ("x, y, z, w, turned the other way (receiver from world)", |q| q.inverse()),
+        ("w, x, y, z", W_FIRST),
+        ("w, x, y, z, turned the other way", |q| W_FIRST(q).inverse()),
     ];
-    let pairs = with(recorded);
-    let correction = best(&pairs);
     let (sights, strongest): (Vec<DVec3>, Vec<DVec3>) = pairs.iter().copied().unzip();
     let spread = |directions: &[DVec3]| {
         let middle = middle(directions);
         median_deg(directions.iter().map(|d| angle(middle, *d)))
     };
+    let (turned, rotation, correction) = best_correction(&pairs, moves.then_some(&all));
+    let fits = rotation.inverse();
+    let orientation = if moves { fits } else { (all[0].recorded * fits).normalize() };
     let mut found = PoseCheck {
         pairs: pairs.len(),
         recorded: median(&pairs, DQuat::IDENTITY),
-        turned: median(&pairs, correction),
+        turned,
         constant: spread(&strongest),
-        turn: correction.angle_between(DQuat::IDENTITY).to_degrees(),
-        orientation: (recorded * correction.inverse()).normalize().to_array(),
+        turn: rotation.angle_between(DQuat::IDENTITY).to_degrees(),
+        orientation: orientation.to_array(),
+        correction,
         spread: spread(&sights),
-        readings: readings.map(|(name, taken)| (name, median(&with(taken), DQuat::IDENTITY))).into(),
+        readings: readings.map(|(name, meaning)| (name, median(&by(meaning), DQuat::IDENTITY))).into(),
         flips: flips(&data.plane(), &pairs),
         verdict: PoseVerdict::Right,
     };
     found.verdict = PoseVerdict::of(&found);
     Some(found)
+}
+
+/// Median angle after the rotation that fits best, that rotation, and its meaning; `moving` has the sightings of a moving
+/// receiver.
+fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (f64, DQuat, Correction) {
+    let turned = |pairs: &[DirectionPair], correction| {
+        let rotation = best(pairs);
+        (median(pairs, rotation), rotation, correction)
+    };
+    let Some(all) = moving else { return turned(pairs, Correction::Replaced) };
+    let in_world: Vec<DirectionPair> = all.iter().map(|one| (one.sight, one.recorded * one.strongest)).collect();
+    let (right, left) = (turned(pairs, Correction::Right), turned(&in_world, Correction::Left));
+    if left.0 < right.0 { left } else { right }
 }
 
 /// Reversed columns and rows, with the best orientation.
@@ -138,13 +184,15 @@ pub enum PoseVerdict {
     NotDirect,
 }
 
-/// Largest rotation within the precision of the strongest pixel, degrees.
+/// Largest rotation, or gain of one, within the precision of the strongest pixel, degrees.
 const SMALL_DEG: f64 = 2.0;
 /// Largest ratio of remaining angle to the angle of a constant direction for which the strongest direction follows the
 /// line of sight.
 const FOLLOWS: f64 = 0.6;
 /// Angle above which the strongest direction is not the line of sight, degrees.
 const WIDE_DEG: f64 = 20.0;
+/// Correction of the orientations of a moving receiver.
+const POSES: &str = "correct qx, qy, qz, qw in rx_pose.csv";
 /// Name of a flip of the spectra, and its correction.
 type Flip = (&'static str, &'static str);
 const COLUMNS: Flip = ("columns reversed (azimuth the other way)", "save the spectra as s[:, :, ::-1]");
@@ -158,7 +206,12 @@ impl PoseVerdict {
         if found.flip().is_some() {
             return Self::Flipped;
         }
-        let agrees = found.turn <= SMALL_DEG || found.recorded <= 1.15 * found.turned + 0.5;
+        let agrees = found.turn <= SMALL_DEG || found.recorded <= 1.15 * found.turned + SMALL_DEG;
+        // No single rotation mends the orientations of a moving receiver that were read in another way.
+        let is_misread = |(_, angle)| angle <= FOLLOWS * found.constant && found.recorded - angle > SMALL_DEG;
+        if found.better_reading().is_some_and(is_misread) {
+            return Self::Off;
+        }
         match (found.follows(), agrees) {
             (true, true) => Self::Right,
             (true, false) => Self::Off,
@@ -197,10 +250,17 @@ impl PoseCheck {
              rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters leaves {constant:.1}°."
         )];
         match self.verdict {
-            PoseVerdict::Off => all.push(format!(
-                "The recorded orientation is wrong or its numbers have another meaning. This orientation fits: [{x:.6}, \
-                 {y:.6}, {z:.6}, {w:.6}] (x, y, z, w)."
-            )),
+            PoseVerdict::Off if self.follows() => {
+                let what = match self.correction {
+                    Correction::Replaced => "This orientation fits",
+                    Correction::Right => "Orientations fit if each is multiplied from the right by",
+                    Correction::Left => "Orientations fit if each is multiplied from the left by",
+                };
+                all.push(format!(
+                    "The recorded orientation is wrong or its numbers have another meaning. {what}: [{x:.6}, {y:.6}, \
+                     {z:.6}, {w:.6}] (x, y, z, w)."
+                ));
+            }
             PoseVerdict::Right | PoseVerdict::Unclear if !self.follows() => all.push(format!(
                 "Transmitters are seen within {spread:.1}° of one direction (median), so a wrong orientation and a strongest \
                  path that is not direct look alike. Spectra of transmitters at known positions, 30° or more apart and in \
@@ -217,6 +277,43 @@ impl PoseCheck {
         all
     }
 
+    /// The finding, unless the pose fits or the spectra cannot tell.
+    pub(crate) fn finding(&self, data: &Dataset) -> Option<Finding> {
+        let Self { pairs, recorded, turned, orientation: [x, y, z, w], .. } = self;
+        let away =
+            format!("the strongest direction is {recorded:.1}° from the line of sight (median of {pairs} spectra)");
+        let factor = format!("[{x:.6}, {y:.6}, {z:.6}, {w:.6}] (x, y, z, w)");
+        let (name, problem, mend) = match (self.verdict, self.correction, self.better_reading()) {
+            (PoseVerdict::Off, Correction::Replaced, reading) => {
+                let order = reading.map_or(String::new(), |(name, _)| format!("; the recorded numbers may be {name}"));
+                let place = "give it to `import --orientation`, or as `orientation` in gateway_info.yml";
+                ("orientation", away, format!("with {factor} it is {turned:.1}°: {place}{order}"))
+            }
+            (PoseVerdict::Off, _, Some((name, angle))) => {
+                let mend = format!("if the recorded numbers are {name}, it is {angle:.1}°: {POSES}");
+                ("orientation", away, mend)
+            }
+            (PoseVerdict::Off, correction, None) => {
+                let side = if correction == Correction::Left { "left" } else { "right" };
+                let mend = format!("multiplied from the {side} by {factor}, orientations give {turned:.1}°: {POSES}");
+                ("orientation", away, mend)
+            }
+            (PoseVerdict::Flipped, ..) => {
+                let ((name, advice), angle) = self.flip()?;
+                let problem = format!("{away}, and {angle:.1}° with {name} and the rotation that then fits best");
+                let mend = format!("{advice}, or correct the positions if two of their axes are exchanged");
+                ("mirrored-spectra", problem, mend)
+            }
+            (PoseVerdict::NotDirect, ..) if has_room(data) => {
+                let mend = "if most transmitters are in line of sight, check order, unit and axes of the positions, and the \
+                            axes of the spectra";
+                ("line-of-sight", format!("{away} and does not follow the transmitter"), mend.to_owned())
+            }
+            _ => return None,
+        };
+        Some(Finding::new(name, *pairs, problem, mend))
+    }
+
     /// Interpretation of the recorded numbers that fits much better than the documented one.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let limit = (0.5 * self.recorded).min(1.5 * self.turned);
@@ -230,110 +327,7 @@ impl PoseCheck {
     }
 }
 
-/// Smallest angle in the weights, radians: about a pixel.
-const LEAST: f64 = 0.01;
-/// Number of reweighting iterations.
-const ROUNDS: usize = 40;
-/// Number of matrix squarings, which separate eigenvalues with a relative difference of 10⁻⁹.
-const SQUARINGS: usize = 36;
-
-/// Two directions that should coincide.
-type DirectionPair = (DVec3, DVec3);
-
-/// Angle between two unit vectors, radians; accurate for small angles, unlike the arc cosine.
-fn angle(a: DVec3, b: DVec3) -> f64 {
-    a.cross(b).length().atan2(a.dot(b))
-}
-
-/// Rotation R with the smallest Σ angle(R a, b).
-fn best(pairs: &[DirectionPair]) -> DQuat {
-    let cost = |r: &DQuat| pairs.iter().map(|(a, b)| angle(*r * *a, *b)).sum::<f64>();
-    // Two starts: no rotation, and the least-squares rotation.
-    let [a, b] = [DQuat::IDENTITY, wahba(pairs, &vec![1.0; pairs.len()])].map(|start| refined(start, pairs));
-    if cost(&b) < cost(&a) { b } else { a }
-}
-
-fn refined(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
-    for _ in 0..ROUNDS {
-        let weights: Vec<f64> = pairs.iter().map(|(a, b)| 1.0 / angle(rotation * *a, *b).max(LEAST)).collect();
-        let next = wahba(pairs, &weights);
-        let change = next.angle_between(rotation);
-        rotation = next;
-        if change < 1e-6 {
-            break;
-        }
-    }
-    rotation
-}
-
-/// Rotation with the largest Σ w bᵀRa.
-fn wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
-    let (mut m, mut z) = (DMat3::ZERO, DVec3::ZERO);
-    for ((a, b), w) in pairs.iter().zip(weights) {
-        m += DMat3::from_cols(*b * a.x, *b * a.y, *b * a.z) * *w;
-        z += a.cross(*b) * *w;
-    }
-    let (trace, s) = (m.x_axis.x + m.y_axis.y + m.z_axis.z, m + m.transpose());
-    let mut k = DMat4::from_mat3(s - DMat3::from_diagonal(DVec3::splat(trace)));
-    (k.w_axis, k.x_axis.w, k.y_axis.w, k.z_axis.w) = (z.extend(trace), z.x, z.y, z.z);
-    // Repeated squaring of the shifted, positive matrix leaves its largest eigenvector.
-    let size = |m: &DMat4| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
-    k += DMat4::IDENTITY * size(&k);
-    for _ in 0..SQUARINGS {
-        k = k * (1.0 / size(&k));
-        k = k * k;
-    }
-    let columns = [k.x_axis, k.y_axis, k.z_axis, k.w_axis];
-    let longest = columns.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
-    DQuat::from_vec4(longest.unwrap_or_default().normalize_or(glam::DVec4::W))
-}
-
-/// Direction with the smallest sum of angles to all (spherical median).
-fn middle(directions: &[DVec3]) -> DVec3 {
-    let mut middle = directions.iter().sum::<DVec3>().normalize_or(DVec3::Z);
-    for _ in 0..ROUNDS {
-        let pull: DVec3 = directions.iter().map(|d| *d / angle(*d, middle).max(LEAST)).sum();
-        middle = pull.normalize_or(middle);
-    }
-    middle
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use pwrfgs_core::rng;
-
-    fn direction(random: &mut rng::Rng) -> DVec3 {
-        DVec3::from_array([(); 3].map(|()| f64::from(rng::normal(random) as f32))).normalize()
-    }
-
-    #[test]
-    fn finds_any_rotation_despite_outliers() {
-        let mut random = rng::stream(1, "rotation", 0);
-        for k in 0..20 {
-            let truth = DQuat::from_axis_angle(direction(&mut random), 0.15 * f64::from(k));
-            let pair = |i: usize, random: &mut rng::Rng| {
-                let a = direction(random);
-                // A third of the pairs are random.
-                (a, if i.is_multiple_of(3) { direction(random) } else { truth * a })
-            };
-            let pairs: Vec<DirectionPair> = (0..300).map(|i| pair(i, &mut random)).collect();
-            let found = best(&pairs);
-            assert!(found.angle_between(truth).to_degrees() < 0.1, "{k}: {found} is not {truth}");
-        }
-    }
-
-    #[test]
-    fn least_squares_rotation_is_exact_without_outliers() {
-        let truth = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -1.2, 2.5);
-        let pairs: Vec<DirectionPair> = [DVec3::X, DVec3::Y].map(|a| (a, truth * a)).into();
-        assert!(wahba(&pairs, &[1.0, 1.0]).angle_between(truth) < 1e-7);
-    }
-
-    #[test]
-    fn median_direction_ignores_outliers() {
-        let mut directions = vec![DVec3::Z; 7];
-        directions.extend([DVec3::X; 3]);
-        assert!(angle(middle(&directions), DVec3::Z).to_degrees() < 0.5);
-    }
+/// Whether transmitters are in a room, so that direct paths exist: simulated spectra of `Teacher` have none.
+fn has_room(data: &Dataset) -> bool {
+    data.simulation.as_ref().is_none_or(|simulation| simulation.scene.is_some())
 }
