@@ -19,7 +19,7 @@ mod region;
 pub use features::FingerprintFeatures;
 pub use fingerprints::{Fingerprints, NearestFingerprints};
 pub use locator::{Choice, Located, Locator, SHARES};
-pub use region::{Region, RegionRule};
+pub use region::Region;
 
 use pwrfgs_core::statistics::{mean, median};
 

@@ -65,7 +65,7 @@ fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten()
     assert!(mean < worse && median < 0.5, "{mean} m and {median} m, nearest fingerprints {worse} m");
     let held = located.iter().enumerate().filter(|(k, own)| own.holds(truth(*k)) == Some(true)).count();
     assert!((96..=118).contains(&held), "{held} of 120 regions hold the true position");
-    let outline = located[0].region().unwrap().outlines();
+    let outline = located[0].region.as_ref().unwrap().outlines();
     assert!(!outline.is_empty());
 }
 
