@@ -1,46 +1,25 @@
 //! `Locator`: positions from observations.
 
+use crate::choice::{Choice, Truth, level};
 use crate::descent::descend;
 use crate::region::Density;
-use crate::{FingerprintFeatures, Fingerprints, Region, mean_and_median};
+use crate::{FingerprintFeatures, Fingerprints, Region};
 use pwrfgs_core::neighbours::{distance, nearest_other_squared};
-use pwrfgs_core::statistics::{mean, median, sorted};
+use pwrfgs_core::statistics::{mean, median};
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
 use rayon::prelude::*;
 
 /// Shares of the model in the fingerprints among which validation samples choose, in `locate` and in `view`.
 pub const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
-/// Sharpnesses to choose from.
-const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
-/// Kernel widths to choose from, in units of the distance between neighbouring training positions.
-const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// One of this number of true positions may be outside its region: regions should hold 90 %.
-const MISSED: usize = 10;
-/// Maximum number of validation samples on which descent is compared with no descent.
+/// Kernel widths of the mode to choose from, in units of that of the density.
+const WIDER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
+/// Maximum number of validation samples on which kernel widths of the mode are compared, and descent with no descent.
 const COMPARED: usize = 100;
 /// Level of the parts among which the most probable one is chosen, if there are too few validation samples for regions.
 const LEVEL: f32 = 0.1;
 /// Distance of validation samples from training samples up to which they lie between them, in units of the distance between
 /// neighbouring training positions.
 const BETWEEN: f64 = 1.5;
-/// Settings without validation samples: sharpness, and kernel width as in [`BANDWIDTHS`].
-const DEFAULTS: (f64, f64) = (4.0, 1.0);
-
-/// Settings of a [`Locator`] that validation samples choose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Choice {
-    /// Share of the model in the fingerprints; the rest is measured.
-    pub share: f32,
-    /// Sharpness s of the weights exp(-s·misfit/scale).
-    pub sharpness: f64,
-    /// Misfit of the best fingerprint of a typical sample.
-    pub scale: f64,
-    /// Width of the kernel around every position, metres.
-    pub bandwidth: f64,
-    /// Whether the mode is improved by descent along the model.
-    pub descends: bool,
-}
-
 /// Finds the position of a transmitter from its observations.
 pub struct Locator<'a> {
     features: FingerprintFeatures,
@@ -82,9 +61,6 @@ impl Located {
         self.region.as_ref().map(|region| region.holds([x, y]))
     }
 }
-
-/// Observation of a validation sample, and its true position.
-type Truth = (Vec<f32>, [f64; 3]);
 
 impl<'a> Locator<'a> {
     /// Fits to the training links `known.train` of `data`. `shares` are the shares of the model among which the validation
@@ -148,7 +124,7 @@ impl<'a> Locator<'a> {
             choice,
             level,
         };
-        own.choose_descent(&truths);
+        own.choose_estimate(&truths);
         Ok(own)
     }
 
@@ -221,44 +197,35 @@ impl<'a> Locator<'a> {
         let own = misfits.iter_mut().zip(&self.fingerprints.positions).filter(|(_, place)| left_out == Some(**place));
         own.for_each(|(misfit, _)| *misfit = f32::INFINITY);
         let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
-        let (position, region) = self.position(observation, &misfits);
+        let (density, region) = self.density_and_region(&misfits);
+        let position = self.estimate(observation, &density, &region);
         let region = self.level.map(|_| region);
         Located { position, misfit: f64::from(least) / self.choice.scale, region }
     }
 
-    /// Returns the mode of the most probable part of the region, improved by descent if that was chosen and ends at a
-    /// possible position in this part; and the region.
-    fn position(&self, observation: &[f32], misfits: &[f32]) -> ([f64; 3], Region) {
-        let weights = weights(misfits, self.choice.sharpness / self.choice.scale);
-        let density = Density::new(&weights, &self.fingerprints.positions, self.choice.bandwidth);
+    fn density_and_region(&self, misfits: &[f32]) -> (Density, Region) {
+        let density = self.choice.density(misfits, &self.fingerprints.positions);
         let region = density.grid().region(self.level.unwrap_or(LEVEL));
-        let mode = region.mode(&density);
-        if !self.choice.descends {
-            return (mode, region);
-        }
-        let part = region.part_at([mode[0], mode[1]]);
-        let is_in_part = |[x, y, _]: &[f64; 3]| region.part_at([*x, *y]) == part;
-        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|own| own([*x, *y]));
-        let own = weights.iter().zip(&self.fingerprints.positions).filter(|(_, place)| is_in_part(place));
-        let found = self.descended(observation, own, mode);
-        (found.filter(|place| is_in_part(place) && is_possible(place)).unwrap_or(mode), region)
+        (density, region)
     }
 
-    /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of the
-    /// spread of the weighted positions.
-    fn descended<'p>(
-        &self,
-        observation: &[f32],
-        weighted: impl Iterator<Item = (&'p f64, &'p [f64; 3])>,
-        start: [f64; 3],
-    ) -> Option<[f64; 3]> {
-        let (mut squares, mut sum) = ([0.0; 3], 0.0);
-        for (w, p) in weighted {
-            sum += w;
-            (0..3).for_each(|k| squares[k] += w * (p[k] - start[k]).powi(2));
+    /// Returns the mode of the most probable part of the region, improved by descent if that was chosen and ends at a
+    /// possible position in this part.
+    fn estimate(&self, observation: &[f32], density: &Density, region: &Region) -> [f64; 3] {
+        let (part, mode) = region.most_probable_mode(density, self.choice.mode_bandwidth);
+        if !self.choice.descends {
+            return mode;
         }
-        let spread = |square: f64| if sum > 0.0 { square / sum } else { 0.0 };
-        let scales = squares.map(|square| (self.spacing * self.spacing + spread(square)).sqrt());
+        let is_in_part = |[x, y, _]: &[f64; 3]| region.part_at([*x, *y]) == part;
+        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|own| own([*x, *y]));
+        let found = self.descended(observation, density.spread(mode, is_in_part), mode);
+        found.filter(|place| is_in_part(place) && is_possible(place)).unwrap_or(mode)
+    }
+
+    /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of
+    /// `spread` and the spacing.
+    fn descended(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
+        let scales = spread.map(|deviation| deviation.hypot(self.spacing));
         let gain = self.choice.sharpness / self.choice.scale;
         let function = |at: [f64; 3]| {
             let (misfit, gradient) = self.misfit(observation, at)?;
@@ -296,72 +263,31 @@ impl<'a> Locator<'a> {
         Some((sum, gradient))
     }
 
-    /// Turns descent on if it lowers the mean error of validation samples below that of the modes.
-    fn choose_descent(&mut self, truths: &[Truth]) {
-        let stride = truths.len().div_ceil(COMPARED).max(1);
-        let some: Vec<&Truth> = truths.iter().step_by(stride).collect();
-        if some.is_empty() {
+    /// Chooses the kernel width of the mode, then whether to descend, by the mean error of validation samples.
+    fn choose_estimate(&mut self, truths: &[Truth]) {
+        if truths.is_empty() {
             return;
         }
-        let mean_error = |locator: &Self| {
-            let position = |own: &[f32]| locator.position(own, &locator.fingerprints.misfits(own)).0;
-            let one = |(observation, truth): &&Truth| distance(position(observation), *truth);
-            mean_and_median(some.par_iter().map(one).collect())[0]
+        let some: Vec<&Truth> = truths.iter().step_by(truths.len().div_ceil(COMPARED)).collect();
+        let densities = |(own, _): &&Truth| self.density_and_region(&self.fingerprints.misfits(own));
+        let densities: Vec<(Density, Region)> = some.par_iter().map(densities).collect();
+        let mean_error = |choice: Choice, locator: &mut Self| {
+            locator.choice = choice;
+            let one = |((own, truth), (density, region)): (&&Truth, &(Density, Region))| {
+                distance(locator.estimate(own, density, region), *truth)
+            };
+            mean(some.par_iter().zip(&densities).map(one).collect::<Vec<f64>>())
         };
-        let without = mean_error(self);
-        self.choice.descends = true;
-        self.choice.descends = mean_error(self) < without;
+        let chosen = self.choice;
+        let wider = WIDER.map(|factor| Choice { mode_bandwidth: factor * chosen.bandwidth, ..chosen });
+        let mut best = (f64::INFINITY, chosen);
+        for choice in wider {
+            let error = mean_error(choice, self);
+            best = if error < best.0 { (error, choice) } else { best };
+        }
+        let descending = Choice { descends: true, ..best.1 };
+        self.choice = if mean_error(descending, self) < best.0 { descending } else { best.1 };
     }
-}
-
-impl Choice {
-    /// Returns the settings with the highest mean log density at the true positions, and this mean.
-    fn most_likely(
-        share: f32,
-        positions: &[[f64; 3]],
-        truths: &[Truth],
-        misfits: &[Vec<f32>],
-        spacing: f64,
-    ) -> (f64, Self) {
-        let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-        let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
-        let scale = if typical > 0.0 { typical } else { 1.0 };
-        let of = |(sharpness, width): (f64, f64)| Self {
-            share,
-            sharpness,
-            scale,
-            bandwidth: 2.0 * width * spacing,
-            descends: false,
-        };
-        let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| of((s, b)))).collect();
-        let densities = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
-            let of_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|own| {
-                let density = own[0].density(misfits, positions);
-                own.iter().map(move |own| density.widened(own.bandwidth).at([*x, *y]).ln())
-            });
-            of_sharpness.collect()
-        };
-        let densities: Vec<Vec<f64>> = misfits.par_iter().zip(truths).map(densities).collect();
-        let score = |k: usize| mean(densities.iter().map(|own| own[k]));
-        let scored = all.iter().enumerate().map(|(k, own)| (score(k), *own)).filter(|(score, _)| score.is_finite());
-        let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.unwrap_or((f64::NEG_INFINITY, of(DEFAULTS)))
-    }
-
-    fn density(&self, misfits: &[f32], positions: &[[f64; 3]]) -> Density {
-        Density::new(&weights(misfits, self.sharpness / self.scale), positions, self.bandwidth)
-    }
-}
-
-/// Returns the weights exp(-gain·misfit), which sum to 1.
-fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
-    let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-    if !least.is_finite() {
-        return vec![1.0 / misfits.len() as f64; misfits.len()]; // nothing in common with any fingerprint
-    }
-    let weights: Vec<f64> = misfits.iter().map(|m| (-gain * (f64::from(*m) - least)).exp()).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|w| w / sum).collect()
 }
 
 /// Returns half the median distance of a position to its nearest neighbour; at least 0.1 mm.
@@ -370,15 +296,4 @@ fn spacing(positions: &[[f64; 3]]) -> f64 {
     let squares = nearest_other_squared(&points);
     let typical = median(squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()));
     if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
-}
-
-/// Returns the level of the regions that hold nine of ten true positions; `None` if there are too few for this share.
-fn level(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>], choice: Choice) -> Option<f32> {
-    // The smallest of n values holds n/(n + 1) of new ones.
-    let last = ((truths.len() + 1) / MISSED).checked_sub(1)?;
-    let level = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
-        f64::from(choice.density(misfits, positions).grid().level_at([*x, *y]))
-    };
-    let levels = sorted(misfits.par_iter().zip(truths).map(level).collect::<Vec<f64>>());
-    Some(levels[last] as f32)
 }

@@ -80,6 +80,14 @@ impl Density {
         sum.map(|v| v / total)
     }
 
+    /// Returns the root mean square distances along the axes of the selected positions from a place, metres; 0 without any.
+    pub(crate) fn spread(&self, place: [f64; 3], is_selected: impl Fn(&[f64; 3]) -> bool) -> [f64; 3] {
+        let selected = || self.kernels.iter().filter(|(_, p)| is_selected(p));
+        let sum: f64 = selected().map(|(w, _)| w).sum();
+        let square = |k: usize| selected().map(|(w, p)| w * (p[k] - place[k]).powi(2)).sum::<f64>();
+        [0, 1, 2].map(|k| if sum > 0.0 { (square(k) / sum).sqrt() } else { 0.0 })
+    }
+
     /// Returns the grid of the density, around the kernels with most of the weight.
     pub(crate) fn grid(&self) -> Grid<'_> {
         let before = self.kernels.iter().scan(0.0, |sum, (w, p)| Some((std::mem::replace(sum, *sum + w), p)));
@@ -227,15 +235,20 @@ impl Region {
         (1..=self.count).max_by(|a, b| sums[*a as usize].total_cmp(&sums[*b as usize])).unwrap_or(0)
     }
 
-    /// Returns the mode of the most probable part and the mean height of the positions there, metres.
-    pub(crate) fn mode(&self, density: &Density) -> [f64; 3] {
+    /// Returns the most probable part and its mode, with the mean height of the positions there, metres. The mode is that of
+    /// the kernels in the part, at a width of `bandwidth`; if it is outside of the part, at the width of the density.
+    pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64) -> (u32, [f64; 3]) {
         let part = self.most_probable_part();
-        let own = (0..self.values.len()).filter(|k| self.parts[*k] == part);
-        let highest = own.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
+        let cells = (0..self.values.len()).filter(|k| self.parts[*k] == part);
+        let highest = cells.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
         let [x, y] = self.first();
         let start = [x + (highest % self.columns) as f64 * self.step, y + (highest / self.columns) as f64 * self.step];
-        let mode = Some(density.ascend(start)).filter(|mode| self.part_at(*mode) == part).unwrap_or(start);
-        [mode[0], mode[1], density.mean(mode, 2)[2]]
+        let is_in_part = |place: [f64; 2]| self.part_at(place) == part;
+        let own = density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y])).copied().collect();
+        let own = Density { kernels: own, bandwidth };
+        let modes = [own.ascend(start), density.ascend(start)];
+        let [x, y] = modes.into_iter().find(|mode| is_in_part(*mode)).unwrap_or(start);
+        (part, [x, y, density.mean([x, y], 2)[2]])
     }
 
     /// Returns the area, square metres.
@@ -342,7 +355,7 @@ mod tests {
         let places = [[0.0, 0.0, 1.0], [6.0, 0.0, 2.0], [6.9, 0.0, 2.0], [7.8, 0.0, 2.0]];
         let density = Density::new(&[0.34, 0.22, 0.22, 0.22], &places, 0.4);
         let region = density.grid().region(0.1);
-        let [x, y, z] = region.mode(&density);
+        let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4);
         assert_eq!(region.parts(), 2);
         assert!((x - 6.9).abs() < 0.1 && y.abs() < 1e-6 && z > 1.9, "{x} {y} {z}");
         assert!(region.holds([x, y]) && region.part_at([x, y]) != region.part_at([0.0, 0.0]));

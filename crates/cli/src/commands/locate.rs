@@ -27,12 +27,14 @@ const WIDTH_MM: f64 = 120.0;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Compares an observation with the fingerprints of the training positions: what was measured there,
-blended with what the model predicts there. Validation samples choose the blend, the sharpness of
-the weights, whether to descend along the model, and the size of the 90 % regions; train with
-validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
+blended with what the model predicts there. The estimate is the mode of the most probable part of
+the 90 % region. Validation samples choose the blend, the weights, whether to descend along the
+model, and the size of the regions; train with validation samples, such as
+split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
 
 Without OBSERVATIONS, locates the test samples of the model's data and prints the errors beside
 those of nearest fingerprints, of fingerprints predicted by Kriging, and of the centre of the room.
+With OBSERVATIONS, prints the estimates and the errors of validation samples.
 
 OBSERVATIONS
   spectra   .png, or .npy [B, height, width]
