@@ -45,7 +45,7 @@ pub use inspect::{Preview, preview};
 pub use load::{load, load_with_findings, observed};
 pub use model_file::model_file;
 pub use page::{rebuild_page, with_run, write_results};
-pub use paired::Paired;
+pub use paired::{Paired, PairedRow};
 pub use record::Record;
 pub use repeatability::{NoiseCeiling, Repeatability, ceiling, repeatability};
 pub use run_folder::RunFolder;

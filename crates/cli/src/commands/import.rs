@@ -91,8 +91,6 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         }
         Ok::<_, Error>(imported)
     })?;
-    let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);
-    position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
     if verbosity != Verbosity::Quiet {
         let ([m, h, w], (low, high)) = (imported.shape, imported.range);
         let kind = match imported.number {
