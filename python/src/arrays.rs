@@ -33,8 +33,9 @@ pub(crate) fn input_array<'py, T: Element>(
         _ => converted(what, value)?,
     };
     let have = array.shape();
+    let is_one = have.is_empty() && matches!(shape, [None | Some(1)]);
     let fits = have.len() == shape.len() && have.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
-    if !fits && !(have.is_empty() && matches!(shape, [None | Some(1)])) {
+    if !fits && !is_one {
         let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
         let message = format!("{what} has shape {have:?}, expected [{}]", want.join(", "));
         return Err(wrong(py, &message));
