@@ -149,7 +149,10 @@ fn training_stops_if_one_gaussian_remains() {
     assert!(!here.join("r/model.safetensors").exists());
     succeed(here, &run("asked", &["--set", "training.target_count=1"]));
     succeed(here, &run("alone", &["--set", "initializer=Grid(count: 1)"]));
-    let masks = "pruners=[LearnableMask(lambda: 1000, learning_rate: 1.0)]";
-    let masked = ["run", "p.ron", "--out", "masked", "--set", masks];
-    refuse(here, &masked, 1, &["one Gaussian is left at step 30, removed by `LearnableMask`: 8"]);
+    // Masks that close are a result; a rule that leaves one is none.
+    let pruned = |out: &'static str, pruners: &'static str| ["run", "p.ron", "--out", out, "--set", pruners];
+    succeed(here, &pruned("masked", "pruners=[LearnableMask(lambda: 1000, learning_rate: 1.0)]"));
+    assert_eq!(gaussians(&here.join("masked")), 1);
+    let rule = "pruners=[LearnableMask(), OpacityThreshold(epsilon: 0.99)]";
+    refuse(here, &pruned("rule", rule), 1, &["one Gaussian is left at step", "removed by `OpacityThreshold`: 8"]);
 }

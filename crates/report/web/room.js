@@ -99,7 +99,7 @@ void main() {
   float root = b * b - a * c;
   if (root < 0.0) discard;
   float t = (-b - sqrt(root)) / a;
-  if (t < 0.0 || t * dot(ray, ahead) < front) discard;
+  if (t < 0.0 || dot(middle - eye, ahead) < front) discard;
   vec3 hit = origin + t * along;
   vec3 normal = normalize(transpose(turn) * (hit / radii));
   vec4 clip = camera * vec4(eye + t * ray, 1.0);
