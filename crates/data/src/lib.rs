@@ -40,7 +40,7 @@ pub use checks::{UnlinkedNode, check, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
 pub use folder::{CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml};
 pub use geometry::{read_mesh, read_points};
-pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_poses, read_transmitters};
+pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_poses, read_powers, read_transmitters};
 pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};

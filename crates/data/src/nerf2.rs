@@ -9,7 +9,7 @@ mod rssi;
 mod tests;
 
 pub use csi::Nerf2Csi;
-pub use rssi::Nerf2Rssi;
+pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
 use crate::folder::{carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title};

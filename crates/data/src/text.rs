@@ -138,7 +138,7 @@ pub(crate) fn no_longer(path: &Path, line: usize, row: &[TextField<'_>], header:
 }
 
 /// Field of a row in the column with this name.
-fn cell<'a>(
+pub(crate) fn cell<'a>(
     path: &Path,
     line: usize,
     row: &[TextField<'a>],

@@ -7,7 +7,7 @@ use super::receivers::gateways;
 use super::{index, read_transmitters};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::text::{TextField, lines, no_longer, power, read_text, split_commas};
+use crate::text::{TextField, cell, dbm, lines, no_longer, power, read_text, split_commas};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
 use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample, did_you_mean};
@@ -153,24 +153,10 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
 
 /// Column index of each gateway.
 fn columns(path: &Path, line: usize, header: &[TextField<'_>], gateways: &[String]) -> Result<Vec<usize>> {
-    let names = || gateways.iter().map(String::as_str);
-    let known: BTreeSet<&str> = names().collect();
-    let mut column_of = BTreeMap::new();
-    for (k, field) in header.iter().enumerate() {
-        let at = |what| Error::at(path, line, field.column, what);
-        let text = text_of(field.text);
-        let name = if known.contains(text) { text } else { field.text };
-        if column_of.insert(name, k).is_some() {
-            return Err(at(format!("a second column {}; name each gateway once", quoted(field.text))));
-        }
-        if !known.contains(name) {
-            let near = did_you_mean(field.text, names());
-            let what = format!("{} has no position in gateway_position.yml{near}", quoted(field.text));
-            return Err(at(format!("{what}; add it there, or remove the column")));
-        }
-    }
-    let column = |name: &str| {
-        column_of.get(name).copied().ok_or_else(|| {
+    let advice = ("has no position in gateway_position.yml", "add it there, or remove the column");
+    let column_of = named_columns(path, line, header, gateways, advice)?;
+    let column = |name: &String| {
+        column_of.get(name.as_str()).copied().ok_or_else(|| {
             let what = "add one, or remove its line in gateway_position.yml";
             Error::at(
                 path,
@@ -180,5 +166,60 @@ fn columns(path: &Path, line: usize, header: &[TextField<'_>], gateways: &[Strin
             )
         })
     };
-    names().map(column).collect()
+    gateways.iter().map(column).collect()
+}
+
+/// Columns by name, all of which must be in `known`; for another name, `unknown` are the problem and the next step.
+fn named_columns<'a>(
+    path: &Path,
+    line: usize,
+    header: &[TextField<'a>],
+    known: &[String],
+    unknown: (&str, &str),
+) -> Result<BTreeMap<&'a str, usize>> {
+    let names: BTreeSet<&str> = known.iter().map(String::as_str).collect();
+    let mut column_of = BTreeMap::new();
+    for (k, field) in header.iter().enumerate() {
+        let at = |what| Error::at(path, line, field.column, what);
+        let text = text_of(field.text);
+        let name = if names.contains(text) { text } else { field.text };
+        if column_of.insert(name, k).is_some() {
+            return Err(at(format!("a second column {}; name each receiver once", quoted(field.text))));
+        }
+        if !names.contains(name) {
+            let near = did_you_mean(field.text, known.iter().map(String::as_str));
+            return Err(at(format!("{} {}{near}; {}", quoted(field.text), unknown.0, unknown.1)));
+        }
+    }
+    Ok(column_of)
+}
+
+/// Reads received powers `[rows, receivers]` from a table with one column per receiver, dBm; NaN for empty cells and for
+/// receivers without a column.
+///
+/// # Errors
+/// An invalid table, with line and column.
+pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> {
+    const ADVICE: &str =
+        "write one column per receiver and one row per transmitter, in dBm; leave unknown powers empty";
+    let text = read_text(path, MAX_TEXT, ADVICE)?;
+    let mut rows = lines(&text);
+    let (first, header) = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {ADVICE}")))?;
+    let header = split_commas(header);
+    let advice = ("is no receiver of the model", "name one, or remove the column");
+    let column_of = named_columns(path, first, &header, receivers, advice)?;
+    let read = |(line, row)| {
+        let row = split_commas(row);
+        no_longer(path, line, &row, header.len())?;
+        let power = |name: &String| match column_of.get(name.as_str()) {
+            Some(column) => match cell(path, line, &row, (*column, name), ADVICE)? {
+                field if field.text.is_empty() || field.text.eq_ignore_ascii_case("nan") => Ok(Real::NAN),
+                field => Ok(dbm(path, line, field)? as Real),
+            },
+            None => Ok(Real::NAN),
+        };
+        receivers.iter().map(power).collect()
+    };
+    let powers = rows.map(read).collect::<Result<Vec<Vec<Real>>>>()?;
+    if powers.is_empty() { Err(Error::input(path, format!("has a header but no row; {ADVICE}"))) } else { Ok(powers) }
 }

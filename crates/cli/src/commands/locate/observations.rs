@@ -1,9 +1,9 @@
 //! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
 
+use pwrfgs::data::read_powers;
 use pwrfgs::localise::FingerprintFeatures;
-use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, did_you_mean, files, rows_of};
+use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, files, rows_of};
 use std::path::Path;
 
 /// Largest array that is read, bytes.
@@ -19,7 +19,10 @@ pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Rec
             let (width, height) = features.size();
             images(path, features, receivers, &real(path, &[height, width], true)?)
         }
-        Some("csv") if task.is_scalar => table(path, receivers),
+        Some("csv") if task.is_scalar => {
+            let names: Vec<String> = receivers.iter().map(|receiver| receiver.name.clone()).collect();
+            powers(path, &read_powers(path, &names)?.concat(), names.len())
+        }
         Some("png") if task.has_pixels => images(path, features, receivers, &picture(path, features)?),
         _ => {
             let what = match (task.has_pixels, task.is_scalar) {
@@ -141,11 +144,8 @@ fn images(
 
 /// Rows of powers; NaN for receivers that are not known.
 fn powers(path: &Path, values: &[Real], receivers: usize) -> Result<Vec<Vec<f32>>> {
-    if values.is_empty() || !values.len().is_multiple_of(receivers) {
-        return Err(Error::input(path, "is truncated or damaged; copy it again"));
-    }
     let rows: Vec<Vec<f32>> =
-        values.chunks_exact(receivers).map(|row| row.iter().map(|v| *v as f32).collect()).collect();
+        values.chunks_exact(receivers.max(1)).map(|row| row.iter().map(|v| *v as f32).collect()).collect();
     for (k, row) in rows.iter().enumerate() {
         if row.iter().all(|v| v.is_nan()) {
             return Err(Error::input(path, format!("row {}: no receiver has a power; give at least one", k + 1)));
@@ -156,38 +156,4 @@ fn powers(path: &Path, values: &[Real], receivers: usize) -> Result<Vec<Vec<f32>
         }
     }
     Ok(rows)
-}
-
-/// Powers of a table with a column per receiver; an empty cell is not known.
-fn table(path: &Path, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
-    let text = files::read_text(path)?;
-    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let names: Vec<&str> = lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
-    let known = || receivers.iter().map(|receiver| receiver.name.as_str());
-    let place = |name: &&str| {
-        known().position(|own| own == *name).ok_or_else(|| {
-            let near = did_you_mean(name, known());
-            let what = format!("column `{}`: no such receiver in the model{near}", strip_control(name));
-            Error::at(path, 1, 1, what)
-        })
-    };
-    let columns: Vec<usize> = names.iter().map(place).collect::<Result<_>>()?;
-    if let Some(k) = (1..columns.len()).find(|k| columns[..*k].contains(&columns[*k])) {
-        return Err(Error::at(path, 1, 1, format!("column `{}` occurs twice; remove one", strip_control(names[k]))));
-    }
-    let mut values = Vec::new();
-    for (k, line) in lines {
-        let mut row = vec![Real::NAN; receivers.len()];
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        if cells.len() != columns.len() {
-            let what = format!("{} cells, the header has {}; leave unknown powers empty", cells.len(), columns.len());
-            return Err(Error::at(path, k + 1, 1, what));
-        }
-        for (cell, column) in cells.iter().zip(&columns).filter(|(cell, _)| !cell.is_empty()) {
-            let advice = || format!("`{}` is no number; give dBm or leave it empty", strip_control(cell));
-            row[*column] = cell.parse().ok().ok_or_else(|| Error::at(path, k + 1, 1, advice()))?;
-        }
-        values.extend(row);
-    }
-    powers(path, &values, receivers.len())
 }
