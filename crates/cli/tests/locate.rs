@@ -16,11 +16,22 @@ pub(crate) fn hall_with_validation(here: &Path) {
     succeed(here, &["run", "p.ron", "--out", "run", "--set", split, "-q"]);
 }
 
-/// Errors in metres of the row that starts with `name`: median and mean.
-fn errors(table: &str, name: &str) -> [f64; 2] {
-    let line = table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("no {name} in {table}"));
-    let mut cells = line[name.len()..].split_whitespace().map(|cell| cell.parse().unwrap());
+/// Median and mean error in metres of a row of the table.
+fn errors(line: &str) -> [f64; 2] {
+    let mut cells = line.split_whitespace().filter(|cell| cell.contains('.')).map(|cell| cell.parse().unwrap());
     [cells.next().unwrap(), cells.next().unwrap()]
+}
+
+/// Whether closed outlines hold a point: a ray from it crosses them an odd number of times.
+fn holds(outlines: &serde_json::Value, [x, y]: [f64; 2]) -> bool {
+    let corner = |corner: &serde_json::Value| [0, 1].map(|k| corner[k].as_f64().unwrap());
+    let crossings = outlines.as_array().unwrap().iter().flat_map(|outline| {
+        let corners: Vec<[f64; 2]> = outline.as_array().unwrap().iter().map(corner).collect();
+        (0..corners.len()).map(move |k| [corners[k], corners[(k + 1) % corners.len()]])
+    });
+    let crosses =
+        |[a, b]: &[[f64; 2]; 2]| (a[1] > y) != (b[1] > y) && a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) > x;
+    crossings.filter(crosses).count() % 2 == 1
 }
 
 /// File of an array whose values are all equal.
@@ -36,9 +47,14 @@ fn test_samples_are_located_beside_baselines() {
     hall_with_validation(here);
     let message = succeed(here, &["locate", MODEL, "--out", "located", "--pictures", "2"]);
     let table = stdout(&message);
-    let (own, centre) = (errors(&table, "model"), errors(&table, "centre of the positions"));
-    assert!(own[0] < centre[0] && own[1] < centre[1], "{table}");
-    assert!(table.contains("nearest fingerprint") && table.contains("fingerprints of Kriging"), "{table}");
+    let rows: Vec<&str> = table.lines().skip(2).collect();
+    let centre = rows.iter().find(|row| row.starts_with("centre of the positions")).unwrap();
+    assert!(errors(rows[0])[0] < errors(centre)[0] && errors(rows[0])[1] < errors(centre)[1], "{table}");
+    assert!(table.contains("nearest fingerprint") && table.contains("predicted"), "{table}");
+    let is_named = |row: &&str| row.contains(" 0 %") == row.starts_with("measured fingerprints");
+    assert!(rows.iter().take_while(|row| !row.contains("nearest")).all(is_named), "{table}");
+    assert!(table.contains("minus baseline, mean error in metres ↓)"), "{table}");
+    assert!(table.contains("the validation samples lie between the training positions"), "{table}");
     assert!(table.contains("measured") && stderr(&message).contains("validation positions"), "{table}");
     let read = |name: &str| std::fs::read_to_string(here.join("located").join(name)).unwrap();
     let list = read("locations.csv");
@@ -47,6 +63,13 @@ fn test_samples_are_located_beside_baselines() {
     let regions: serde_json::Value = serde_json::from_str(&read("regions.json")).unwrap();
     let regions = regions.as_array().unwrap();
     assert!(regions.iter().all(|own| own["outlines"][0].as_array().is_some_and(|corners| corners.len() >= 4)));
+    for (region, row) in regions.iter().zip(list.lines().skip(1)) {
+        let cells: Vec<&str> = row.split(',').collect();
+        let truth = [cells[7], cells[8]].map(|cell| cell.parse().unwrap());
+        assert_eq!(holds(&region["outlines"], truth), cells[11] == "yes", "{row}: outlines hold what the table says");
+        let estimate = [0, 1].map(|k| region["position"][k].as_f64().unwrap());
+        assert!(holds(&region["outlines"], estimate), "{row}: the estimate is inside");
+    }
     let pictures = here.join("located").read_dir().unwrap().map(|e| e.unwrap().path());
     let pictures: Vec<_> = pictures.filter(|path| path.extension().is_some_and(|e| e == "png")).collect();
     assert_eq!(pictures.len(), 3, "errors.png and two samples");
@@ -62,6 +85,9 @@ fn powers_of_files_are_located_and_invalid_ones_refused() {
     write(&here.join("o.csv"), "south,north\n-58.5,-41.2\n-50,\n");
     let message = stdout(&succeed(here, &locate("o.csv")));
     assert!(message.contains("00001") && message.contains("00002") && message.contains("region"), "{message}");
+    assert!(message.contains("validation samples: median error") && message.contains("centre of the positions"));
+    write(&here.join("quoted.csv"), "\"south\",\"north\"\n\"-58.5\",-41.2\n-50,nan\n");
+    assert_eq!(stdout(&succeed(here, &locate("quoted.csv"))), message, "quotes change nothing");
     let inside = succeed(here, &["locate", MODEL, "o.csv", "--prior", "0,5,0,6", "--out", "out"]);
     let list = std::fs::read_to_string(here.join("out/locations.csv")).unwrap();
     for line in list.lines().skip(1) {
@@ -73,12 +99,12 @@ fn powers_of_files_are_located_and_invalid_ones_refused() {
     refuse(here, &["locate", MODEL, "o.csv", "--prior", "5,0,0,6"], 2, &["--prior", "the smaller first"]);
     for (text, words) in [
         ("north,soth\n-50,-50\n", ["soth", "did you mean"]),
-        ("north,north\n-50,-60\n", ["o.csv:1:1", "occurs twice"]),
+        ("north,north\n-50,-60\n", ["o.csv:1:7", "a second column"]),
         ("north,south\n,\n", ["row 1", "no receiver has a power"]),
-        ("north,south\n-50\n", ["o.csv:2:1", "1 cells"]),
-        ("north,south\n-50,high\n", ["o.csv:2:1", "`high` is no number"]),
-        ("north,south\n-50,inf\n", ["row 1", "inf"]),
-        ("north,south\n", ["truncated", "o.csv"]),
+        ("north,south\n-50\n", ["o.csv:2:4", "`south`"]),
+        ("north,south\n-50,high\n", ["o.csv:2:5", "not a number"]),
+        ("north,south\n-50,inf\n", ["o.csv:2:5", "not finite"]),
+        ("north,south\n", ["no row", "o.csv"]),
     ] {
         write(&here.join("o.csv"), text);
         refuse(here, &locate("o.csv"), 2, &words);

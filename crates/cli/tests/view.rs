@@ -366,7 +366,7 @@ fn samples_are_located_as_by_the_command() {
     assert_eq!(region["holds"], json!(row[11] == "yes"));
     let highest = density.iter().copied().fold(0.0, f32::max);
     assert!(density.iter().all(|v| *v >= 0.0) && highest > 0.5 && highest <= 1.0001, "highest density {highest}");
-    assert_eq!(region["outlines"].as_array().unwrap().len().to_string(), row[6]);
+    assert_eq!(region["parts"].to_string(), row[6]);
     assert_eq!((&note["left_out"], &note["no_region"]), (&json!(false), &Value::Null));
     // A training sample has the fingerprint of its position, which is left out.
     let (own, _) = served.arrays(&format!("locate?link={}", first_of(&run, "train")), "density");

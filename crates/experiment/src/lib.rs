@@ -39,7 +39,7 @@ pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{data_warnings, equality_warning, load, observed, position_warning};
 pub use page::{rebuild_page, with_run, write_results};
-pub use paired::Paired;
+pub use paired::{Paired, PairedRow};
 pub use record::Record;
 pub use repeatability::{NoiseCeiling, Repeatability, ceiling, repeatability};
 pub use run_folder::RunFolder;

@@ -97,6 +97,17 @@ impl PairedRow {
         signed(self.mean) + &interval
     }
 
+    /// Comparison in words: `level with Kriging: +0.0030 [−0.0030, +0.0080]`.
+    pub fn sentence(&self) -> String {
+        let relation = match self.verdict() {
+            "better" => "ahead of",
+            "worse" => "behind",
+            "level" => "level with",
+            _ => "not compared by an interval with",
+        };
+        format!("{relation} {}: {}", self.baseline, self.number())
+    }
+
     /// `better`, `worse`, or `level` if the interval contains 0; empty without an interval.
     pub fn verdict(&self) -> &'static str {
         match self.interval {

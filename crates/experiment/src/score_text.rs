@@ -32,14 +32,8 @@ impl ScoreTable {
         let ranked = self.baselines().filter_map(|name| Some((rank(name)?, name)));
         let (_, best) = ranked.min_by_key(|(rank, _)| *rank)?;
         let row = self.paired.as_ref()?.row(best, headline.key)?;
-        let relation = match row.verdict() {
-            "better" => "ahead of",
-            "worse" => "behind",
-            "level" => "level with",
-            _ => "not compared by an interval with",
-        };
-        let (number, arrow) = (row.number(), if headline.higher { "↑" } else { "↓" });
-        Some(format!("{relation} {best}: {number} (model minus baseline, mean {} {arrow})", headline.name))
+        let arrow = if headline.higher { "↑" } else { "↓" };
+        Some(format!("{} (model minus baseline, mean {} {arrow})", row.sentence(), headline.name))
     }
 
     /// Aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The best

@@ -3,23 +3,26 @@
 //! ```text
 //! training samples ── measured fingerprints ─┐
 //! model at their positions ── predicted ─────┴► blended fingerprints [K, D]
-//! observation [D] ── misfits [K] ── weights exp(-s·misfit/scale) ── weighted mean ── descent along the model ─► position
-//!                                        └── density over the floor ── level chosen on validation ─► region
+//! observation [D] ── misfits [K] ── weights exp(-s·misfit/scale) ── density over the floor ── level ─► region, in parts
+//!                                           mode of the most probable part ── descent along the model ─► position
 //! ```
-//! All choices use the validation set: the share of the model in the fingerprints, the sharpness s, whether to descend,
-//! and the level of the region. The level holds nine of ten validation samples (the rank of split conformal prediction). That
+//! All choices use the validation set: the share of the model in the fingerprints, the sharpness s and the kernel width by
+//! the density at the true positions, the kernel width of the mode and whether to descend by the mean error, and the level
+//! of the region. The level holds nine of ten validation samples (the rank of split conformal prediction). That
 //! is no guarantee for new samples, because the same samples choose the other settings.
 
+mod choice;
 mod descent;
 mod features;
 mod fingerprints;
 mod locator;
 mod region;
 
+pub use choice::Choice;
 pub use features::FingerprintFeatures;
 pub use fingerprints::{Fingerprints, NearestFingerprints};
-pub use locator::{Choice, Located, Locator, SHARES};
-pub use region::{Region, RegionRule};
+pub use locator::{Located, Locator, SHARES};
+pub use region::Region;
 
 use pwrfgs_core::statistics::{mean, median};
 

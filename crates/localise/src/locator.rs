@@ -1,37 +1,25 @@
 //! `Locator`: positions from observations.
 
+use crate::choice::{Choice, Truth, level};
 use crate::descent::descend;
 use crate::region::Density;
-use crate::{FingerprintFeatures, Fingerprints, Region, RegionRule, mean_and_median};
+use crate::{FingerprintFeatures, Fingerprints, Region};
 use pwrfgs_core::neighbours::{distance, nearest_other_squared};
-use pwrfgs_core::statistics::{median, sorted};
+use pwrfgs_core::statistics::{mean, median};
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
 use rayon::prelude::*;
 
 /// Shares of the model in the fingerprints among which validation samples choose, in `locate` and in `view`.
 pub const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
-/// Sharpnesses to choose from.
-const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
-/// Kernel widths to choose from, in units of the distance between neighbouring training positions.
-const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// One of this number of true positions may be outside its region: regions should hold 90 %.
-const MISSED: usize = 10;
-/// Maximum number of validation samples on which descent is compared with no descent.
+/// Kernel widths of the mode to choose from, in units of that of the density.
+const WIDER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
+/// Maximum number of validation samples on which kernel widths of the mode are compared, and descent with no descent.
 const COMPARED: usize = 100;
-
-/// Settings of a [`Locator`] that validation samples choose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Choice {
-    /// Share of the model in the fingerprints; the rest is measured.
-    pub share: f32,
-    /// Sharpness s of the weights exp(-s·misfit/scale).
-    pub sharpness: f64,
-    /// Misfit of the best fingerprint of a typical sample.
-    pub scale: f64,
-    /// Whether the weighted mean is improved by descent along the model.
-    pub descends: bool,
-}
-
+/// Level of the parts among which the most probable one is chosen, if there are too few validation samples for regions.
+const LEVEL: f32 = 0.1;
+/// Distance of validation samples from training samples up to which they lie between them, in units of the distance between
+/// neighbouring training positions.
+const BETWEEN: f64 = 1.5;
 /// Finds the position of a transmitter from its observations.
 pub struct Locator<'a> {
     features: FingerprintFeatures,
@@ -47,10 +35,12 @@ pub struct Locator<'a> {
     area: Option<Box<dyn Fn([f64; 2]) -> bool + Send + Sync + 'a>>,
     /// Number of validation positions.
     pub validation: usize,
+    /// Median distance of a validation position to the nearest training position, metres; NaN without validation samples.
+    pub validation_distance: f64,
     /// Settings.
     pub choice: Choice,
-    /// Rule of the regions; `None` without validation samples.
-    pub rule: Option<RegionRule>,
+    /// Density at the edge of a region, relative to the highest; `None` with fewer than 9 validation samples.
+    level: Option<f32>,
 }
 
 /// Position of a transmitter.
@@ -61,23 +51,16 @@ pub struct Located {
     /// Misfit of the best fingerprint, relative to that of a typical sample. Far above 1, the observation resembles no
     /// known position.
     pub misfit: f64,
-    density: Option<(Density, f64)>,
+    /// Region that holds the transmitter with a probability of 90 %; `None` with fewer than 9 validation samples.
+    pub region: Option<Region>,
 }
 
 impl Located {
-    /// Returns the region; `None` without rule.
-    pub fn region(&self) -> Option<Region> {
-        self.density.as_ref().map(|(density, share)| density.region(*share))
-    }
-
-    /// Returns whether the region holds a position; `None` without rule.
+    /// Returns whether the region holds a position; `None` without region.
     pub fn holds(&self, [x, y, _]: [f64; 3]) -> Option<bool> {
-        self.density.as_ref().map(|(density, share)| density.at([x, y]) >= share * density.highest())
+        self.region.as_ref().map(|region| region.holds([x, y]))
     }
 }
-
-/// Observation of a validation sample, and its true position.
-type Truth = (Vec<f32>, [f64; 3]);
 
 impl<'a> Locator<'a> {
     /// Fits to the training links `known.train` of `data`. `shares` are the shares of the model among which the validation
@@ -109,23 +92,39 @@ impl<'a> Locator<'a> {
             shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, used));
         let truths = Fingerprints::measured(&features, data, &validation, floor);
         let truths: Vec<Truth> = (0..truths.len()).map(|k| (truths.row(k).to_vec(), truths.positions[k])).collect();
+        let spacing = spacing(&measured.positions);
         let mut best: Option<(f64, Choice, Fingerprints, Vec<Vec<f32>>)> = None;
         for share in shares {
             let own = predicted.as_ref().map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
             let misfits: Vec<Vec<f32>> = truths.par_iter().map(|(observation, _)| own.misfits(observation)).collect();
-            let (error, sharpness, scale) = sharpness(&own.positions, &truths, &misfits);
-            if best.as_ref().is_none_or(|(least, ..)| error < *least) {
-                best = Some((error, Choice { share: *share, sharpness, scale, descends: false }, own, misfits));
+            let (score, choice) = Choice::most_likely(*share, &own.positions, &truths, &misfits, spacing);
+            if best.as_ref().is_none_or(|(highest, ..)| score > *highest) {
+                best = Some((score, choice, own, misfits));
             }
         }
         data.observations.check()?;
-        let (error, choice, fingerprints, misfits) =
+        let (_, choice, fingerprints, misfits) =
             best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
-        let spacing = spacing(&fingerprints.positions);
-        let rule = region_rule(&fingerprints.positions, &truths, &misfits, choice.scale, spacing);
+        let level = level(&fingerprints.positions, &truths, &misfits, choice);
+        let to_training = |(_, truth): &Truth| {
+            fingerprints.positions.iter().map(|place| distance(*place, *truth)).fold(f64::INFINITY, f64::min)
+        };
+        let validation_distance = median(truths.iter().map(to_training));
         let (area, validation) = (None, truths.len());
-        let mut own = Self { features, model, without, fingerprints, floor, spacing, area, validation, choice, rule };
-        own.choose_descent(&truths, error);
+        let mut own = Self {
+            features,
+            model,
+            without,
+            fingerprints,
+            floor,
+            spacing,
+            area,
+            validation,
+            validation_distance,
+            choice,
+            level,
+        };
+        own.choose_estimate(&truths);
         Ok(own)
     }
 
@@ -157,9 +156,15 @@ impl<'a> Locator<'a> {
         &self.fingerprints.positions
     }
 
+    /// Returns whether validation samples are as close to training positions as these are to each other. Regions then hold
+    /// 90 % of such samples; those of another day, device or area may resemble the training samples less.
+    pub fn validates_between_training(&self) -> bool {
+        self.validation_distance <= 2.0 * BETWEEN * self.spacing
+    }
+
     /// Returns why there are no regions, with advice; `None` if there are regions.
     pub fn missing_regions(&self) -> Option<&'static str> {
-        match (self.rule, self.validation) {
+        match (self.level, self.validation) {
             (Some(_), _) => None,
             (None, 0) => Some(
                 "no validation samples, so nothing is chosen and there are no regions; train with validation samples, such as \
@@ -192,31 +197,35 @@ impl<'a> Locator<'a> {
         let own = misfits.iter_mut().zip(&self.fingerprints.positions).filter(|(_, place)| left_out == Some(**place));
         own.for_each(|(misfit, _)| *misfit = f32::INFINITY);
         let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
-        let position = self.position(observation, &misfits);
-        let density = self.rule.map(|rule| {
-            let weights = self::weights(&misfits, rule.sharpness / self.choice.scale);
-            (Density::new(&weights, &self.fingerprints.positions, rule.bandwidth), rule.share)
-        });
-        Located { position, misfit: f64::from(least) / self.choice.scale, density }
+        let (density, region) = self.density_and_region(&misfits);
+        let position = self.estimate(observation, &density, &region);
+        let region = self.level.map(|_| region);
+        Located { position, misfit: f64::from(least) / self.choice.scale, region }
     }
 
-    /// Returns the weighted mean of the positions, improved by descent if that was chosen and ends at a possible position.
-    fn position(&self, observation: &[f32], misfits: &[f32]) -> [f64; 3] {
-        let weights = weights(misfits, self.choice.sharpness / self.choice.scale);
-        let mean = mean(&weights, &self.fingerprints.positions);
-        let found = if self.choice.descends { self.descended(observation, &weights, mean) } else { None };
-        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|own| own([*x, *y]));
-        found.filter(is_possible).unwrap_or(mean)
+    fn density_and_region(&self, misfits: &[f32]) -> (Density, Region) {
+        let density = self.choice.density(misfits, &self.fingerprints.positions);
+        let region = density.grid().region(self.level.unwrap_or(LEVEL));
+        (density, region)
     }
 
-    /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of the
-    /// spread of the weights.
-    fn descended(&self, observation: &[f32], weights: &[f64], start: [f64; 3]) -> Option<[f64; 3]> {
-        let mut squares = [self.spacing * self.spacing; 3];
-        for (w, p) in weights.iter().zip(&self.fingerprints.positions) {
-            (0..3).for_each(|k| squares[k] += w * (p[k] - start[k]).powi(2));
+    /// Returns the mode of the most probable part of the region, improved by descent if that was chosen and ends at a
+    /// possible position in this part.
+    fn estimate(&self, observation: &[f32], density: &Density, region: &Region) -> [f64; 3] {
+        let (part, mode) = region.most_probable_mode(density, self.choice.mode_bandwidth);
+        if !self.choice.descends {
+            return mode;
         }
-        let scales = squares.map(f64::sqrt);
+        let is_in_part = |[x, y, _]: &[f64; 3]| region.part_at([*x, *y]) == part;
+        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|own| own([*x, *y]));
+        let found = self.descended(observation, density.spread(mode, is_in_part), mode);
+        found.filter(|place| is_in_part(place) && is_possible(place)).unwrap_or(mode)
+    }
+
+    /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of
+    /// `spread` and the spacing.
+    fn descended(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
+        let scales = spread.map(|deviation| deviation.hypot(self.spacing));
         let gain = self.choice.sharpness / self.choice.scale;
         let function = |at: [f64; 3]| {
             let (misfit, gradient) = self.misfit(observation, at)?;
@@ -254,58 +263,31 @@ impl<'a> Locator<'a> {
         Some((sum, gradient))
     }
 
-    /// Turns descent on if it lowers the mean error of validation samples below that of the weighted means.
-    fn choose_descent(&mut self, truths: &[Truth], error: f64) {
-        let stride = truths.len().div_ceil(COMPARED).max(1);
-        let some: Vec<&Truth> = truths.iter().step_by(stride).collect();
-        if some.is_empty() || !error.is_finite() {
+    /// Chooses the kernel width of the mode, then whether to descend, by the mean error of validation samples.
+    fn choose_estimate(&mut self, truths: &[Truth]) {
+        if truths.is_empty() {
             return;
         }
-        let mean_error = |locator: &Self| {
-            let position = |own: &[f32]| locator.position(own, &locator.fingerprints.misfits(own));
-            let one = |(observation, truth): &&Truth| distance(position(observation), *truth);
-            mean_and_median(some.par_iter().map(one).collect())[0]
+        let some: Vec<&Truth> = truths.iter().step_by(truths.len().div_ceil(COMPARED)).collect();
+        let densities = |(own, _): &&Truth| self.density_and_region(&self.fingerprints.misfits(own));
+        let densities: Vec<(Density, Region)> = some.par_iter().map(densities).collect();
+        let mean_error = |choice: Choice, locator: &mut Self| {
+            locator.choice = choice;
+            let one = |((own, truth), (density, region)): (&&Truth, &(Density, Region))| {
+                distance(locator.estimate(own, density, region), *truth)
+            };
+            mean(some.par_iter().zip(&densities).map(one).collect::<Vec<f64>>())
         };
-        let without = mean_error(self);
-        self.choice.descends = true;
-        self.choice.descends = mean_error(self) < without;
+        let chosen = self.choice;
+        let wider = WIDER.map(|factor| Choice { mode_bandwidth: factor * chosen.bandwidth, ..chosen });
+        let mut best = (f64::INFINITY, chosen);
+        for choice in wider {
+            let error = mean_error(choice, self);
+            best = if error < best.0 { (error, choice) } else { best };
+        }
+        let descending = Choice { descends: true, ..best.1 };
+        self.choice = if mean_error(descending, self) < best.0 { descending } else { best.1 };
     }
-}
-
-/// Returns the weights exp(-gain·misfit), which sum to 1.
-fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
-    let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-    if !least.is_finite() {
-        return vec![1.0 / misfits.len() as f64; misfits.len()]; // nothing in common with any fingerprint
-    }
-    let weights: Vec<f64> = misfits.iter().map(|m| (-gain * (f64::from(*m) - least)).exp()).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|w| w / sum).collect()
-}
-
-fn mean(weights: &[f64], positions: &[[f64; 3]]) -> [f64; 3] {
-    let mut sum = [0.0; 3];
-    for (w, p) in weights.iter().zip(positions) {
-        (0..3).for_each(|k| sum[k] += w * p[k]);
-    }
-    sum
-}
-
-/// Returns the least mean error over sharpnesses, its sharpness, and the scale of the misfits.
-fn sharpness(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>]) -> (f64, f64, f64) {
-    let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-    let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
-    let scale = if typical > 0.0 { typical } else { 1.0 };
-    let error = |sharpness: f64| {
-        let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
-            distance(mean(&weights(misfits, sharpness / scale), positions), *truth)
-        };
-        mean_and_median(misfits.par_iter().zip(truths).map(one).collect())[0]
-    };
-    let all = SHARPNESSES.map(|sharpness| (error(sharpness), sharpness));
-    let best = all.into_iter().filter(|(error, _)| error.is_finite()).min_by(|a, b| a.0.total_cmp(&b.0));
-    let (error, sharpness) = best.unwrap_or((f64::INFINITY, 4.0)); // no validation samples
-    (error, sharpness, scale)
 }
 
 /// Returns half the median distance of a position to its nearest neighbour; at least 0.1 mm.
@@ -314,37 +296,4 @@ fn spacing(positions: &[[f64; 3]]) -> f64 {
     let squares = nearest_other_squared(&points);
     let typical = median(squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()));
     if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
-}
-
-/// Returns the rule with the highest mean log density at the true positions, and the level that holds nine of ten of them.
-/// `None` if there are too few for this share.
-fn region_rule(
-    positions: &[[f64; 3]],
-    truths: &[Truth],
-    misfits: &[Vec<f32>],
-    scale: f64,
-    spacing: f64,
-) -> Option<RegionRule> {
-    // The smallest of n values holds n/(n + 1) of new ones.
-    let rank = (truths.len() + 1) / MISSED;
-    if rank == 0 {
-        return None;
-    }
-    let density = |misfits: &[f32], (sharpness, bandwidth): (f64, f64)| {
-        Density::new(&weights(misfits, sharpness / scale), positions, bandwidth)
-    };
-    let flat = |truth: &[f64; 3]| [truth[0], truth[1]];
-    let all = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| (s, 2.0 * b * spacing)));
-    let score = |own: (f64, f64)| {
-        let one = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| density(misfits, own).at(flat(truth)).ln();
-        misfits.par_iter().zip(truths).map(one).collect::<Vec<f64>>().iter().sum::<f64>()
-    };
-    let best = all.map(|own| (score(own), own)).max_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, (sharpness, bandwidth)) = best?;
-    let share = |(misfits, (_, truth)): (&Vec<f32>, &Truth)| {
-        let density = density(misfits, (sharpness, bandwidth));
-        density.at(flat(truth)) / density.highest()
-    };
-    let shares = sorted(misfits.par_iter().zip(truths).map(share).collect::<Vec<f64>>());
-    Some(RegionRule { sharpness, bandwidth, share: shares[rank - 1] })
 }

@@ -1,80 +1,163 @@
 //! `Region`: the part of the floor that holds a transmitter with a given probability. It may have several parts.
 
 use pwrfgs_core::statistics::bounds;
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
+use std::f64::consts::PI;
 
 /// Largest number of kernels of a density, those of the largest weights; and of kernels at which its maximum is sought.
 const KERNELS: usize = 500;
 const PEAKS: usize = 100;
 /// Number of cells along the longer side of the grid.
 const CELLS: f64 = 64.0;
-
-/// How regions follow from weights; chosen on validation samples.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RegionRule {
-    /// Sharpness of the weights.
-    pub sharpness: f64,
-    /// Width of the kernel around every position, metres.
-    pub bandwidth: f64,
-    /// Density at the edge of a region, relative to the highest.
-    pub share: f64,
-}
+/// Share of the weights whose positions are in the grid, and number of kernel widths around them.
+const FRAMED: f64 = 0.999;
+const FRAME: f64 = 6.0;
+/// Number of steps towards a mode, and the length of the last one in kernel widths.
+const STEPS: usize = 200;
+const END: f64 = 1e-3;
 
 /// Density of the transmitter over the floor: a sum of kernels 1/(1 + r²)² around positions. Their tails are heavy, so that
 /// a density far from all positions is small but not 0.
 #[derive(Clone, Debug)]
 pub(crate) struct Density {
     /// Weights, which sum to 1, and positions; largest weight first.
-    kernels: Vec<(f64, [f64; 2])>,
+    kernels: Vec<(f64, [f64; 3])>,
     bandwidth: f64,
 }
 
 impl Density {
     pub(crate) fn new(weights: &[f64], positions: &[[f64; 3]], bandwidth: f64) -> Self {
         let mut order: Vec<usize> = (0..weights.len()).collect();
-        order.sort_by(|a, b| weights[*b].total_cmp(&weights[*a]));
-        order.truncate(KERNELS);
+        let by_weight = |a: &usize, b: &usize| weights[*b].total_cmp(&weights[*a]).then(a.cmp(b));
+        if order.len() > KERNELS {
+            order.select_nth_unstable_by(KERNELS, by_weight);
+            order.truncate(KERNELS);
+        }
+        order.sort_by(by_weight);
         let sum: f64 = order.iter().map(|k| weights[*k]).sum();
-        let kernel = |k: &usize| (weights[*k] / sum, [positions[*k][0], positions[*k][1]]);
-        Self { kernels: order.iter().map(kernel).collect(), bandwidth }
+        Self { kernels: order.iter().map(|k| (weights[*k] / sum, positions[*k])).collect(), bandwidth }
+    }
+
+    /// Returns the density with kernels of another width.
+    pub(crate) fn widened(&self, bandwidth: f64) -> Self {
+        Self { kernels: self.kernels.clone(), bandwidth }
+    }
+
+    /// Returns 1/(1 + r²) for a kernel at a point.
+    fn closeness(&self, point: [f64; 2], centre: &[f64; 3]) -> f64 {
+        let r = [0, 1].map(|k| (point[k] - centre[k]) / self.bandwidth);
+        1.0 / (1.0 + r[0] * r[0] + r[1] * r[1])
     }
 
     /// Returns the density at a point, per square metre.
     pub(crate) fn at(&self, point: [f64; 2]) -> f64 {
-        let kernel = |(w, p): &(f64, [f64; 2])| {
-            let r = [0, 1].map(|k| (point[k] - p[k]) / self.bandwidth);
-            w / (1.0 + r[0] * r[0] + r[1] * r[1]).powi(2)
-        };
-        self.kernels.iter().map(kernel).sum::<f64>() / (std::f64::consts::PI * self.bandwidth * self.bandwidth)
+        let kernels = self.kernels.iter().map(|(w, p)| w * self.closeness(point, p).powi(2));
+        kernels.sum::<f64>() / (PI * self.bandwidth * self.bandwidth)
     }
 
-    /// Returns the highest density at the positions of the largest weights.
-    pub(crate) fn highest(&self) -> f64 {
-        self.kernels.iter().take(PEAKS).map(|(_, p)| self.at(*p)).fold(0.0, f64::max)
+    /// Returns the mode that the ascent from a point finds: every step leads to the mean of the positions, with weights
+    /// for which the mean is the point if the gradient is 0 (mean shift).
+    fn ascend(&self, mut point: [f64; 2]) -> [f64; 2] {
+        for _ in 0..STEPS {
+            let next = self.mean(point, 3);
+            let length = (next[0] - point[0]).hypot(next[1] - point[1]);
+            point = [next[0], next[1]];
+            if length < END * self.bandwidth {
+                break;
+            }
+        }
+        point
     }
 
-    /// Returns the region with at least `share` of the highest density.
-    pub(crate) fn region(&self, share: f64) -> Region {
-        let reach = self.bandwidth * (1.0 / share.clamp(1e-6, 1.0).sqrt() - 1.0).sqrt() + self.bandwidth;
-        let largest = self.kernels.first().map_or(0.0, |(w, _)| *w);
-        let framed = || self.kernels.iter().filter(|(w, _)| *w >= 1e-3 * share * largest);
-        let [x, y] = [0, 1].map(|k| bounds(framed().map(|(_, p)| p[k])));
-        let (low, high) = ([x.0 - reach, y.0 - reach], [x.1 + reach, y.1 + reach]);
-        let step = (high[0] - low[0]).max(high[1] - low[1]) / CELLS;
-        let [columns, rows] = [0, 1].map(|k| (((high[k] - low[k]) / step).ceil() as usize).max(1));
-        let first = low.map(|v| v + step / 2.0);
-        let highest = self.highest();
-        let at = |k: usize| [first[0] + (k % columns) as f64 * step, first[1] + (k / columns) as f64 * step];
-        let values = (0..rows * columns).map(|k| (self.at(at(k)) / highest) as f32).collect();
-        Region { first, step, columns, values, share }
+    /// Returns the mean of the positions, weighted by a power of the closeness to a point.
+    fn mean(&self, point: [f64; 2], power: i32) -> [f64; 3] {
+        let (mut sum, mut total) = ([0.0; 3], 0.0);
+        for (w, p) in &self.kernels {
+            let weight = w * self.closeness(point, p).powi(power);
+            total += weight;
+            (0..3).for_each(|k| sum[k] += weight * p[k]);
+        }
+        sum.map(|v| v / total)
+    }
+
+    /// Returns the root mean square distances along the axes of the selected positions from a place, metres; 0 without any.
+    pub(crate) fn spread(&self, place: [f64; 3], is_selected: impl Fn(&[f64; 3]) -> bool) -> [f64; 3] {
+        let selected = || self.kernels.iter().filter(|(_, p)| is_selected(p));
+        let sum: f64 = selected().map(|(w, _)| w).sum();
+        let square = |k: usize| selected().map(|(w, p)| w * (p[k] - place[k]).powi(2)).sum::<f64>();
+        [0, 1, 2].map(|k| if sum > 0.0 { (square(k) / sum).sqrt() } else { 0.0 })
+    }
+
+    /// Returns the grid of the density, around the kernels with most of the weight.
+    pub(crate) fn grid(&self) -> Grid<'_> {
+        let before = self.kernels.iter().scan(0.0, |sum, (w, p)| Some((std::mem::replace(sum, *sum + w), p)));
+        let framed: Vec<&[f64; 3]> = before.take_while(|(sum, _)| *sum < FRAMED).map(|(_, p)| p).collect();
+        let reach = FRAME * self.bandwidth;
+        let ends = [0, 1].map(|k| bounds(framed.iter().map(|p| p[k])));
+        let sides = ends.map(|(low, high)| high - low + 2.0 * reach);
+        let mut grid =
+            Grid { density: self, step: sides[0].max(sides[1]) / CELLS, low: [0; 2], high: [0; 2], highest: 1.0 };
+        grid.low = grid.cell(ends.map(|(low, _)| low - reach));
+        grid.high = grid.cell(ends.map(|(_, high)| high + reach));
+        let peaks = self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]);
+        if let Some(peak) = peaks.max_by(|a, b| self.at(*a).total_cmp(&self.at(*b))) {
+            grid.highest = self.at(grid.centre(grid.cell(self.ascend(peak))));
+        }
+        grid
+    }
+}
+
+/// Square cells of the floor with the density at their centres. Regions consist of these cells, in the calibration of the
+/// level as in files; the cells do not depend on the level.
+pub(crate) struct Grid<'a> {
+    density: &'a Density,
+    /// Side of a cell, metres.
+    step: f64,
+    /// First and last cell: numbers of cells from the origin.
+    low: [i64; 2],
+    high: [i64; 2],
+    /// Density in the cell of the highest mode.
+    highest: f64,
+}
+
+impl Grid<'_> {
+    fn cell(&self, point: [f64; 2]) -> [i64; 2] {
+        point.map(|v| (v / self.step).floor() as i64)
+    }
+
+    fn centre(&self, cell: [i64; 2]) -> [f64; 2] {
+        cell.map(|k| (k as f64 + 0.5) * self.step)
+    }
+
+    /// Returns the density in a cell, relative to the highest.
+    fn value(&self, cell: [i64; 2]) -> f32 {
+        (self.density.at(self.centre(cell)) / self.highest) as f32
+    }
+
+    /// Returns the highest level of a region that holds a point, at most 1; 0 for a point outside of the grid.
+    pub(crate) fn level_at(&self, point: [f64; 2]) -> f32 {
+        let cell = self.cell(point);
+        let is_on_grid = (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&cell[k]));
+        if is_on_grid { self.value(cell).min(1.0) } else { 0.0 }
+    }
+
+    /// Returns the region with at least `level` of the highest density.
+    pub(crate) fn region(&self, level: f32) -> Region {
+        let ([left, bottom], [right, top]) = (self.low, self.high);
+        let cells = (bottom..=top).flat_map(|y| (left..=right).map(move |x| [x, y]));
+        let values: Vec<f32> = cells.map(|cell| self.value(cell)).collect();
+        let (columns, parts) = ((right - left + 1) as usize, vec![0; values.len()]);
+        let mut region = Region { low: self.low, step: self.step, columns, values, level, parts, count: 0 };
+        region.find_parts();
+        region
     }
 }
 
 /// Density over a grid of the floor, and the level of the region.
 #[derive(Clone, Debug)]
 pub struct Region {
-    /// Centre of the first cell, metres.
-    pub first: [f64; 2],
+    /// First cell: the number of cells between its lower corner and the origin.
+    low: [i64; 2],
     /// Side of a cell, metres.
     pub step: f64,
     /// Number of columns.
@@ -82,19 +165,95 @@ pub struct Region {
     /// Density relative to the highest, row by row, lowest row first.
     pub values: Vec<f32>,
     /// Density at the edge, relative to the highest.
-    pub share: f64,
+    pub level: f32,
+    /// Part of every cell, counted from 1; 0 outside.
+    parts: Vec<u32>,
+    count: u32,
 }
 
 impl Region {
-    fn is_inside(&self, column: i64, row: i64) -> bool {
-        let columns = self.columns as i64;
-        let is_on_grid = (0..columns).contains(&column) && row >= 0;
-        is_on_grid && self.values.get((row * columns + column) as usize).is_some_and(|v| f64::from(*v) >= self.share)
+    /// Returns the centre of the first cell, metres.
+    pub fn first(&self) -> [f64; 2] {
+        self.low.map(|k| (k as f64 + 0.5) * self.step)
+    }
+
+    /// Returns the number of parts: cells with a common side are in one part.
+    pub fn parts(&self) -> usize {
+        self.count as usize
+    }
+
+    /// Returns the part of a cell in a column and a row, counted from 1; 0 outside.
+    fn part(&self, [column, row]: [i64; 2]) -> u32 {
+        let is_on_grid = (0..self.columns as i64).contains(&column) && row >= 0;
+        let cell = is_on_grid.then_some((row * self.columns as i64 + column) as usize);
+        cell.and_then(|cell| self.parts.get(cell)).copied().unwrap_or(0)
+    }
+
+    /// Returns the part at a point, counted from 1; 0 outside.
+    pub(crate) fn part_at(&self, point: [f64; 2]) -> u32 {
+        self.part([0, 1].map(|k| (point[k] / self.step).floor() as i64 - self.low[k]))
+    }
+
+    /// Returns whether the region holds a point.
+    pub fn holds(&self, point: [f64; 2]) -> bool {
+        self.part_at(point) > 0
+    }
+
+    /// Numbers the parts.
+    fn find_parts(&mut self) {
+        let (columns, cells) = (self.columns, self.values.len());
+        let is_inside = |k: usize| self.values[k] >= self.level;
+        for start in 0..cells {
+            if !is_inside(start) || self.parts[start] > 0 {
+                continue;
+            }
+            self.count += 1;
+            self.parts[start] = self.count;
+            let mut open = vec![start];
+            while let Some(k) = open.pop() {
+                let column = k % columns;
+                let sides = [
+                    (column > 0).then(|| k - 1),
+                    (column + 1 < columns).then_some(k + 1),
+                    k.checked_sub(columns),
+                    (k + columns < cells).then_some(k + columns),
+                ];
+                for side in sides.into_iter().flatten() {
+                    if self.parts[side] == 0 && is_inside(side) {
+                        self.parts[side] = self.count;
+                        open.push(side);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Returns the part with the largest probability; 0 without parts.
+    fn most_probable_part(&self) -> u32 {
+        let mut sums = vec![0.0; self.parts() + 1];
+        self.parts.iter().zip(&self.values).for_each(|(part, value)| sums[*part as usize] += f64::from(*value));
+        (1..=self.count).max_by(|a, b| sums[*a as usize].total_cmp(&sums[*b as usize])).unwrap_or(0)
+    }
+
+    /// Returns the most probable part and its mode, with the mean height of the positions there, metres. The mode is that of
+    /// the kernels in the part, at a width of `bandwidth`; if it is outside of the part, at the width of the density.
+    pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64) -> (u32, [f64; 3]) {
+        let part = self.most_probable_part();
+        let cells = (0..self.values.len()).filter(|k| self.parts[*k] == part);
+        let highest = cells.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
+        let [x, y] = self.first();
+        let start = [x + (highest % self.columns) as f64 * self.step, y + (highest / self.columns) as f64 * self.step];
+        let is_in_part = |place: [f64; 2]| self.part_at(place) == part;
+        let own = density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y])).copied().collect();
+        let own = Density { kernels: own, bandwidth };
+        let modes = [own.ascend(start), density.ascend(start)];
+        let [x, y] = modes.into_iter().find(|mode| mode[0].is_finite() && is_in_part(*mode)).unwrap_or(start);
+        (part, [x, y, density.mean([x, y], 2)[2]])
     }
 
     /// Returns the area, square metres.
     pub fn area(&self) -> f64 {
-        let inside = self.values.iter().filter(|v| f64::from(**v) >= self.share).count();
+        let inside = self.parts.iter().filter(|part| **part > 0).count();
         inside as f64 * self.step * self.step
     }
 
@@ -102,33 +261,28 @@ impl Region {
     pub fn outlines(&self) -> Vec<Vec<[f64; 2]>> {
         let (columns, rows) = (self.columns as i64, (self.values.len() / self.columns.max(1)) as i64);
         // Edges of cells with the inside on their left, from corner to corner.
-        let mut edges: BTreeMap<[i64; 2], Vec<[i64; 2]>> = BTreeMap::new();
-        for (x, y) in (0..rows).flat_map(|y| (0..columns).map(move |x| (x, y))).filter(|(x, y)| self.is_inside(*x, *y))
-        {
+        let mut edges: BTreeSet<[[i64; 2]; 2]> = BTreeSet::new();
+        let cells = (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y])).filter(|cell| self.part(*cell) > 0);
+        for [x, y] in cells {
             let sides = [
                 ([0, -1], [x, y], [x + 1, y]),
                 ([1, 0], [x + 1, y], [x + 1, y + 1]),
                 ([0, 1], [x + 1, y + 1], [x, y + 1]),
                 ([-1, 0], [x, y + 1], [x, y]),
             ];
-            for (outside, from, to) in sides {
-                if !self.is_inside(x + outside[0], y + outside[1]) {
-                    edges.entry(from).or_default().push(to);
-                }
-            }
+            let is_edge = |[dx, dy]: [i64; 2]| self.part([x + dx, y + dy]) == 0;
+            edges.extend(sides.into_iter().filter(|(outside, ..)| is_edge(*outside)).map(|(_, from, to)| [from, to]));
         }
         let mut outlines = Vec::new();
-        while let Some(&start) = edges.keys().next() {
+        while let Some(&[start, mut next]) = edges.first() {
             let (mut corners, mut at) = (vec![start], start);
-            while let Some(next) = edges.get_mut(&at).and_then(Vec::pop) {
-                if edges[&at].is_empty() {
-                    edges.remove(&at);
-                }
-                if next == start {
-                    break;
-                }
+            while edges.remove(&[at, next]) && next != start {
                 corners.push(next);
+                let [dx, dy] = [0, 1].map(|k| next[k] - at[k]);
                 at = next;
+                // To the left first, around the same cell: parts that touch at a corner have their own outlines.
+                let ends = [[-dy, dx], [dx, dy], [dy, -dx]].map(|[x, y]| [at[0] + x, at[1] + y]);
+                next = ends.into_iter().find(|end| edges.contains(&[at, *end])).unwrap_or(start);
             }
             outlines.push(self.straight(&corners));
         }
@@ -142,7 +296,7 @@ impl Region {
             let [a, b, c] = [corners[(i + n - 1) % n], corners[*i], corners[(i + 1) % n]];
             (b[0] - a[0]) * (c[1] - b[1]) != (b[1] - a[1]) * (c[0] - b[0])
         };
-        let metres = |i: usize| [0, 1].map(|k| self.first[k] + (corners[i][k] as f64 - 0.5) * self.step);
+        let metres = |i: usize| [0, 1].map(|k| (self.low[k] + corners[i][k]) as f64 * self.step);
         (0..n).filter(turns).map(metres).collect()
     }
 }
@@ -151,16 +305,18 @@ impl Region {
 mod tests {
     use super::*;
 
-    fn ring() -> Region {
-        let mut values = vec![1.0; 9];
-        values[4] = 0.0;
-        values.extend([0.0, 0.0, 0.0]);
-        Region { first: [0.5, 0.5], step: 1.0, columns: 3, values, share: 0.5 }
+    /// A region of cells of 1 m whose rows, lowest first, have a `#` inside.
+    fn region(rows: &[&str]) -> Region {
+        let values: Vec<f32> = rows.concat().bytes().map(|b| f32::from(u8::from(b == b'#'))).collect();
+        let (columns, parts) = (rows[0].len(), vec![0; values.len()]);
+        let mut region = Region { low: [0, 0], step: 1.0, columns, values, level: 0.5, parts, count: 0 };
+        region.find_parts();
+        region
     }
 
     #[test]
     fn outlines_enclose_parts_and_holes() {
-        let area = |outline: &[[f64; 2]]| {
+        let area = |outline: &Vec<[f64; 2]>| {
             let n = outline.len();
             let cross = |i: usize| {
                 let [a, b] = [outline[i], outline[(i + 1) % n]];
@@ -168,12 +324,18 @@ mod tests {
             };
             (0..n).map(cross).sum::<f64>() / 2.0
         };
-        let outlines = ring().outlines();
-        let mut areas: Vec<f64> = outlines.iter().map(|outline| area(outline)).collect();
-        areas.sort_by(f64::total_cmp);
-        assert_eq!(areas, [-1.0, 9.0]);
-        assert!(outlines.iter().all(|outline| outline.len() == 4));
-        assert_eq!(ring().area(), 8.0);
+        for (rows, parts, areas) in [
+            (&["###.", "#.#.", "###."][..], 1, &[-1.0, 9.0][..]),
+            (&["#..#", ".##.", "#..."][..], 4, &[1.0, 1.0, 1.0, 2.0][..]),
+            (&["####", "#.##", "##.#", "####"][..], 1, &[-2.0, 16.0][..]),
+        ] {
+            let region = region(rows);
+            let mut found: Vec<f64> = region.outlines().iter().map(area).collect();
+            found.sort_by(f64::total_cmp);
+            assert_eq!((region.parts(), &found[..]), (parts, areas), "{rows:?}");
+            assert_eq!(region.area(), areas.iter().sum::<f64>());
+        }
+        assert!(region(&["###", "#.#", "###"]).outlines().iter().all(|outline| outline.len() == 4));
     }
 
     #[test]
@@ -183,7 +345,37 @@ mod tests {
         let grid = (-400..400).flat_map(|y| (-400..400).map(move |x| [f64::from(x) * step, f64::from(y) * step]));
         let sum = grid.map(|point| density.at(point)).sum::<f64>() * step * step;
         assert!((sum - 1.0).abs() < 0.01, "{sum}");
-        let region = density.region(0.5);
-        assert_eq!(region.outlines().len(), 2, "two distant positions have two parts");
+        let region = density.grid().region(0.5);
+        assert_eq!((region.outlines().len(), region.parts()), (2, 2), "two distant positions have two parts");
+    }
+
+    #[test]
+    fn estimate_is_the_mode_of_the_most_probable_part() {
+        // The highest mode has one position; three others close together are more probable.
+        let places = [[0.0, 0.0, 1.0], [6.0, 0.0, 2.0], [6.9, 0.0, 2.0], [7.8, 0.0, 2.0]];
+        let density = Density::new(&[0.34, 0.22, 0.22, 0.22], &places, 0.4);
+        let region = density.grid().region(0.1);
+        let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4);
+        assert_eq!(region.parts(), 2);
+        assert!((x - 6.9).abs() < 0.1 && y.abs() < 1e-6 && z > 1.9, "{x} {y} {z}");
+        assert!(region.holds([x, y]) && region.part_at([x, y]) != region.part_at([0.0, 0.0]));
+    }
+
+    #[test]
+    fn region_of_a_level_holds_the_point_of_this_level() {
+        let places: Vec<[f64; 3]> = (0..60).map(|k| [f64::from(k * 7 % 20), f64::from(k * 11 % 13), 0.0]).collect();
+        let weights: Vec<f64> = (0..60).map(|k| 0.9_f64.powi(k)).collect();
+        for bandwidth in [0.2, 1.0, 5.0] {
+            let density = Density::new(&weights, &places, bandwidth);
+            let grid = density.grid();
+            for k in 0..200 {
+                let point = [f64::from(k * 37 % 101) * 0.31 - 5.0, f64::from(k * 53 % 103) * 0.2 - 4.0];
+                let level = grid.level_at(point);
+                if level > 0.0 {
+                    assert!(grid.region(level).holds(point), "{point:?} {level}");
+                    assert!(level == 1.0 || !grid.region(level * 1.000_001).holds(point), "{point:?} {level}");
+                }
+            }
+        }
     }
 }

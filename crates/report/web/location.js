@@ -55,7 +55,7 @@ function closedLines(outlines, colour) {
 export function locationSentence({ error_m: error, misfit, part, left_out, no_region, region }, number) {
   const parts = [`Located ${number(error)} m from the true position`];
   if (region) {
-    const count = region.outlines.length > 1 ? ` in ${region.outlines.length} parts` : "";
+    const count = region.parts > 1 ? ` in ${region.parts} parts` : "";
     parts.push(`90 % region of ${number(region.area_m2)} m²${count}, ${region.holds ? "holds" : "misses"} the true position`);
   }
   parts.push(`misfit ${misfit === null ? "infinite" : number(misfit)} (1: typical sample)`);

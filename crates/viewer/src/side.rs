@@ -151,11 +151,11 @@ impl ViewPane {
         let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build();
         let pool = threads.map_err(|e| Error::Config(format!("no threads: {e}")))?;
         let fitted = FittedLocator::try_new(fair, |predictor| {
-            let (model, shares): (&dyn Predict, &[f32]) = match &**predictor {
-                Predictor::Model(ready) => (ready.borrow_dependent(), &SHARES),
-                Predictor::Baseline(baseline) => (baseline.borrow_dependent().as_ref(), &[1.0]),
+            let model: &dyn Predict = match &**predictor {
+                Predictor::Model(ready) => ready.borrow_dependent(),
+                Predictor::Baseline(baseline) => baseline.borrow_dependent().as_ref(),
             };
-            pool.install(|| Locator::fit(&known.data, known.partition.known(), model, shares))
+            pool.install(|| Locator::fit(&known.data, known.partition.known(), model, &SHARES))
         })?;
         let (_, fitted) = own.insert((predictor, Arc::new(fitted)));
         Ok(Arc::clone(fitted))

@@ -1,6 +1,7 @@
 //! `pwrfgs locate`: positions of transmitters from their observations.
 
 mod observations;
+mod scores;
 
 use super::map::PlaneBounds;
 use super::options::{check_positions, read_models};
@@ -10,12 +11,11 @@ use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
 use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, read_pipeline};
-use pwrfgs::localise::{Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
+use pwrfgs::localise::{Located, Locator, Region, SHARES};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::statistics::{mean, quantile, sorted};
-use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use rayon::prelude::*;
 use serde_json::json;
 use std::fmt::Write as _;
@@ -27,12 +27,14 @@ const WIDTH_MM: f64 = 120.0;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Compares an observation with the fingerprints of the training positions: what was measured there,
-blended with what the model predicts there. Validation samples choose the blend, the sharpness of
-the weights, whether to descend along the model, and the size of the 90 % regions; train with
-validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
+blended with what the model predicts there. The estimate is the mode of the most probable part of
+the 90 % region. Validation samples choose the blend, the weights, whether to descend along the
+model, and the size of the regions; train with validation samples, such as
+split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
 
 Without OBSERVATIONS, locates the test samples of the model's data and prints the errors beside
 those of nearest fingerprints, of fingerprints predicted by Kriging, and of the centre of the room.
+With OBSERVATIONS, prints the estimates and the errors of validation samples.
 
 OBSERVATIONS
   spectra   .png, or .npy [B, height, width]
@@ -68,22 +70,11 @@ pub(crate) struct Locate {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Number of samples of which the median area of regions is taken for a baseline.
-const AREAS: usize = 100;
-
 /// A located transmitter: its name, the result, and the true position if known.
 struct Row {
     name: String,
     located: Located,
-    region: Option<Region>,
     truth: Option<[f64; 3]>,
-}
-
-impl Row {
-    fn new(name: String, located: Located, truth: Option<[f64; 3]>) -> Self {
-        let region = located.region();
-        Self { name, located, region, truth }
-    }
 }
 
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
@@ -108,6 +99,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         Locator::fit(&data, partition.known(), &model, &SHARES)
     })?;
     verbosity.note(&summary(&locator));
+    let expected = arguments.observations.is_some().then(|| scores::on_validation(&locator, &data, partition.known()));
     let locator = match prior {
         Some(bounds) => {
             locator.within(move |place| bounds.holds(place)).map_err(|e| Error::Config(format!("--prior: {e}")))?
@@ -118,7 +110,8 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         Some(path) => {
             let all = observations::read(path, locator.features(), &data.scene.receivers)?;
             let located: Vec<Located> = all.par_iter().map(|own| locator.locate(own)).collect();
-            located.into_par_iter().enumerate().map(|(k, own)| Row::new(format!("{:05}", k + 1), own, None)).collect()
+            let named = |(k, located)| Row { name: format!("{:05}", k + 1), located, truth: None };
+            located.into_iter().enumerate().map(named).collect()
         }
         None => test_rows(&locator, &data, &partition, verbosity),
     };
@@ -127,11 +120,29 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         folder.publish()?;
         verbosity.note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
     }
-    if arguments.observations.is_some() {
-        output::result(&positions(&rows))
-    } else {
-        scores(&rows, &locator, &data, &partition)
+    let table = match expected {
+        Some(expected) => positions(&rows) + &expected,
+        None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &data, &partition)?,
+    };
+    output::result(&(table + &region_notes(&rows, &locator)))
+}
+
+/// Number of regions with several parts, and what the regions are calibrated on.
+fn region_notes(rows: &[Row], locator: &Locator<'_>) -> String {
+    let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
+    let parts = regions.iter().map(|region| region.parts());
+    let several = parts.clone().filter(|count| *count > 1).count();
+    let mut text = String::new();
+    if several > 0 {
+        let (all, most) = (regions.len(), parts.max().unwrap_or(0));
+        let what = format!("regions with several parts: {several} of {all}, up to {most} parts");
+        _ = writeln!(text, "{what}; an estimate is the mode of the most probable part");
     }
+    if !regions.is_empty() && locator.validates_between_training() {
+        text += "the validation samples lie between the training positions, and regions are calibrated on them: on another \
+                 day, with another device or in another area they hold fewer\n";
+    }
+    text
 }
 
 /// What was chosen, in one line.
@@ -161,73 +172,23 @@ fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbo
             progress.on_stage("locating", rows.len(), test.len());
             rows.par_extend(some.par_iter().zip(observations).map(|(t, own)| {
                 let transmitter = data.transmitters[*t];
-                Row::new(format!("{:05}", transmitter.id), locator.locate(own), Some(transmitter.position))
+                let (name, located) = (format!("{:05}", transmitter.id), locator.locate(own));
+                Row { name, located, truth: Some(transmitter.position) }
             }));
         }
         rows
     })
 }
 
-/// Prints errors of the model and of the baselines.
-fn scores(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> Result<()> {
-    let known = partition.known();
-    let test = data.transmitters_of(&partition.test);
-    let all = locator.observations(data, &test);
-    let truths: Vec<[f64; 3]> = test.iter().map(|t| data.transmitters[*t].position).collect();
-    let errors =
-        |places: Vec<[f64; 3]>| places.iter().zip(&truths).map(|(a, b)| distance(*a, *b)).collect::<Vec<f64>>();
-    let header = ["", "median (m)", "mean (m)", "90 % (m)", "regions hold", "area (m²)"];
-    let mut lines = vec![header.map(String::from).to_vec()];
-    let row = |name: &str, located: &[&Located], areas: Vec<f64>| {
-        let held = located.iter().zip(&truths).filter(|(own, truth)| own.holds(**truth) == Some(true)).count();
-        let share = held as f64 / located.len().max(1) as f64;
-        let region = (!areas.is_empty()).then(|| (share, mean_and_median(areas)[1]));
-        line(name, errors(located.iter().map(|own| own.position).collect()), region)
-    };
-    let own: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
-    lines.push(row("model", &own, rows.iter().filter_map(|row| row.region.as_ref()).map(Region::area).collect()));
-    let kriged = kriged(data, known, &all)?;
-    if !kriged.is_empty() {
-        let some = kriged.iter().step_by(kriged.len().div_ceil(AREAS));
-        let areas = some.filter_map(Located::region).map(|region| region.area()).collect();
-        lines.push(row("fingerprints of Kriging", &kriged.iter().collect::<Vec<_>>(), areas));
-    }
-    let nearest = NearestFingerprints::fit(data, known, locator.features(), locator.floor());
-    let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
-    lines.push(line(&name, errors(all.par_iter().map(|own| nearest.locate(own)).collect()), None));
-    let centre = [0, 1, 2].map(|k| mean(locator.positions().iter().map(|p| p[k])));
-    lines.push(line("centre of the positions", errors(vec![centre; truths.len()]), None));
-    let heading = format!("{}: {} test positions\n", data.title, grouped(test.len() as i64));
-    output::result(&(heading + &aligned(&lines, 1)))
-}
-
-/// Test samples located with Kriging in place of the model; none if it does not support the data.
-fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Vec<Located>> {
-    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
-    if !kriging.supports(data.task()) || kriging.check_data(data).is_err() {
-        return Ok(Vec::new());
-    }
-    let predictor = kriging.fit(data, known)?;
-    let locator = Locator::fit(data, known, predictor.as_ref(), &[1.0])?;
-    Ok(observations.par_iter().map(|own| locator.locate(own)).collect())
-}
-
-fn line(name: &str, errors: Vec<f64>, region: Option<(f64, f64)>) -> Vec<String> {
-    let worst = quantile(&sorted(errors.iter().copied()), 0.9);
-    let [mean, median] = mean_and_median(errors);
-    let [held, area] =
-        region.map_or_else(Default::default, |(held, area)| [format!("{} %", fixed(100.0 * held, 1)), fixed(area, 4)]);
-    vec![name.into(), fixed(median, 4), fixed(mean, 4), fixed(worst, 4), held, area]
-}
-
 /// Table of estimated positions.
 fn positions(rows: &[Row]) -> String {
     let mut lines =
         vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
-    for Row { name, located, region, .. } in rows {
-        let [area, parts] = region
+    for Row { name, located, .. } in rows {
+        let [area, parts] = located
+            .region
             .as_ref()
-            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.outlines().len().to_string()]);
+            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.parts().to_string()]);
         let mut line = vec![name.clone()];
         line.extend(located.position.map(|v| fixed(v, 3)));
         line.extend([fixed(located.misfit, 2), area, parts]);
@@ -255,11 +216,12 @@ fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pic
             .collect(),
         ..LocationMap::default()
     };
-    for (k, Row { name, located, region, truth }) in rows.iter().enumerate() {
-        let [x, y, z] = located.position;
-        let outlines = region.as_ref().map(Region::outlines).unwrap_or_default();
-        let area = region.as_ref().map_or_else(String::new, |region| format!("{:.6}", region.area()));
-        _ = write!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{}", located.misfit, outlines.len());
+    for (k, Row { name, located, truth }) in rows.iter().enumerate() {
+        let ([x, y, z], region) = (located.position, located.region.as_ref());
+        let outlines = region.map(Region::outlines).unwrap_or_default();
+        let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
+        let parts = region.map_or(0, Region::parts);
+        _ = write!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts}", located.misfit);
         _ = match truth {
             Some(t) => writeln!(
                 list,
@@ -273,12 +235,13 @@ fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pic
             None => writeln!(list, ",,,,,"),
         };
         regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
-        if let Some(region) = region.as_ref().filter(|_| k < pictures) {
+        if let Some(region) = region.filter(|_| k < pictures) {
             let one = LocationMap {
                 title: format!("{}: observation {name}", data.title),
-                grid: (region.first, region.step),
+                grid: (region.first(), region.step),
                 columns: region.columns,
                 density: &region.values,
+                parts,
                 outlines,
                 estimates: vec![(flat(located.position), truth.map(flat))],
                 ..map.clone()

@@ -19,6 +19,8 @@ pub struct LocationMap<'a> {
     pub columns: usize,
     /// Density relative to the highest, row by row, lowest row first; empty for none.
     pub density: &'a [f32],
+    /// Number of parts of the region.
+    pub parts: usize,
     /// Outlines of the region, metres.
     pub outlines: Vec<Vec<Point>>,
     /// Training positions.
@@ -65,8 +67,12 @@ impl LocationMap<'_> {
         if self.receivers.iter().any(|place| plan.holds(*place)) {
             words.push("squares: receivers");
         }
+        let region = match self.parts {
+            0 | 1 => "outline: 90 % region".to_owned(),
+            parts => format!("outline: 90 % region in {parts} parts"),
+        };
         if !self.outlines.is_empty() {
-            words.push("outline: 90 % region");
+            words.push(&region);
         }
         words.join("; ")
     }

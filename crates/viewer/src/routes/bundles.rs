@@ -295,9 +295,10 @@ fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Req
         "misfit": located.misfit, "part": known.partition.set_of(i) as u8, "left_out": is_known,
         "no_region": locator.missing_regions(),
     }));
-    if let Some(region) = located.region() {
+    if let Some(region) = &located.region {
         bundle.note["region"] = json!({
-            "first": region.first, "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
+            "first": region.first(), "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
+            "parts": region.parts(),
             "holds": located.holds(truth),
         });
         let shape = [region.values.len() / region.columns, region.columns];

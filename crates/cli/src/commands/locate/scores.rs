@@ -1,0 +1,156 @@
+//! Errors of located samples beside those of baselines.
+
+use pwrfgs::experiment::PairedRow;
+use pwrfgs::experiment::statistics::{Blocks, Difference};
+use pwrfgs::experiment::text::{aligned, fixed, grouped};
+use pwrfgs::localise::{Choice, Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::statistics::{evenly, mean, quantile, sorted};
+use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
+use rayon::prelude::*;
+use std::fmt::Write as _;
+
+/// Largest number of validation samples that are located for the expected error.
+const EXPECTED: usize = 200;
+const CENTRE: &str = "centre of the positions";
+
+/// Table of the errors of the located test samples and of the baselines, with a verdict.
+pub(super) fn table(
+    located: &[&Located],
+    locator: &Locator<'_>,
+    data: &Dataset,
+    partition: &Partition,
+) -> Result<String> {
+    let known = partition.known();
+    let samples = Samples::new(locator, data, data.transmitters_of(&partition.test));
+    let mut entries = vec![samples.entry("model", locator.choice, located)];
+    if let Some((choice, kriged)) = kriged(data, known, &samples.observations)? {
+        let entry = samples.entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
+        entries.extend((entry.name != entries[0].name).then_some(entry));
+    }
+    let nearest = NearestFingerprints::fit(data, known, locator.features(), locator.floor());
+    let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
+    entries.push(samples.baseline(name, |observation| nearest.locate(observation)));
+    entries.push(samples.centre(locator));
+    let header = ["", "predicted", "median (m)", "mean (m)", "90 % (m)", "regions hold", "area (m²)"];
+    let lines: Vec<_> =
+        std::iter::once(header.map(String::from).to_vec()).chain(entries.iter().map(Entry::line)).collect();
+    let heading = format!("{}: {} test positions\n", data.title, grouped(located.len() as i64));
+    Ok(heading + &aligned(&lines, 1) + &samples.verdict(&entries))
+}
+
+/// Errors of the validation samples, with a verdict; empty without any.
+pub(super) fn on_validation(locator: &Locator<'_>, data: &Dataset, known: FittingSet<'_>) -> String {
+    let samples = Samples::new(locator, data, evenly(&data.transmitters_of(known.validation), EXPECTED));
+    if samples.transmitters.is_empty() {
+        return String::new();
+    }
+    let located: Vec<Located> = samples.observations.par_iter().map(|own| locator.locate(own)).collect();
+    let own = samples.entry("model", locator.choice, &located.iter().collect::<Vec<_>>());
+    let [mean, median] = mean_and_median(own.errors.clone());
+    let (count, median, mean) = (grouped(located.len() as i64), fixed(median, 3), fixed(mean, 3));
+    let verdict = samples.verdict(&[own, samples.centre(locator)]);
+    format!("{count} validation samples: median error {median} m, mean {mean} m; {verdict}")
+}
+
+/// Samples at known positions.
+struct Samples<'a> {
+    data: &'a Dataset,
+    transmitters: Vec<usize>,
+    observations: Vec<Vec<f32>>,
+}
+
+/// Row of the table.
+struct Entry {
+    name: String,
+    /// Share of predictions in the fingerprints.
+    share: Option<f32>,
+    /// Errors, metres.
+    errors: Vec<f64>,
+    /// Share of regions that hold the true position, and their median area in square metres.
+    region: Option<(f64, f64)>,
+}
+
+impl Samples<'_> {
+    fn new<'a>(locator: &Locator<'_>, data: &'a Dataset, transmitters: Vec<usize>) -> Samples<'a> {
+        let observations = locator.observations(data, &transmitters);
+        Samples { data, transmitters, observations }
+    }
+
+    fn truth(&self, k: usize) -> [f64; 3] {
+        self.data.transmitters[self.transmitters[k]].position
+    }
+
+    /// Samples located with fingerprints of `predictor`, unless the choice does not use it.
+    fn entry(&self, predictor: &str, choice: Choice, located: &[&Located]) -> Entry {
+        let name = match (choice.share > 0.0, choice.descends) {
+            (true, _) => predictor.into(),
+            (false, true) => format!("measured fingerprints, descent along the {predictor}"),
+            (false, false) => "measured fingerprints".into(),
+        };
+        let errors = located.iter().enumerate().map(|(k, own)| distance(own.position, self.truth(k))).collect();
+        let held = located.iter().enumerate().filter(|(k, own)| own.holds(self.truth(*k)) == Some(true)).count();
+        let areas: Vec<f64> = located.iter().filter_map(|own| own.region.as_ref()).map(Region::area).collect();
+        let region = (!areas.is_empty()).then(|| (held as f64 / located.len() as f64, mean_and_median(areas)[1]));
+        Entry { name, share: Some(choice.share), errors, region }
+    }
+
+    fn baseline(&self, name: String, locate: impl Fn(&[f32]) -> [f64; 3] + Sync) -> Entry {
+        let error = |(k, own): (usize, &Vec<f32>)| distance(locate(own), self.truth(k));
+        let errors = self.observations.par_iter().enumerate().map(error).collect();
+        Entry { name, share: None, errors, region: None }
+    }
+
+    /// Mean of the training positions, for every sample.
+    fn centre(&self, locator: &Locator<'_>) -> Entry {
+        let centre = [0, 1, 2].map(|k| mean(locator.positions().iter().map(|p| p[k])));
+        self.baseline(CENTRE.into(), |_| centre)
+    }
+
+    /// Compares the first entry with the best of the others, and with the centre if it is not better than that.
+    fn verdict(&self, entries: &[Entry]) -> String {
+        let places = self.transmitters.iter().map(|t| self.data.transmitters[*t]);
+        let blocks = Blocks::new(&places.clone().map(|tx| (tx.id, Some(tx.position))).collect());
+        let compare = |other: &Entry| {
+            let differences = entries[0].errors.iter().zip(&other.errors).map(|(own, other)| own - other);
+            let differences = places.clone().map(|tx| tx.id).zip(differences);
+            let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
+            let (baseline, metric) = (other.name.clone(), "error_m".to_owned());
+            let interval = interval.map(|(low, high)| [low, high]);
+            Some(PairedRow { baseline, metric, higher_is_better: false, mean, interval })
+        };
+        let mut text = String::new();
+        let centre = entries.iter().find(|entry| entry.name == CENTRE).and_then(compare);
+        let mean_error = |entry: &&Entry| mean(entry.errors.iter().copied());
+        let best = entries[1..].iter().min_by(|a, b| mean_error(a).total_cmp(&mean_error(b))).and_then(compare);
+        let end = format!("({} minus baseline, mean error in metres ↓)", entries[0].name);
+        if let Some(row) = centre.filter(|row| row.verdict() != "better") {
+            _ = writeln!(text, "no better than the {CENTRE}: {} {end}", row.number());
+        } else if let Some(row) = best {
+            _ = writeln!(text, "{} {end}", row.sentence());
+        }
+        text
+    }
+}
+
+impl Entry {
+    fn line(&self) -> Vec<String> {
+        let worst = quantile(&sorted(self.errors.iter().copied()), 0.9);
+        let [mean, median] = mean_and_median(self.errors.clone());
+        let percent = |share: f64, decimals: usize| format!("{} %", fixed(100.0 * share, decimals));
+        let share = self.share.map_or_else(String::new, |share| percent(share.into(), 0));
+        let [held, area] = self.region.map_or_else(Default::default, |(held, area)| [percent(held, 1), fixed(area, 4)]);
+        vec![self.name.clone(), share, fixed(median, 4), fixed(mean, 4), fixed(worst, 4), held, area]
+    }
+}
+
+/// Choice and results of Kriging in place of the model; none if it does not support the data.
+fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Option<(Choice, Vec<Located>)>> {
+    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
+    if !kriging.supports(data.task()) || kriging.check_data(data).is_err() {
+        return Ok(None);
+    }
+    let predictor = kriging.fit(data, known)?;
+    let locator = Locator::fit(data, known, predictor.as_ref(), &SHARES)?;
+    Ok(Some((locator.choice, observations.par_iter().map(|own| locator.locate(own)).collect())))
+}

@@ -1,0 +1,96 @@
+//! `Choice`: settings that validation samples choose, by the density at their true positions.
+
+use crate::region::Density;
+use pwrfgs_core::statistics::{mean, median, sorted};
+use rayon::prelude::*;
+
+/// Sharpnesses to choose from.
+const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+/// Kernel widths to choose from, in units of the distance between neighbouring training positions.
+const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
+/// One of this number of true positions may be outside its region: regions should hold 90 %.
+const MISSED: usize = 10;
+/// Settings without validation samples: sharpness, and kernel width as in [`BANDWIDTHS`].
+const DEFAULTS: (f64, f64) = (4.0, 1.0);
+
+/// Settings of a [`Locator`] that validation samples choose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// Share of the model in the fingerprints; the rest is measured.
+    pub share: f32,
+    /// Sharpness s of the weights exp(-s·misfit/scale).
+    pub sharpness: f64,
+    /// Misfit of the best fingerprint of a typical sample.
+    pub scale: f64,
+    /// Width of the kernel around every position, metres.
+    pub bandwidth: f64,
+    /// Width of the kernels whose mode is the estimate, metres.
+    pub mode_bandwidth: f64,
+    /// Whether the mode is improved by descent along the model.
+    pub descends: bool,
+}
+
+/// Observation of a validation sample, and its true position.
+pub(crate) type Truth = (Vec<f32>, [f64; 3]);
+
+impl Choice {
+    /// Returns the settings with the highest mean log density at the true positions, and this mean.
+    pub(crate) fn most_likely(
+        share: f32,
+        positions: &[[f64; 3]],
+        truths: &[Truth],
+        misfits: &[Vec<f32>],
+        spacing: f64,
+    ) -> (f64, Self) {
+        let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
+        let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
+        let scale = if typical > 0.0 { typical } else { 1.0 };
+        let of = |(sharpness, width): (f64, f64)| Self {
+            share,
+            sharpness,
+            scale,
+            bandwidth: 2.0 * width * spacing,
+            mode_bandwidth: 2.0 * width * spacing,
+            descends: false,
+        };
+        let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| of((s, b)))).collect();
+        let densities = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
+            let of_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|own| {
+                let density = own[0].density(misfits, positions);
+                own.iter().map(move |own| density.widened(own.bandwidth).at([*x, *y]).ln())
+            });
+            of_sharpness.collect()
+        };
+        let densities: Vec<Vec<f64>> = misfits.par_iter().zip(truths).map(densities).collect();
+        let score = |k: usize| mean(densities.iter().map(|own| own[k]));
+        let scored = all.iter().enumerate().map(|(k, own)| (score(k), *own)).filter(|(score, _)| score.is_finite());
+        let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
+        best.unwrap_or((f64::NEG_INFINITY, of(DEFAULTS)))
+    }
+
+    pub(crate) fn density(&self, misfits: &[f32], positions: &[[f64; 3]]) -> Density {
+        Density::new(&weights(misfits, self.sharpness / self.scale), positions, self.bandwidth)
+    }
+}
+
+/// Returns the weights exp(-gain·misfit), which sum to 1.
+fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
+    let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
+    if !least.is_finite() {
+        return vec![1.0 / misfits.len() as f64; misfits.len()]; // nothing in common with any fingerprint
+    }
+    let weights: Vec<f64> = misfits.iter().map(|m| (-gain * (f64::from(*m) - least)).exp()).collect();
+    let sum: f64 = weights.iter().sum();
+    weights.iter().map(|w| w / sum).collect()
+}
+
+/// Returns the level of the regions that hold nine of ten true positions; `None` if there are too few for this share.
+pub(crate) fn level(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>], choice: Choice) -> Option<f32> {
+    // The smallest of n values holds n/(n + 1) of new ones.
+    let last = ((truths.len() + 1) / MISSED).checked_sub(1)?;
+    let level = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
+        f64::from(choice.density(misfits, positions).grid().level_at([*x, *y]))
+    };
+    let levels = sorted(misfits.par_iter().zip(truths).map(level).collect::<Vec<f64>>());
+    Some(levels[last] as f32)
+}
