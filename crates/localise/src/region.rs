@@ -247,7 +247,7 @@ impl Region {
         let own = density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y])).copied().collect();
         let own = Density { kernels: own, bandwidth };
         let modes = [own.ascend(start), density.ascend(start)];
-        let [x, y] = modes.into_iter().find(|mode| is_in_part(*mode)).unwrap_or(start);
+        let [x, y] = modes.into_iter().find(|mode| mode[0].is_finite() && is_in_part(*mode)).unwrap_or(start);
         (part, [x, y, density.mean([x, y], 2)[2]])
     }
 
@@ -326,8 +326,8 @@ mod tests {
         };
         for (rows, parts, areas) in [
             (&["###.", "#.#.", "###."][..], 1, &[-1.0, 9.0][..]),
-            (&["#..#", ".##.", "#..."], 4, &[1.0, 1.0, 1.0, 2.0]),
-            (&["####", "#.##", "##.#", "####"], 1, &[-2.0, 16.0]),
+            (&["#..#", ".##.", "#..."][..], 4, &[1.0, 1.0, 1.0, 2.0][..]),
+            (&["####", "#.##", "##.#", "####"][..], 1, &[-2.0, 16.0][..]),
         ] {
             let region = region(rows);
             let mut found: Vec<f64> = region.outlines().iter().map(area).collect();

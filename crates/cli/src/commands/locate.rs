@@ -125,7 +125,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     }
     let table = match expected {
         Some(expected) => positions(&rows) + &expected,
-        None => scores::table(&rows, &locator, &data, &partition)?,
+        None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &data, &partition)?,
     };
     output::result(&(table + &region_notes(&rows, &locator)))
 }

@@ -1,6 +1,5 @@
 //! Errors of located samples beside those of baselines.
 
-use super::Row;
 use pwrfgs::experiment::PairedRow;
 use pwrfgs::experiment::statistics::{Blocks, Difference};
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
@@ -16,11 +15,15 @@ const EXPECTED: usize = 200;
 const CENTRE: &str = "centre of the positions";
 
 /// Table of the errors of the located test samples and of the baselines, with a verdict.
-pub(super) fn table(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partition: &Partition) -> Result<String> {
+pub(super) fn table(
+    located: &[&Located],
+    locator: &Locator<'_>,
+    data: &Dataset,
+    partition: &Partition,
+) -> Result<String> {
     let known = partition.known();
     let samples = Samples::new(locator, data, data.transmitters_of(&partition.test));
-    let own: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
-    let mut entries = vec![samples.entry("model", locator.choice, &own)];
+    let mut entries = vec![samples.entry("model", locator.choice, located)];
     if let Some((choice, kriged)) = kriged(data, known, &samples.observations)? {
         let entry = samples.entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
         entries.extend((entry.name != entries[0].name).then_some(entry));
@@ -32,7 +35,7 @@ pub(super) fn table(rows: &[Row], locator: &Locator<'_>, data: &Dataset, partiti
     let header = ["", "predicted", "median (m)", "mean (m)", "90 % (m)", "regions hold", "area (m²)"];
     let lines: Vec<_> =
         std::iter::once(header.map(String::from).to_vec()).chain(entries.iter().map(Entry::line)).collect();
-    let heading = format!("{}: {} test positions\n", data.title, grouped(rows.len() as i64));
+    let heading = format!("{}: {} test positions\n", data.title, grouped(located.len() as i64));
     Ok(heading + &aligned(&lines, 1) + &samples.verdict(&entries))
 }
 
