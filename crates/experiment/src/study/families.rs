@@ -68,7 +68,9 @@ fn family(label: &str) -> String {
             }
         }
         let is_axis = matches!(part[..], [_, number] if is_number(number));
-        parts.extend((!words.is_empty() && !(is_axis && label.contains(','))).then_some(words));
+        if !words.is_empty() && (!is_axis || !label.contains(',')) {
+            parts.push(words);
+        }
     }
     let name = parts.iter().map(|words| words.join(" ")).collect::<Vec<_>>().join(", ");
     match label.split_whitespace().next() {
