@@ -42,7 +42,7 @@ pub fn lock(path: &Path) -> io::Result<File> {
 /// Locks the file at `path` if no process holds its lock. Returns `None` otherwise, if there is no such file, and on file
 /// systems without locks.
 pub(super) fn lock_unused(path: &Path) -> Option<File> {
-    locked(path, |file| file.try_lock().map_err(|_| TryLockError::WouldBlock)).ok().flatten()
+    locked(path, |file| file.try_lock().map_err(|_no_locks| TryLockError::WouldBlock)).ok().flatten()
 }
 
 fn locked(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {

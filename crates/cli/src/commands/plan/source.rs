@@ -3,6 +3,8 @@
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::read_transmitters;
+use pwrfgs::experiment::folder::{MODEL_FILE, PIPELINE};
+use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::text::{grouped, number};
 use pwrfgs::experiment::{model_file, staged};
 use pwrfgs::model::file;
@@ -109,6 +111,12 @@ fn measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
             candidates: Vec::new(),
             data: Some(data),
         });
+    }
+    // Sweeps and unfinished runs have errors of their own.
+    if path.is_dir() && ![MODEL_FILE, PIPELINE, LISTING].iter().any(|name| path.join(name).is_file()) {
+        let what =
+            "neither data nor a run found; name a data folder (layouts: docs/data.md), a run folder or a model file";
+        return Err(Error::input(path, what));
     }
     let model = model_file(path)?;
     let ensemble = file::read_ensemble(&model)?;
