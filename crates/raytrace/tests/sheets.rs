@@ -2,6 +2,7 @@
 
 use crate::common::law_scene;
 use glam::DVec3;
+use pwrfgs_raytrace::world::Triangle;
 use pwrfgs_raytrace::{Interaction, PropagationPath, SceneFile, Simulator};
 use std::fmt::Write as _;
 use std::fs;
@@ -64,7 +65,7 @@ fn assert_equal_to(rims: f64, found: &Simulator, wanted: &Simulator, case: &str)
         }
         assert!(rough.abs_diff(roughs) <= roughs / 4, "{case}: {rough} and {roughs} patches");
     }
-    let area = |s: &Simulator| s.world().triangles.iter().map(|triangle| triangle.area()).sum::<f64>();
+    let area = |s: &Simulator| s.world().triangles.iter().map(Triangle::area).sum::<f64>();
     assert!((area(found) - area(wanted)).abs() < 1e-6 * area(wanted), "{case}: {} m²", area(found));
 }
 
