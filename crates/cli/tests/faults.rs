@@ -89,7 +89,8 @@ pub(crate) fn temporaries(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
         let (path, name) = (entry.path(), entry.file_name().into_string().unwrap());
-        if name.starts_with('.') && (name.ends_with(".tmp") || name.contains("pwrfgs-lock")) {
+        let is_temporary = path.extension().is_some_and(|extension| extension == "tmp");
+        if name.starts_with('.') && (is_temporary || name.contains("pwrfgs-lock")) {
             found.push(path);
         } else if path.is_dir() {
             found.extend(temporaries(&path));

@@ -155,6 +155,8 @@ fn other_order_of_the_orientations_of_a_moving_receiver_warns() {
     assert!(found.len() == 1 && found[0].contains("if the recorded numbers are w, x, y, z, it is "), "{found:?}");
 }
 
+type Change = fn([f64; 3]) -> [f64; 3];
+
 /// A room of 5 m by 5 m by 3 m, its points in another unit or frame.
 #[test]
 fn point_cloud_in_another_unit_or_frame_warns_with_both_extents() {
@@ -169,7 +171,6 @@ fn point_cloud_in_another_unit_or_frame_warns_with_both_extents() {
     let pose = ["--receiver", "2,2,2.5", "--orientation", "0,0,0,1", "--out", "room", "-q"];
     succeed(here, &[&["import", "--spectra", "s.npy", "--tx", "tx.npy"][..], &pose].concat());
     let room = |k: usize| [(k * 13 % 41) as f64 / 8.0, (k * 29 % 41) as f64 / 8.0, (k * 17 % 41) as f64 * 0.075];
-    type Change = fn([f64; 3]) -> [f64; 3];
     let clouds: [(&str, Change, &str); 5] = [
         ("metres", |p| p, ""),
         ("millimetres", |p| p.map(|v| 1000.0 * v), "divide its coordinates by 1000"),

@@ -126,7 +126,7 @@ fn estimate_between_two_areas_is_in_one_of_them() {
     let place = |k: u32| {
         let cell = k * 37 % 200;
         let [along, across] = [f64::from(cell % 20) * 0.1, 4.0 + f64::from(cell / 20) * 0.2];
-        if cell % 2 == 0 { [along, across, 1.0] } else { [across, along, 1.0] }
+        if cell.is_multiple_of(2) { [along, across, 1.0] } else { [across, along, 1.0] }
     };
     let samples: Vec<Sample> = (0..200).map(|k| Sample { id: k, tx: place(k), receiver: 0 }).collect();
     let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, 0) as Real + 0.5 * rng::normal(noise)).collect();
