@@ -4,8 +4,9 @@ use crate::region::Density;
 use pwrfgs_core::statistics::{mean, median, sorted};
 use rayon::prelude::*;
 
-/// Sharpnesses to choose from.
-const SHARPNESSES: [f64; 7] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
+/// Sharpnesses to choose from. Few features, such as one power, have a fingerprint without misfit at many wrong positions,
+/// and need low ones.
+const SHARPNESSES: [f64; 11] = [0.002, 0.008, 0.03, 0.125, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 /// Kernel widths to choose from, in units of the distance between neighbouring training positions.
 const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 /// One of this number of true positions may be outside its region: regions should hold 90 %.
@@ -26,6 +27,8 @@ pub struct Choice {
     pub bandwidth: f64,
     /// Width of the kernels whose mode is the estimate, metres.
     pub mode_bandwidth: f64,
+    /// Sharpness of the weights whose mode is the estimate, in units of `sharpness`.
+    pub mode_sharpness: f64,
     /// Whether the mode is improved by descent along the model.
     pub descends: bool,
 }
@@ -34,14 +37,14 @@ pub struct Choice {
 pub(crate) type Truth = (Vec<f32>, [f64; 3]);
 
 impl Choice {
-    /// Returns the settings with the highest mean log density at the true positions, and this mean.
+    /// Returns the settings with the highest mean log density at the true positions.
     pub(crate) fn most_likely(
         share: f32,
         positions: &[[f64; 3]],
         truths: &[Truth],
         misfits: &[Vec<f32>],
         spacing: f64,
-    ) -> (f64, Self) {
+    ) -> Self {
         let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
         let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
         let scale = if typical > 0.0 { typical } else { 1.0 };
@@ -51,6 +54,7 @@ impl Choice {
             scale,
             bandwidth: 2.0 * width * spacing,
             mode_bandwidth: 2.0 * width * spacing,
+            mode_sharpness: 1.0,
             descends: false,
         };
         let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| of((s, b)))).collect();
@@ -65,7 +69,7 @@ impl Choice {
         let score = |k: usize| mean(densities.iter().map(|own| own[k]));
         let scored = all.iter().enumerate().map(|(k, own)| (score(k), *own)).filter(|(score, _)| score.is_finite());
         let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.unwrap_or((f64::NEG_INFINITY, of(DEFAULTS)))
+        best.map_or_else(|| of(DEFAULTS), |(_, choice)| choice)
     }
 
     pub(crate) fn density(&self, misfits: &[f32], positions: &[[f64; 3]]) -> Density {

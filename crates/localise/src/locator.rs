@@ -13,7 +13,9 @@ use rayon::prelude::*;
 pub const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
 /// Kernel widths of the mode to choose from, in units of that of the density.
 const WIDER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
-/// Maximum number of validation samples on which kernel widths of the mode are compared, and descent with no descent.
+/// Sharpnesses of the mode to choose from, in units of that of the density.
+const SHARPNESSES: [f64; 5] = [1.0, 0.25, 0.5, 2.0, 4.0];
+/// Maximum number of validation samples on which settings of the mode are compared, and descent with no descent.
 const COMPARED: usize = 100;
 /// Level of the parts among which the most probable one is chosen, if there are too few validation samples for regions.
 const LEVEL: f32 = 0.1;
@@ -93,38 +95,41 @@ impl<'a> Locator<'a> {
         let truths = Fingerprints::measured(&features, data, &validation, floor);
         let truths: Vec<Truth> = (0..truths.len()).map(|k| (truths.row(k).to_vec(), truths.positions[k])).collect();
         let spacing = spacing(&measured.positions);
-        let mut best: Option<(f64, Choice, Fingerprints, Vec<Vec<f32>>)> = None;
-        for share in shares {
-            let own = predicted.as_ref().map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
-            let misfits: Vec<Vec<f32>> = truths.par_iter().map(|(observation, _)| own.misfits(observation)).collect();
-            let (score, choice) = Choice::most_likely(*share, &own.positions, &truths, &misfits, spacing);
-            if best.as_ref().is_none_or(|(highest, ..)| score > *highest) {
-                best = Some((score, choice, own, misfits));
-            }
-        }
-        data.observations.check()?;
-        let (_, choice, fingerprints, misfits) =
-            best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
-        let level = level(&fingerprints.positions, &truths, &misfits, choice);
         let to_training = |(_, truth): &Truth| {
-            fingerprints.positions.iter().map(|place| distance(*place, *truth)).fold(f64::INFINITY, f64::min)
+            measured.positions.iter().map(|place| distance(*place, *truth)).fold(f64::INFINITY, f64::min)
         };
         let validation_distance = median(truths.iter().map(to_training));
-        let (area, validation) = (None, truths.len());
         let mut own = Self {
             features,
             model,
             without,
-            fingerprints,
+            choice: Choice::most_likely(0.0, &measured.positions, &[], &[], spacing),
+            fingerprints: measured.clone(),
             floor,
             spacing,
-            area,
-            validation,
+            area: None,
+            validation: truths.len(),
             validation_distance,
-            choice,
-            level,
+            level: None,
         };
-        own.choose_estimate(&truths);
+        let mut best: Option<(f64, Choice, Option<f32>, Fingerprints)> = None;
+        for share in shares {
+            own.fingerprints =
+                predicted.as_ref().map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
+            let misfits: Vec<Vec<f32>> = truths.par_iter().map(|(seen, _)| own.fingerprints.misfits(seen)).collect();
+            let positions = &own.fingerprints.positions;
+            own.choice = Choice::most_likely(*share, positions, &truths, &misfits, spacing);
+            own.level = level(positions, &truths, &misfits, own.choice);
+            let error = own.choose_mode(&truths);
+            if best.as_ref().is_none_or(|(least, ..)| error < *least) {
+                best = Some((error, own.choice, own.level, own.fingerprints.clone()));
+            }
+        }
+        data.observations.check()?;
+        let error;
+        (error, own.choice, own.level, own.fingerprints) =
+            best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
+        own.choose_descent(&truths, error);
         Ok(own)
     }
 
@@ -212,7 +217,7 @@ impl<'a> Locator<'a> {
     /// Returns the mode of the most probable part of the region, improved by descent if that was chosen and ends at a
     /// possible position in this part.
     fn estimate(&self, observation: &[f32], density: &Density, region: &Region) -> [f64; 3] {
-        let (part, mode) = region.most_probable_mode(density, self.choice.mode_bandwidth);
+        let (part, mode) = region.most_probable_mode(density, self.choice.mode_bandwidth, self.choice.mode_sharpness);
         if !self.choice.descends {
             return mode;
         }
@@ -263,30 +268,46 @@ impl<'a> Locator<'a> {
         Some((sum, gradient))
     }
 
-    /// Chooses the kernel width of the mode, then whether to descend, by the mean error of validation samples.
-    fn choose_estimate(&mut self, truths: &[Truth]) {
-        if truths.is_empty() {
-            return;
-        }
-        let some: Vec<&Truth> = truths.iter().step_by(truths.len().div_ceil(COMPARED)).collect();
-        let densities = |(own, _): &&Truth| self.density_and_region(&self.fingerprints.misfits(own));
-        let densities: Vec<(Density, Region)> = some.par_iter().map(densities).collect();
-        let mean_error = |choice: Choice, locator: &mut Self| {
-            locator.choice = choice;
-            let one = |((own, truth), (density, region)): (&&Truth, &(Density, Region))| {
-                distance(locator.estimate(own, density, region), *truth)
-            };
-            mean(some.par_iter().zip(&densities).map(one).collect::<Vec<f64>>())
-        };
+    /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples, and returns this error,
+    /// metres.
+    fn choose_mode(&mut self, truths: &[Truth]) -> f64 {
+        let compared = self.compared(truths);
         let chosen = self.choice;
-        let wider = WIDER.map(|factor| Choice { mode_bandwidth: factor * chosen.bandwidth, ..chosen });
+        let all = SHARPNESSES.into_iter().flat_map(|mode_sharpness| {
+            WIDER.map(|wider| Choice { mode_bandwidth: wider * chosen.bandwidth, mode_sharpness, ..chosen })
+        });
         let mut best = (f64::INFINITY, chosen);
-        for choice in wider {
-            let error = mean_error(choice, self);
+        for choice in all {
+            self.choice = choice;
+            let error = self.mean_error(&compared);
             best = if error < best.0 { (error, choice) } else { best };
         }
-        let descending = Choice { descends: true, ..best.1 };
-        self.choice = if mean_error(descending, self) < best.0 { descending } else { best.1 };
+        self.choice = best.1;
+        best.0
+    }
+
+    /// Turns descent on if it lowers the mean error of validation samples below `error`.
+    fn choose_descent(&mut self, truths: &[Truth], error: f64) {
+        self.choice.descends = true;
+        self.choice.descends = self.mean_error(&self.compared(truths)) < error;
+    }
+
+    /// Returns evenly chosen validation samples with their densities and regions.
+    fn compared<'t>(&self, truths: &'t [Truth]) -> Vec<(&'t Truth, Density, Region)> {
+        let some: Vec<&Truth> = truths.iter().step_by(truths.len().div_ceil(COMPARED).max(1)).collect();
+        let one = |truth: &'t Truth| {
+            let (density, region) = self.density_and_region(&self.fingerprints.misfits(&truth.0));
+            (truth, density, region)
+        };
+        some.into_par_iter().map(one).collect()
+    }
+
+    /// Returns the mean error of estimates, metres; NaN without samples.
+    fn mean_error(&self, compared: &[(&Truth, Density, Region)]) -> f64 {
+        let one = |((observation, truth), density, region): &(&Truth, Density, Region)| {
+            distance(self.estimate(observation, density, region), *truth)
+        };
+        mean(compared.par_iter().map(one).collect::<Vec<f64>>())
     }
 }
 

@@ -55,6 +55,13 @@ impl Density {
         kernels.sum::<f64>() / (PI * self.bandwidth * self.bandwidth)
     }
 
+    /// Returns the mode, by ascent from the position of the highest density among those of the largest weights.
+    fn mode(&self) -> Option<[f64; 2]> {
+        let peaks = self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]);
+        let peak = peaks.max_by(|a, b| self.at(*a).total_cmp(&self.at(*b)))?;
+        Some(self.ascend(peak))
+    }
+
     /// Returns the mode that the ascent from a point finds: every step leads to the mean of the positions, with weights
     /// for which the mean is the point if the gradient is 0 (mean shift).
     fn ascend(&self, mut point: [f64; 2]) -> [f64; 2] {
@@ -99,9 +106,8 @@ impl Density {
             Grid { density: self, step: sides[0].max(sides[1]) / CELLS, low: [0; 2], high: [0; 2], highest: 1.0 };
         grid.low = grid.cell(ends.map(|(low, _)| low - reach));
         grid.high = grid.cell(ends.map(|(_, high)| high + reach));
-        let peaks = self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]);
-        if let Some(peak) = peaks.max_by(|a, b| self.at(*a).total_cmp(&self.at(*b))) {
-            grid.highest = self.at(grid.centre(grid.cell(self.ascend(peak))));
+        if let Some(mode) = self.mode() {
+            grid.highest = self.at(grid.centre(grid.cell(mode)));
         }
         grid
     }
@@ -236,19 +242,29 @@ impl Region {
     }
 
     /// Returns the most probable part and its mode, with the mean height of the positions there, metres. The mode is that of
-    /// the kernels in the part, at a width of `bandwidth`; if it is outside of the part, at the width of the density.
-    pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64) -> (u32, [f64; 3]) {
+    /// the kernels in the part, at a width of `bandwidth` and with weights to the power of `sharpness`; if it is outside of
+    /// the part, that of its kernels at the width of the density.
+    pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64, sharpness: f64) -> (u32, [f64; 3]) {
         let part = self.most_probable_part();
+        let is_in_part = |place: [f64; 2]| self.part_at(place) == part;
+        let own = || density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y]));
+        let largest = own().next().map_or(1.0, |(w, _)| *w);
+        let sharper = own().map(|(w, p)| ((w / largest).powf(sharpness), *p)).collect();
+        let modes = [
+            Density { kernels: sharper, bandwidth }.mode(),
+            Density { kernels: own().copied().collect(), bandwidth: density.bandwidth }.mode(),
+        ];
+        let mode = modes.into_iter().flatten().find(|mode| is_in_part(*mode));
+        let [x, y] = mode.unwrap_or_else(|| self.highest_of(part));
+        (part, [x, y, density.mean([x, y], 2)[2]])
+    }
+
+    /// Returns the centre of the cell of the highest density in a part, metres.
+    fn highest_of(&self, part: u32) -> [f64; 2] {
         let cells = (0..self.values.len()).filter(|k| self.parts[*k] == part);
         let highest = cells.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
-        let [x, y] = self.first();
-        let start = [x + (highest % self.columns) as f64 * self.step, y + (highest / self.columns) as f64 * self.step];
-        let is_in_part = |place: [f64; 2]| self.part_at(place) == part;
-        let own = density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y])).copied().collect();
-        let own = Density { kernels: own, bandwidth };
-        let modes = [own.ascend(start), density.ascend(start)];
-        let [x, y] = modes.into_iter().find(|mode| mode[0].is_finite() && is_in_part(*mode)).unwrap_or(start);
-        (part, [x, y, density.mean([x, y], 2)[2]])
+        let ([x, y], (row, column)) = (self.first(), (highest / self.columns, highest % self.columns));
+        [x + column as f64 * self.step, y + row as f64 * self.step]
     }
 
     /// Returns the area, square metres.
@@ -355,7 +371,7 @@ mod tests {
         let places = [[0.0, 0.0, 1.0], [6.0, 0.0, 2.0], [6.9, 0.0, 2.0], [7.8, 0.0, 2.0]];
         let density = Density::new(&[0.34, 0.22, 0.22, 0.22], &places, 0.4);
         let region = density.grid().region(0.1);
-        let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4);
+        let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4, 1.0);
         assert_eq!(region.parts(), 2);
         assert!((x - 6.9).abs() < 0.1 && y.abs() < 1e-6 && z > 1.9, "{x} {y} {z}");
         assert!(region.holds([x, y]) && region.part_at([x, y]) != region.part_at([0.0, 0.0]));

@@ -125,23 +125,27 @@ fn estimate_between_two_areas_is_in_one_of_them() {
     let noise = &mut rng::stream(2, "areas", 0);
     let place = |k: u32| {
         let cell = k * 37 % 200;
-        let [along, across] = [f64::from(cell % 20) * 0.1, 4.0 + f64::from(cell / 20) * 0.2];
+        let [along, across] = [f64::from(cell % 20) * 0.1, 14.0 + f64::from(cell / 20) * 0.2];
         if cell.is_multiple_of(2) { [along, across, 1.0] } else { [across, along, 1.0] }
     };
     let samples: Vec<Sample> = (0..200).map(|k| Sample { id: k, tx: place(k), receiver: 0 }).collect();
-    let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, 0) as Real + 0.5 * rng::normal(noise)).collect();
+    let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, 0) as Real + 0.1 * rng::normal(noise)).collect();
     let receiver = Receiver::new("r", Pose { position: RECEIVERS[0], ..Pose::IDENTITY });
     let data = Dataset::of_links("areas", vec![receiver], vec![], &samples, Observations::from(powers)).unwrap();
     let (train, validation): (Vec<usize>, Vec<usize>) = ((0..140).collect(), (140..200).collect());
     let known = FittingSet { train: &train, validation: &validation };
     let locator = Locator::fit(&data, known, &Law, &[0.0, 1.0]).unwrap();
     assert!(locator.validates_between_training());
+    let mut several = 0;
     for observation in locator.observations(&data, &(140..200).collect::<Vec<_>>()) {
         let located = locator.locate(&observation);
         let [x, y, _] = located.position;
-        assert!(located.holds(located.position) == Some(true) && x.max(y) > 3.5 && x.min(y) < 2.5, "{x} {y}");
-        assert!(located.region.unwrap().parts() >= 2, "{x} {y}");
+        assert_eq!(located.holds(located.position), Some(true), "{x} {y}");
+        let has_several = located.region.unwrap().parts() >= 2;
+        assert!(!has_several || (x.max(y) > 13.5 && x.min(y) < 2.5), "{x} {y}");
+        several += usize::from(has_several);
     }
+    assert!(several > 30, "{several} of 60 regions have a part in each area");
 }
 
 /// A constant; without samples it is the law.
