@@ -104,7 +104,7 @@ fn powers_of_files_are_located_and_invalid_ones_refused() {
         ("north,south\n-50\n", ["o.csv:2:4", "`south`"]),
         ("north,south\n-50,high\n", ["o.csv:2:5", "not a number"]),
         ("north,south\n-50,inf\n", ["o.csv:2:5", "not finite"]),
-        ("north,south\n-50,1e30\n", ["row 1: a power is", "give dBm"]),
+        ("north,south\n-50,1e30\n", ["o.csv:2:5", "not a power in dBm"]),
         ("north,south\n", ["no row", "o.csv"]),
     ] {
         write(&here.join("o.csv"), text);
