@@ -14,7 +14,7 @@ const MISSED: usize = 10;
 /// Settings without validation samples: sharpness, and kernel width as in [`BANDWIDTHS`].
 const DEFAULTS: (f64, f64) = (4.0, 1.0);
 
-/// Settings of a [`Locator`] that validation samples choose.
+/// Settings of a [`Locator`](crate::Locator) that validation samples choose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     /// Share of the model in the fingerprints; the rest is measured.
