@@ -84,11 +84,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     };
     let imported = RunProgress::during(verbosity, |progress| {
         let imported = staged(progress, "spectra", |progress| work.write(&arguments.out, progress))?;
-        if verbosity != Verbosity::Quiet {
-            let source = recognise(&arguments.out).ok_or_else(|| unknown_folder(&arguments.out))?;
-            let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
-            warn_of_findings(&data, None, progress)?;
-        }
+        let source = recognise(&arguments.out).ok_or_else(|| unknown_folder(&arguments.out))?;
+        let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
+        warn_of_findings(&data, None, progress)?;
         Ok::<_, Error>(imported)
     })?;
     if verbosity != Verbosity::Quiet {
