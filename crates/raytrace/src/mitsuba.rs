@@ -11,7 +11,7 @@ use crate::scene::Finish;
 use crate::scene::Object;
 use glam::{DAffine3, DMat4, DVec3};
 use limits::{LONGEST, check_tags, expand};
-use pwrfgs_core::messages::quoted;
+use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Error, Result, did_you_mean, files};
 use roxmltree::{Document, Node};
 use std::collections::BTreeMap;
@@ -63,7 +63,12 @@ impl MitsubaScene {
         check_tags(path, &text)?;
         let document = Document::parse(&text).map_err(|e| {
             let (row, column) = (e.pos().row as usize, e.pos().col as usize);
-            Error::at(path, row, column, format!("invalid XML: {e}; export the scene again"))
+            Error::at(
+                path,
+                row,
+                column,
+                format!("invalid XML: {}; export the scene again", strip_control(&e.to_string())),
+            )
         })?;
         let mut reader = Reader { path, document: &document, variables: BTreeMap::new(), finishes: BTreeMap::new() };
         reader.scene()
