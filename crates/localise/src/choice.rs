@@ -60,8 +60,11 @@ impl Choice {
         let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| of((s, b)))).collect();
         let densities = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
             let of_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|own| {
-                let density = own[0].density(misfits, positions);
-                own.iter().map(move |own| density.widened(own.bandwidth).at([*x, *y]).ln())
+                let mut density = own[0].density(misfits, positions);
+                own.iter().map(move |own| {
+                    density.bandwidth = own.bandwidth;
+                    density.at([*x, *y]).ln()
+                })
             });
             of_sharpness.collect()
         };

@@ -22,7 +22,8 @@ const END: f64 = 1e-3;
 pub(crate) struct Density {
     /// Weights, which sum to 1, and positions; largest weight first.
     kernels: Vec<(f64, [f64; 3])>,
-    bandwidth: f64,
+    /// Width of the kernels, metres.
+    pub(crate) bandwidth: f64,
 }
 
 impl Density {
@@ -36,11 +37,6 @@ impl Density {
         order.sort_by(by_weight);
         let sum: f64 = order.iter().map(|k| weights[*k]).sum();
         Self { kernels: order.iter().map(|k| (weights[*k] / sum, positions[*k])).collect(), bandwidth }
-    }
-
-    /// Returns the density with kernels of another width.
-    pub(crate) fn widened(&self, bandwidth: f64) -> Self {
-        Self { kernels: self.kernels.clone(), bandwidth }
     }
 
     /// Returns 1/(1 + r²) for a kernel at a point.
@@ -57,8 +53,8 @@ impl Density {
 
     /// Returns the mode, by ascent from the position of the highest density among those of the largest weights.
     fn mode(&self) -> Option<[f64; 2]> {
-        let peaks = self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]);
-        let peak = peaks.max_by(|a, b| self.at(*a).total_cmp(&self.at(*b)))?;
+        let peaks = self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]).map(|point| (self.at(point), point));
+        let (_, peak) = peaks.max_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(self.ascend(peak))
     }
 
@@ -250,11 +246,12 @@ impl Region {
         let own = || density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y]));
         let largest = own().next().map_or(1.0, |(w, _)| *w);
         let sharper = own().map(|(w, p)| ((w / largest).powf(sharpness), *p)).collect();
-        let modes = [
-            Density { kernels: sharper, bandwidth }.mode(),
-            Density { kernels: own().copied().collect(), bandwidth: density.bandwidth }.mode(),
-        ];
-        let mode = modes.into_iter().flatten().find(|mode| is_in_part(*mode));
+        let inside = |mode: &[f64; 2]| is_in_part(*mode);
+        let plain = || {
+            let kernels = own().copied().collect();
+            Density { kernels, bandwidth: density.bandwidth }.mode().filter(inside)
+        };
+        let mode = Density { kernels: sharper, bandwidth }.mode().filter(inside).or_else(plain);
         let [x, y] = mode.unwrap_or_else(|| self.highest_of(part));
         (part, [x, y, density.mean([x, y], 2)[2]])
     }
