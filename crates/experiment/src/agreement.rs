@@ -71,10 +71,12 @@ impl Agreement {
         })
     }
 
-    /// Whether most links lie outside the intervals of the model, or most transmitters outside its site, where intervals
-    /// are wide. False for a model without calibration.
+    /// Whether most links that should lie inside the intervals of the model lie outside, or most transmitters outside its
+    /// site, where intervals are wide. False for a model without calibration.
     pub fn is_far(&self) -> bool {
-        let is_outside = |(_, outside): (f64, usize)| 2 * outside > self.scores.len();
+        // With few calibration blocks, the level is low and many links of right data lie outside.
+        let count = self.scores.len() as f64;
+        let is_outside = |(level, outside): (f64, usize)| count - (outside as f64) < level * count / 2.0;
         let is_elsewhere = self.positions.is_some_and(|[_, (count, _)]| 2 * count > self.transmitters);
         self.intervals.is_some_and(|own| is_outside(own) || is_elsewhere)
     }

@@ -35,7 +35,8 @@ pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Fin
     let mut all = Vec::new();
     if data.placed {
         all.extend(of_positions(data));
-        all.extend(cloud::finding(data));
+        // The cloud of a camera is of the same reconstruction, without a unit, and cameras may stand around it.
+        all.extend(cloud::finding(data).filter(|_| data.camera.is_none()));
     }
     all.extend(data.observations.powers().and_then(of_powers));
     all.extend(partition.and_then(|partition| of_split(data, partition)));
