@@ -15,7 +15,7 @@ use std::time::Instant;
 /// Keys `latency_prepare_ms`, `latency_network_ms`, `latency_projection_ms`, `latency_sort_ms`, `latency_blending_ms`,
 /// `latency_total_ms`. Each median is computed separately, so that the stages need not sum to the total. Times depend
 /// on the machine and its load, and vary between runs. A baseline has only the total, without its fitting time; it is
-/// timed for at most two seconds, but at least once. A model is timed for at most two seconds, but at least one series.
+/// timed for at most two seconds, but at least once. No series of a model after the first starts later than that.
 ///
 /// Values that do not depend on the transmitter are prepared once and excluded from the other stages: part of the
 /// network and, if geometry does not depend on the transmitter, projection and sorting. `latency_prepare_ms` is the
@@ -42,7 +42,7 @@ impl Default for Latency {
     }
 }
 
-/// Time after which no further prediction of a baseline and no further series is timed, seconds.
+/// Time after which no further prediction of a baseline and no further series starts, seconds.
 const PATIENCE: f64 = 2.0;
 /// Largest number of series.
 const SERIES: usize = 5;

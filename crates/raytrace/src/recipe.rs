@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Version of the simulator output; increased whenever the same recipe gives other bytes.
-const EDITION: u32 = 2;
+const EDITION: u32 = 3;
 /// Largest number of links of a data set: 32 GB of spectra as an array. Fewer are allowed as images
 /// ([`crate::output::write_as`]).
 const MOST_SAMPLES: usize = 1_000_000;
