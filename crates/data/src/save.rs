@@ -162,14 +162,14 @@ impl Folder<'_> {
             _ => String::new(), // the names of carriers follow from their frequencies
         };
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
-        if self.data.len() > MOST_POSITIONS {
-            let what = format!("more than the {MOST_POSITIONS} that can be read; save parts");
-            return refuse(&format!("tx.npy would have {} positions, {what}", self.data.len()));
-        }
         let positions = || self.data.samples().map(|sample| sample.tx);
         if let Some(orientations) = &self.data.orientations {
             self.put(POSES, poses_csv(positions().zip(orientations.iter().copied())))?;
         } else {
+            if self.data.len() > MOST_POSITIONS {
+                let what = format!("more than the {MOST_POSITIONS} that can be read; save parts");
+                return refuse(&format!("tx.npy would have {} positions, {what}", self.data.len()));
+            }
             let header = npy_header(Number::F64, &[self.data.len(), 3]);
             self.put(
                 "tx.npy",

@@ -75,7 +75,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     if arguments.dry_run {
-        return sweep::dry_run(&plan, &runs, 1, verbosity);
+        return sweep::dry_run(&plan, &runs, 1, verbosity).map_err(unplaced);
     }
     check_earlier_runs(&plan)?;
     RunProgress::during(verbosity, |progress| check(&plan, &runs, progress)).map_err(unplaced)?;

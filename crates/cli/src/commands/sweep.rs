@@ -135,11 +135,15 @@ pub(super) fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, to: (Option<&s
     });
     board.finish();
     #[cfg(feature = "report")]
-    if !stop.load(Ordering::Relaxed) && is_last(plan) {
-        let _held = plan.claim()?; // if the last runs of two processes end together, one writes after the other
-        super::report::of_sweep(&plan.folder, reference, verbosity)?;
-    }
+    let reported = if !stop.load(Ordering::Relaxed) && is_last(plan) {
+        // If the last runs of two processes end together, one writes after the other.
+        plan.claim().and_then(|_held| super::report::of_sweep(&plan.folder, reference, verbosity))
+    } else {
+        Ok(())
+    };
     let SweepEnd { runs: ends, joined } = end?;
+    #[cfg(feature = "report")]
+    reported?;
     let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
     if let Some(RunOutcome::Finished { scores, .. }) = joined {
