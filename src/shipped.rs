@@ -19,8 +19,9 @@ macro_rules! ship {
 ship! {
     "pipelines":
         "ablation-wrfgs", "ablation", "ble", "dense", "nerf2-ble", "nerf2-csi", "nerf2-laptop", "nerf2",
-        "newrf", "office-carriers", "office-channel", "office-init", "office-links", "office-moving", "paper", "pwrfgs", "quickstart",
-        "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs-laptop", "wrfgs";
+        "newrf", "office-carriers", "office-channel", "office-init", "office-links", "office-moving", "pwrfgs-157",
+        "pwrfgs-small", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "thinned", "uplink", "wrfgs-laptop", "wrfgs-small",
+        "wrfgs";
     "experiments":
         "methods-channels", "methods-powers", "methods-uplink", "methods";
     "scenes":
