@@ -220,6 +220,110 @@ fn every_experiment_resolves_and_its_variants_train() {
     }
 }
 
+/// Constants of `pwrfgs.ron` and the source of each.
+const PAPER: [(&str, f64, &str); 27] = [
+    ("steps", 200_000.0, "paper"),
+    ("batch", 1.0, "paper, algorithm 1"),
+    ("densify until", 20_000.0, "paper, M_d"),
+    ("prune until", 40_000.0, "paper, M_p"),
+    ("prune every", 1_000.0, "paper, I_p"),
+    ("epsilon", 0.005, "paper"),
+    ("lambda", 0.02, "paper, headline (N = 157)"),
+    ("mask threshold", 0.01, "paper"),
+    ("mask logit", 1.0, "Compact-3DGS"),
+    ("mask rate", 0.01, "Compact-3DGS"),
+    ("SSIM weight", 0.2, "paper, w"),
+    ("count", 200_000.0, "WRF-GS+, random start"),
+    ("spread", 20.0, "WRF-GS+, random start"),
+    ("neighbours", 3.0, "WRF-GS+, initial scale"),
+    ("opacity", 0.1, "WRF-GS+, initial opacity"),
+    ("means first", 8e-4, "WRF-GS+, 1.6e-4 times spatial_lr_scale 5"),
+    ("means last", 8e-6, "WRF-GS+, 1.6e-6 times spatial_lr_scale 5"),
+    ("log-scales", 0.005, "WRF-GS+"),
+    ("quaternions", 0.001, "WRF-GS+"),
+    ("opacities", 0.025, "WRF-GS+"),
+    ("signals", 7e-4, "WRF-GS+, 0.0025 times 0.2821 of a colour"),
+    ("network first", 8e-4, "WRF-GS+"),
+    ("network last", 1.6e-6, "WRF-GS+"),
+    ("network steps", 600_000.0, "WRF-GS+"),
+    ("extent", 2.0, "WRF-GS+, cameras_extent in scene/__init__.py"),
+    ("size limit", 0.2, "WRF-GS+, 0.1 of the extent after step 3,000"),
+    ("weights", 574_819.0, "WRF-GS+, 576,618 without two idle heads"),
+];
+
+#[test]
+fn pwrfgs_has_the_constants_of_paper_and_released_code() {
+    use pwrfgs::train::Schedule;
+    let pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/pwrfgs.ron"));
+    // Each of them as the pipeline states it, or as it is by default.
+    let plugins = format!("{:?} {:?}", pipeline.pruners, pipeline.initializer);
+    let plugin = |field: &str| -> f64 {
+        let found = plugins.split_once(&format!(" {field}: ")).unwrap_or_else(|| panic!("no {field} in {plugins}")).1;
+        found.split([',', ' ', '}']).next().unwrap().parse().unwrap()
+    };
+    let t = &pipeline.training;
+    let (o, d) = (&t.optimizer, &t.densify);
+    let constant = |schedule: Schedule| match schedule {
+        Schedule::Constant(rate) => rate,
+        other => panic!("{other:?}"),
+    };
+    let falling = |schedule: Schedule| match schedule {
+        Schedule::LogLinear { first, last, steps } => (f64::from(first as f32), f64::from(last as f32), steps),
+        other => panic!("{other:?}"),
+    };
+    let (means, network) = (falling(o.means), falling(o.network));
+    let found = [
+        t.steps as f64,
+        t.batch as f64,
+        t.densify_until as f64,
+        t.prune_until as f64,
+        t.prune_every as f64,
+        plugin("epsilon"),
+        plugin("lambda"),
+        plugin("threshold"),
+        plugin("initial_logit"),
+        plugin("learning_rate"),
+        f64::from(t.loss.ssim_weight as f32),
+        plugin("count"),
+        plugin("std"),
+        plugin("nearest"),
+        plugin("opacity"),
+        means.0,
+        means.1,
+        f64::from(constant(o.log_scales) as f32),
+        f64::from(constant(o.quats) as f32),
+        f64::from(constant(o.opacity_logits) as f32),
+        f64::from(constant(o.signals) as f32),
+        network.0,
+        network.1,
+        network.2 as f64,
+        f64::from(d.extent_m as f32),
+        f64::from((d.large_above * d.extent_m) as f32),
+        pipeline.deformation.layout().numbers() as f64,
+    ];
+    for ((name, expected, source), found) in PAPER.iter().zip(found) {
+        assert!((found / expected - 1.0).abs() < 1e-6, "{name}: {found}, expected {expected} ({source})");
+    }
+    assert_eq!(means.2, 30_000, "WRF-GS+, position_lr_max_steps");
+    assert_eq!((d.from, d.every, d.large_after, d.reset_every), (500, 100, 3_000, 3_000), "WRF-GS+");
+    assert_eq!((d.max_gaussians, t.stride, t.target_count), (0, 1, 0), "all pixels, no limit, no target");
+    // The small pipelines change the numbers that their headers name, and nothing else.
+    let small = |name: &str, changes: &[&str]| {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines").join(name);
+        let mut whole = pipeline.clone();
+        changes.iter().for_each(|change| whole.set(change).unwrap_or_else(|e| panic!("{e}")));
+        assert_eq!(read(&file).to_ron(), whole.to_ron(), "{name}");
+    };
+    let start = [
+        "name=\"pwrfgs-small\"",
+        "initializer=Random(count: 2_000, std: 4.31)",
+        "pruners.LearnableMask.lambda=0.0075",
+        "training.densify.extent_m=60",
+        "training.densify.max_gaussians=3_000",
+    ];
+    small("pwrfgs-small.ron", &start);
+}
+
 #[test]
 fn wrfgs_densifies_at_steps_of_released_code() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));

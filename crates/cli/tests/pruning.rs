@@ -119,6 +119,19 @@ fn shorter_training_still_prunes() {
     assert!(gaussians(&here.join("short")) < 40);
     let pipeline = std::fs::read_to_string(here.join("short/pipeline.ron")).unwrap();
     assert!(pipeline.contains("prune_until: 250") && pipeline.contains("learning_rate: 0.08"), "{pipeline}");
+    let samples = |scale: &str, out: &str, count: &str| {
+        let count = format!("training.validation_samples={count}");
+        succeed(
+            here,
+            &["run", "p.ron", "--scale", scale, "--set", &count, "--set", "training.steps=1000", "--out", out],
+        );
+        let pipeline = std::fs::read_to_string(here.join(out).join("pipeline.ron")).unwrap();
+        let line = pipeline.lines().find(|line| line.contains("validation_samples")).unwrap();
+        line.split(": ").nth(1).unwrap().trim_end_matches(',').parse::<usize>().unwrap()
+    };
+    assert_eq!(samples("0.25", "fewer", "300"), 75);
+    assert_eq!(samples("0.1", "least", "300"), 50);
+    assert_eq!(samples("0.1", "few", "20"), 20, "as many as the pipeline has");
     let tiny = stderr(&succeed(here, &["check", "p.ron", "--scale", "0.05"]));
     assert!(tiny.contains("needs about 128 steps to close and pruning ends after step 50"), "{tiny}");
 }
@@ -146,7 +159,12 @@ fn training_stops_if_one_gaussian_remains() {
         message.contains("8 of 8 Gaussians start larger than `large_above`") && message.contains("at step 15"),
         "{message}"
     );
-    refuse(here, &run("r", &[]), 1, &["one Gaussian is left at step 15", "`large_above`, 0.00 m: ", "target_count: 1"]);
+    refuse(
+        here,
+        &run("r", &[]),
+        1,
+        &["one Gaussian is left at step 15", "`large_above`, 0.00 m: ", "extent_m", "max_gaussians"],
+    );
     assert!(!here.join("r/model.safetensors").exists());
     succeed(here, &run("asked", &["--set", "training.target_count=1"]));
     succeed(here, &run("alone", &["--set", "initializer=Grid(count: 1)"]));
@@ -156,4 +174,52 @@ fn training_stops_if_one_gaussian_remains() {
     assert_eq!(gaussians(&here.join("masked")), 1);
     let rule = "pruners=[LearnableMask(), OpacityThreshold(epsilon: 0.99)]";
     refuse(here, &pruned("rule", rule), 1, &["one Gaussian is left at step", "removed by `OpacityThreshold`: 8"]);
+}
+
+#[test]
+fn densification_that_removes_nearly_all_ends_the_run_and_keeps_its_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let text = SMALL.replace("Grid(count: 8)", "Random(count: 60, std: 2.0)").replace("every: 5, from: 5", "DENSIFY");
+    let settings = "training.checkpoint_every=5";
+    for (name, densify, said) in [
+        // The largest of 60 scales is far from the others, so that more than one and less than 5 % stay.
+        (
+            "size",
+            "every: 5, from: 5, large_after: 10, max_gaussians: 60, extent_m: EXTENT",
+            ["`large_above`", "extent_m", "max_gaussians"],
+        ),
+        (
+            "faint",
+            "every: 5, from: 5, large_above: 0, max_gaussians: 60, opacity_floor: 0.5",
+            ["`opacity_floor`", "0.5", "reset_opacity"],
+        ),
+    ] {
+        let pipeline = format!("{name}.ron");
+        write(&here.join(&pipeline), text.replace("DENSIFY", densify).replace("EXTENT", "0.5"));
+        let run = ["run", &pipeline, "--set", settings, "--out", name];
+        refuse(here, &run, 1, &[&said[..], &["left at step"]].concat());
+        let checkpoint = std::fs::read(here.join(name).join("checkpoint.safetensors")).unwrap();
+        refuse(here, &run, 1, &said);
+        assert_eq!(std::fs::read(here.join(name).join("checkpoint.safetensors")).unwrap(), checkpoint);
+    }
+}
+
+#[test]
+fn validation_in_the_step_of_an_opacity_reset_precedes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let rows = |reset: &str| {
+        let densify = format!("every: 0, reset_every: {reset}");
+        let name = format!("reset-{reset}");
+        write(&here.join("p.ron"), SMALL.replace("every: 5, from: 5", &densify));
+        let set = ["training.validate_every=10", "training.densify_until=30", "training.prune_until=40"];
+        let run = ["run", "p.ron", "--out", &name, "--set", set[0], "--set", set[1], "--set", set[2]];
+        succeed(here, &run);
+        let rows = std::fs::read_to_string(here.join(name).join("validation.csv")).unwrap();
+        rows.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let (reset, never) = (rows("20"), rows("0"));
+    assert_eq!(reset[..2], never[..2], "steps 10 and 20");
+    assert_ne!(reset[2], never[2], "step 30 follows the reset");
 }

@@ -45,11 +45,13 @@ pub enum Error {
         /// Training step, from 1.
         step: u64,
     },
-    /// Training removed all Gaussians except one.
-    #[error("training: one Gaussian is left at step {step}{}; {advice}", sanitize_message(removed))]
+    /// One step removed all Gaussians except one, or densification nearly all.
+    #[error("training: {} left at step {step}{}; {advice}", if *left == 1 { "one Gaussian is".into() } else { format!("{left} Gaussians are") }, sanitize_message(removed))]
     Collapsed {
         /// Training step, from 1.
         step: u64,
+        /// Number of Gaussians left.
+        left: usize,
         /// Text `, removed by` with the rules and the number that each removed; empty without rules.
         removed: String,
         /// Advice on the pipeline.

@@ -56,6 +56,12 @@ pub trait Pruner: crate::plugin::PluginObject {
         PrunerTraits::default()
     }
 
+    /// Returns a sentence on the number that these settings keep of `initial` Gaussians without a target, for `pwrfgs
+    /// check`; `None` if nothing is known.
+    fn outlook(&self, initial: usize) -> Option<String> {
+        None
+    }
+
     /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -53,6 +53,8 @@ pub struct Preview {
     pub weights: usize,
     /// Warnings about settings without effect.
     pub warnings: Vec<String>,
+    /// Sentences of the pruners on the number of Gaussians that they keep.
+    pub outlook: Vec<String>,
     /// Memory of a step with the initial Gaussians in addition to the loaded data, bytes.
     pub step_bytes: u64,
     /// Time of the training.
@@ -94,6 +96,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         summary: DataSummary::of(&data, SUMMARIZED, observer)?,
         test_distance: test_distance(&data, &partition),
         warnings: trainer.warnings(),
+        outlook: trainer.outlook(),
         step_bytes: trainer.step_bytes(),
         time: staged(observer, "timing a few steps", |_| trainer.time())?,
         load: load_before,

@@ -136,7 +136,7 @@ impl Training<'_, '_> {
                 }
                 let validates = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);
                 let scored = if validates && !looked_at.is_empty() {
-                    Some(validate(report.step, &trainer.model(), self.data, &looked_at)?)
+                    Some(validate(report.step, &trainer.validated_model(), self.data, &looked_at)?)
                 } else {
                     None
                 };
@@ -171,7 +171,7 @@ impl Training<'_, '_> {
             let n = model.cloud.len();
             warn(format!("nothing was pruned: {n} Gaussians remain, and no pruner has removed any"));
         }
-        trainer.idle_masks().into_iter().for_each(warn);
+        trainer.idle_masks().into_iter().chain(trainer.lone_gaussian()).for_each(warn);
         file::write(&folder.file(MODEL_FILE), &model)?;
         Ok(Some(model))
     }

@@ -15,7 +15,8 @@ pub enum Calibration {
     #[default]
     Physical,
     /// As in the released code: scales may become negative, rotations are not normalised again, signals become colours
-    /// max(0, 0.2821·s + 0.5), and the blended spectrum is clamped to [0, 1] before the loss.
+    /// max(0, 0.2821·(s + |Δ|) + 0.5), and the blended spectrum is clamped to [0, 1] before the loss. A network that
+    /// replaces the signals gives them with their sign.
     AsReleased,
 }
 
@@ -165,16 +166,23 @@ impl Activation {
                         d_cloud.signals[i][c] += d_signal;
                     }
                     if let Some(row) = d_deltas.signals.get_mut(b * n + i) {
-                        row[c] += d_signal;
+                        let is_turned = self.takes_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
+                        row[c] += if is_turned { -d_signal } else { d_signal };
                     }
                 }
             }
         }
     }
 
+    /// Whether a signal is s + |Δ|: WRF-GS+ adds the magnitude of the complex output of its network.
+    fn takes_magnitudes(&self) -> bool {
+        self.calibration == Calibration::AsReleased && !self.replaces_signals
+    }
+
     fn signal(&self, cloud: &GaussianCloud, deltas: &Deltas, row: usize, i: usize, c: usize) -> Real {
         let base = if self.replaces_signals { 0.0 } else { cloud.signals[i][c] };
-        base + deltas.signals.get(row).map_or(0.0, |d| d[c])
+        let delta = deltas.signals.get(row).map_or(0.0, |d| d[c]);
+        base + if self.takes_magnitudes() { delta.abs() } else { delta }
     }
 }
 
@@ -275,6 +283,19 @@ mod tests {
             pack(&sums.cloud, &sums.deltas, &sums.gate)
         };
         check_vjp("activate", &x, f, vjp, 1e-6, 1e-6);
+    }
+
+    #[test]
+    fn released_signals_add_magnitudes_of_network() {
+        let (mut cloud, deltas) =
+            (GaussianCloud::zeros(1), Deltas { signals: vec![[-0.5, 0.25]], ..Deltas::default() });
+        cloud.signals[0] = [0.1, -0.2];
+        let colours = |replaces_signals| {
+            let activation = Activation { calibration: Calibration::AsReleased, replaces_signals, channels: 2 };
+            activation.signals(&cloud, &deltas, 0..1)
+        };
+        assert_eq!(colours(false), [0.6, 0.05].map(|s: Real| SH_C0 * s + 0.5), "s + |Δ|, as in WRF-GS+");
+        assert_eq!(colours(true), [-0.5, 0.25].map(|s: Real| SH_C0 * s + 0.5), "a Wrfgs network gives signals");
     }
 
     #[test]

@@ -6,7 +6,9 @@ use crate::settings::Densify;
 use pwrfgs_core::{CloudStats, GaussianCloud, Real, RowOrigin, Vec3, logit, rng, sigmoid};
 
 /// Divisor of the scales of the two children of a split, as in 3DGS: 0.8 times the number of children.
-const SPLIT_SHRINK: Real = 1.6;
+pub(crate) const SPLIT_SHRINK: Real = 1.6;
+/// Name of the rule that removes by size.
+pub(crate) const SIZE_RULE: &str = "`large_above`";
 
 /// Returns whether densification is due after `step`.
 pub(crate) fn due(settings: &Densify, step: u64) -> bool {
@@ -96,7 +98,7 @@ fn remove(
     let mut keep: Vec<bool> = (0..cloud.len()).map(|i| !is_faint(i) && !is_large(i)).collect();
     let count = |of: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| of(*i)).count();
     let rules = vec![
-        (format!("`large_above`, {:.2} m", too_large.unwrap_or_default()), count(&is_large)),
+        (format!("{SIZE_RULE}, {:.2} m", too_large.unwrap_or_default()), count(&is_large)),
         (format!("`opacity_floor`, {}", settings.opacity_floor), count(&is_faint)),
     ];
     ensure_one(&mut keep, &cloud.opacity_logits, "densification");

@@ -1,5 +1,6 @@
 //! Memory of a training step, and [`TimeEstimate`]: the time of a training before its first step.
 
+use crate::adam::BETAS;
 use crate::settings::{Densify, Rays, Training};
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::Checked;
@@ -12,10 +13,10 @@ use std::time::{Duration, Instant};
 pub struct TimeEstimate {
     /// Steps with the initial Gaussians.
     pub start: TimedSteps,
-    /// Steps with the target of pruning; without a target, with a tenth of the initial Gaussians.
+    /// Steps with the Gaussians that pruning is expected to keep.
     pub end: TimedSteps,
-    /// Shortest and longest expected time of all steps, seconds. Without a target, the longest is without pruning.
-    pub seconds: [f64; 2],
+    /// Shortest, expected and longest time of all steps, seconds.
+    pub seconds: [f64; 3],
     /// Shortest and longest expected time of the initial search before the first step, seconds; 0 without one.
     pub search_seconds: [f64; 2],
     /// Upper over lower quartile of the times of equal steps: about 1 on an idle machine.
@@ -40,8 +41,10 @@ const PER_TERM: usize = 75;
 /// Numbers stored per pixel and transmitter: spectra, signals, SSIM buffers and derivatives.
 const PER_PIXEL: usize = 20;
 
-/// Share of the Gaussians that pruning keeps at least, if it has no target.
-const KEPT: f64 = 0.1;
+/// Shares of the Gaussians that learned masks keep: least, expected, most (3,000 Gaussians on s23, `docs/reproduce.md`).
+const KEPT_BY_MASKS: [f64; 3] = [0.01, 0.05, 0.3];
+/// The same for other pruners, whose thresholds may remove none.
+const KEPT: [f64; 3] = [0.1, 0.3, 1.0];
 /// Number of timed steps with one N, if they take less than `PATIENCE`.
 const TIMED: usize = 40;
 const PATIENCE: Duration = Duration::from_millis(1_500);
@@ -52,10 +55,37 @@ pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
 
-/// Time of a training in which step times fall evenly from `first` to `last` seconds while it prunes. `phases` are the
-/// last steps of densification, pruning and training.
-fn weighted([before, until, steps]: [u64; 3], first: f64, last: f64) -> f64 {
-    before as f64 * first + (until - before) as f64 * (first + last) / 2.0 + (steps - until) as f64 * last
+/// Number N of drawn Gaussians over the steps of a training: initial, then the limit of densification, then falling by
+/// an equal share per step from the step in which masks can close (or pruning begins) to the end of pruning. Closed masks
+/// count as removed: their Gaussians are not evaluated.
+#[derive(Clone, Copy, Debug)]
+struct CountCurve {
+    /// N of the first steps, and N from step `grown` on.
+    full: [f64; 2],
+    grown: u64,
+    /// First and last step of the fall; equal without pruning.
+    fall: [u64; 2],
+    steps: u64,
+}
+
+impl CountCurve {
+    /// Sum of N over all steps, if the share `kept` remains.
+    fn sum(&self, kept: f64) -> f64 {
+        let ([first, full], [from, until]) = (self.full, self.fall);
+        let grown = self.grown.min(from);
+        // Mean of kept^u for u from 0 to 1.
+        let mean = if kept < 1.0 { (kept - 1.0) / kept.ln() } else { 1.0 };
+        let [growing, whole, falling, rest] = [grown, from - grown, until - from, self.steps - until].map(|n| n as f64);
+        let last = if until > from { kept * full } else { full };
+        growing * first + (whole + falling * mean) * full + rest * last
+    }
+
+    /// Time of all steps, seconds, from timed steps with two different N (linear between and beyond them), or one N.
+    fn seconds(&self, kept: f64, [a, b]: [(f64, f64); 2]) -> f64 {
+        let slope = if a.0 == b.0 { 0.0 } else { ((a.1 - b.1) / (a.0 - b.0)).max(0.0) };
+        let fixed = (b.1 - slope * b.0).max(0.0);
+        self.steps as f64 * fixed + slope * self.sum(kept)
+    }
 }
 
 impl Trainer<'_> {
@@ -76,47 +106,64 @@ impl Trainer<'_> {
     }
 
     /// Estimates the time of the training: it times steps with the current N and with the N at the end of pruning, and
-    /// weights them by the schedule. It also times one candidate of an initial search. Densification and the statistics
-    /// of prune steps are not included.
+    /// weights them by the expected number of Gaussians. It also times one candidate of an initial search. Densification
+    /// beyond `max_gaussians`, the statistics of prune steps, validation and scoring are not included.
     ///
     /// # Errors
     /// As [`Self::step`].
     pub fn time(mut self) -> Result<TimeEstimate> {
         let search_seconds = self.search_seconds()?;
         let t = Training::clone(&self.plan.training);
-        let (n, target) = (self.cloud.len(), self.goal.map(|goal| goal.target));
-        let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
-        let is_pruned = n > 1 && until > before && !self.plan.pruners.is_empty();
-        let last = match target {
-            _ if !is_pruned => n,
-            Some(target) => target.min(n),
-            None => (n as f64 * KEPT).ceil() as usize,
-        };
+        let n = self.cloud.len();
+        let (curve, kept) = self.count_curve();
+        let last = ((kept[1] * n as f64).round() as usize).clamp(n.min(1), n);
         // No timed step changes N.
         let endless = Training {
             densify_until: u64::MAX,
             prune_until: u64::MAX,
-            densify: Densify { every: 0, ..t.densify.clone() },
-            ..t.clone()
+            densify: Densify { every: 0, ..t.densify },
+            ..t
         };
         self.plan.training = Checked::new(endless).map_err(Error::Config)?;
         let start = self.quartiles()?;
         let end = if last < n {
-            let kept: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
-            self.keep(&kept)?;
+            let open: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
+            self.keep(&open)?;
             self.quartiles()?
         } else {
             start
         };
-        let total = |first, last| weighted([before, until, t.steps], first, last);
-        let longest = if target.is_some() { end[2] } else { start[2] };
+        let total = |k: usize| curve.seconds(kept[k], [(n as f64, start[k]), (last as f64, end[k])]);
         Ok(TimeEstimate {
             start: TimedSteps { gaussians: n, step_seconds: start[1] },
             end: TimedSteps { gaussians: last, step_seconds: end[1] },
-            seconds: [total(start[0], end[0]), total(start[2], longest)],
+            seconds: [total(0), total(1), total(2)],
             search_seconds,
             spread: (start[2] / start[0]).max(end[2] / end[0]),
         })
+    }
+
+    /// Expected number of Gaussians over the steps, and the shares that pruning keeps: least, expected, most.
+    fn count_curve(&self) -> (CountCurve, [f64; 3]) {
+        let (t, pruners) = (&self.plan.training, &self.plan.pruners);
+        let n = self.cloud.len();
+        let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
+        let grows = t.densify.every > 0 && t.densify.from < before && self.stages.method.traits().blends;
+        let full = if grows { n.max(t.densify.max_gaussians) } else { n };
+        let masks = pruners.iter().filter_map(|pruner| pruner.traits().mask_fall).map(|fall| fall.steps(BETAS)).min();
+        let (from, kept) = match (self.goal, masks) {
+            _ if n < 2 || until == before || pruners.is_empty() => (until, [1.0; 3]),
+            (Some(goal), _) => (before, [goal.target.min(full) as f64 / full as f64; 3]),
+            (None, Some(closed)) => (closed.min(until), KEPT_BY_MASKS),
+            (None, None) => (before, KEPT),
+        };
+        let curve = CountCurve {
+            full: [n, full].map(|n| n as f64),
+            grown: t.densify.from,
+            fall: [from, until],
+            steps: t.steps,
+        };
+        (curve, kept)
     }
 
     fn search_seconds(&self) -> Result<[f64; 2]> {
@@ -152,11 +199,30 @@ impl Trainer<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::weighted;
+    use super::{CountCurve, KEPT_BY_MASKS};
 
     #[test]
-    fn schedule_weights_step_times() {
-        assert_eq!(weighted([20, 60, 100], 2.0, 1.0), 20.0 * 2.0 + 40.0 * 1.5 + 40.0 * 1.0);
-        assert_eq!(weighted([0, 0, 100], 2.0, 2.0), 200.0);
+    fn counts_are_constant_then_fall_by_equal_shares() {
+        let constant = CountCurve { full: [100.0; 2], grown: 0, fall: [100; 2], steps: 100 };
+        assert_eq!(constant.seconds(1.0, [(100.0, 2.0); 2]), 200.0);
+        let curve = CountCurve { full: [50.0, 100.0], grown: 10, fall: [20, 60], steps: 100 };
+        let steps: f64 = (0..40).map(|k| 100.0 * 0.01_f64.powf((f64::from(k) + 0.5) / 40.0)).sum();
+        let sum = 10.0 * 50.0 + 10.0 * 100.0 + steps + 40.0 * 1.0;
+        assert!((curve.sum(0.01) / sum - 1.0).abs() < 1e-3);
+        let seconds = curve.seconds(0.01, [(100.0, 1.1), (1.0, 0.11)]);
+        assert!((seconds / (100.0 * 0.1 + 0.01 * sum) - 1.0).abs() < 1e-3, "linear in N");
+    }
+
+    /// `pwrfgs-small.ron` on one thread of a Xeon: λ, timed steps (N, seconds) and the time of all 200,000 steps.
+    #[test]
+    fn estimates_of_recorded_runs_are_within_a_factor_of_1_5() {
+        let curve = CountCurve { full: [2_000.0, 3_000.0], grown: 500, fall: [1_411, 40_000], steps: 200_000 };
+        let runs = [("0.01", [(2_000.0, 0.115), (72.0, 0.0130)], 3_850.0)];
+        for (lambda, timed, taken) in runs {
+            let [shortest, expected, longest] = KEPT_BY_MASKS.map(|kept| curve.seconds(kept, timed));
+            let ratio = expected / taken;
+            assert!((1.0 / 1.5..1.5).contains(&ratio), "λ = {lambda}: {expected:.0} s expected, {taken} s taken");
+            assert!(shortest < taken && taken < longest, "λ = {lambda}: {shortest:.0} to {longest:.0} s");
+        }
     }
 }

@@ -192,8 +192,8 @@ settings! {
         steps: u64 = 200_000,
         /// Factor on all numbers of steps: here, in `densify` and in the schedules of `optimizer`. It is applied last:
         /// 0.25 gives a quarter of the training in the same proportions. Results are rounded; values above 0 stay at
-        /// least 1. A factor below 1 also divides the learning rates of masks, up to 0.1 (without Adam: ten times the
-        /// rate), so that masks close within the shorter training.
+        /// least 1. A factor below 1 also multiplies `validation_samples`, not below 50, and divides the learning rates of
+        /// masks, up to 0.1 (without Adam: ten times the rate), so that masks close within the shorter training.
         scale: f64 = 1.0,
         /// Batch size: transmitters per step.
         batch: usize = 1,
@@ -235,6 +235,9 @@ settings! {
     }
 }
 
+/// Validation samples of a shorter training, unless the pipeline has fewer.
+const LEAST_VALIDATED: usize = 50;
+
 /// Multiplies a number of steps; a value above 0 stays at least 1.
 fn scaled(steps: u64, scale: f64) -> u64 {
     if steps == 0 { 0 } else { ((steps as f64 * scale).round() as u64).max(1) }
@@ -265,6 +268,10 @@ impl Training {
         let schedules =
             [&mut o.means, &mut o.log_scales, &mut o.quats, &mut o.opacity_logits, &mut o.signals, &mut o.network];
         schedules.into_iter().for_each(|schedule| *schedule = schedule.scaled(self.scale));
+        if self.scale < 1.0 {
+            let fewer = (self.validation_samples as f64 * self.scale).round() as usize;
+            own.validation_samples = fewer.max(self.validation_samples.min(LEAST_VALIDATED));
+        }
         own.scale = 1.0;
         own
     }

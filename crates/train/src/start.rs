@@ -116,6 +116,7 @@ impl<'a> Trainer<'a> {
             weights: Arc::default(),
             fixed,
             masks: None,
+            before_reset: None,
             done: 0,
             fingerprint: OnceLock::new(),
             training_positions: OnceLock::new(),

@@ -71,6 +71,8 @@ pub struct Trainer<'a> {
     /// Numbers of closed masks and of Gaussians before pruning, from the first prune step on.
     pub(crate) masks: Option<(usize, usize)>,
     pub(crate) done: u64,
+    /// Opacity logits before the reset of the last step, if it had one.
+    pub(crate) before_reset: Option<Vec<Real>>,
     /// Fingerprint (see `checkpoint.rs`), computed when the first checkpoint is written or read.
     pub(crate) fingerprint: OnceLock<String>,
     /// Thinned positions of the training set, computed for the first model; `None` if the data have no positions.
@@ -177,6 +179,7 @@ impl Trainer<'_> {
 
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
+        self.before_reset = None;
         let context = self.context(step);
         self.set_plane(step);
         let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
@@ -228,8 +231,21 @@ impl Trainer<'_> {
 
     /// Returns the current model, without closed Gaussians and masks.
     pub fn model(&self) -> Model {
-        let context = self.context(self.done.max(1));
+        self.model_of(self.cloud.clone())
+    }
+
+    /// Returns the model to validate: the current one, but in the step of an opacity reset that before the reset, whose
+    /// scores would be those of nearly transparent Gaussians.
+    pub fn validated_model(&self) -> Model {
         let mut cloud = self.cloud.clone();
+        if let Some(logits) = &self.before_reset {
+            cloud.opacity_logits.clone_from(logits);
+        }
+        self.model_of(cloud)
+    }
+
+    fn model_of(&self, mut cloud: GaussianCloud) -> Model {
+        let context = self.context(self.done.max(1));
         if let Some(open) = self.has_state(&cloud).then(|| drawn_gates(&cloud, &self.plan.pruners, &context)).flatten()
         {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
@@ -274,9 +290,11 @@ impl Trainer<'_> {
                     let (extent, seed) = (self.extent(), self.plan.seed);
                     let (cloud, mut per_gaussian) = self.rows();
                     let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut per_gaussian);
+                    self.refuse_collapse(step, before, &rules)?;
                     self.report_removal(step, (before, 0), &rules)?;
                 }
                 if densify::reset_due(settings, step) && step < training.densify_until {
+                    self.before_reset = Some(self.cloud.opacity_logits.clone());
                     densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
                 }
             }

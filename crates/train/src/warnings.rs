@@ -1,7 +1,7 @@
 //! Warnings before the first step about settings without effect or with too little data, and a report of large removals.
 
 use crate::adam::BETAS;
-use crate::densify::{self, extent_of, largest};
+use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, extent_of, largest};
 use crate::plan::idle_target;
 use crate::settings::Densify;
 use crate::trainer::Trainer;
@@ -13,6 +13,12 @@ impl Trainer<'_> {
     pub fn warnings(&self) -> Vec<String> {
         let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask(k));
         self.idle_target().into_iter().chain(masks).chain(self.oversized()).chain(self.skipped_pixels()).collect()
+    }
+
+    /// Returns what the pruners without a target state about the number of Gaussians that they keep of the initial ones.
+    pub fn outlook(&self) -> Vec<String> {
+        let free = self.plan.pruners.iter().filter(|_| self.goal.is_none());
+        free.filter_map(|pruner| pruner.outlook(self.cloud.len())).collect()
     }
 
     /// Warns about a target that is met from the start.
@@ -52,7 +58,7 @@ impl Trainer<'_> {
         })
     }
 
-    /// Warns about Gaussians that the first size check of densification removes, unless they shrink before.
+    /// Warns about Gaussians that the first size check of densification removes, unless splits shrink them before.
     fn oversized(&self) -> Option<String> {
         let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
@@ -60,15 +66,27 @@ impl Trainer<'_> {
             return None; // sources of waves have no size
         }
         let (n, limit) = (self.cloud.len(), settings.large_above * self.extent());
-        let large = (0..n).filter(|i| largest(&self.cloud, *i) > limit).count();
-        (2 * large > n).then(|| {
+        let sizes = (0..n).map(|i| largest(&self.cloud, i) / limit).filter(|ratio| *ratio > 1.0);
+        let (large, descendants) = sizes.fold((0, 0.0), |(large, sum), ratio| (large + 1, sum + descendants(ratio)));
+        if 2 * large <= n {
+            return None;
+        }
+        let most = settings.max_gaussians;
+        let fate = if most > 0 && ((most - most.min(n - large)) as Real) < descendants {
             format!(
-                "training.densify: {large} of {n} Gaussians start larger than `large_above` ({limit:.2} m, {} of the \
-                 extent) and are removed at step {step} unless they shrink; start with smaller Gaussians, raise `large_above`, \
-                 or set it to 0",
-                settings.large_above
+                "`max_gaussians` ({most}) stops the splits that would shrink them; raise `extent_m` or `max_gaussians`"
             )
-        })
+        } else {
+            // s23, 200,000 random Gaussians at a spread of 20 m, or as dense (docs/lab/paper.md).
+            let events = (step - 1).saturating_sub(settings.from) / settings.every.max(1);
+            let shrunk = (3 * large / 4).min(SPLITS_PER_EVENT * events as usize);
+            format!("about {shrunk} usually shrink in time; start with smaller Gaussians, or raise `extent_m`")
+        };
+        Some(format!(
+            "training.densify: {large} of {n} Gaussians start larger than `large_above` ({limit:.2} m, {} of the extent) \
+             and are removed at step {step} unless splits shrink them; {fate}, or set `large_above` to 0",
+            settings.large_above
+        ))
     }
 
     /// Returns the size of the scene, metres.
@@ -99,6 +117,39 @@ impl Trainer<'_> {
         ))
     }
 
+    /// Returns a sentence if learned masks without a target have closed all Gaussians but one.
+    pub fn lone_gaussian(&self) -> Option<String> {
+        let (_, before) = self.masks.filter(|_| self.cloud.len() == 1 && self.goal.is_none() && !self.wants_one())?;
+        let mut rates = self.plan.pruners.iter().filter_map(|pruner| pruner.traits().mask_rate);
+        let rate = rates.next().map_or(0.0, |rate| rate.value);
+        (before > 1).then(|| {
+            format!(
+                "masks closed all but one of {before} Gaussians: λ decides a share of the start, which also falls with the \
+                 learning rate of the masks ({rate}); lower `lambda`, start with more Gaussians, or use a larger --scale"
+            )
+        })
+    }
+
+    /// Ends the training if the rules of densification removed nearly all of the `before` Gaussians: no later step makes
+    /// up for them.
+    ///
+    /// # Errors
+    /// More than 95 % are gone, or all but one, and the pipeline does not request a single Gaussian.
+    pub(crate) fn refuse_collapse(&self, step: u64, before: usize, rules: &[(String, usize)]) -> Result<()> {
+        let left = self.cloud.len();
+        if self.wants_one() || !is_collapse(left, before) {
+            return Ok(());
+        }
+        let is_size = rules.iter().max_by_key(|(_, count)| *count).is_some_and(|(name, _)| name.contains(SIZE_RULE));
+        let advice = if is_size {
+            "raise training.densify.extent_m, so that the limit fits the Gaussians, or raise training.densify.max_gaussians, \
+             so that splits can shrink them"
+        } else {
+            "lower training.densify.opacity_floor, or raise training.densify.reset_opacity"
+        };
+        Err(Error::Collapsed { step, left, removed: removed_by(rules), advice })
+    }
+
     /// Reports the rules that removed more than half of the `before` Gaussians, of which `closed` have closed masks.
     ///
     /// # Errors
@@ -111,20 +162,18 @@ impl Trainer<'_> {
     ) -> Result<()> {
         let left = self.cloud.len();
         let is_by_masks = closed > 0 && before - closed <= 1;
-        let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
-        let rules = rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ");
         if left == 1 && before > 1 && !is_by_masks && !self.wants_one() {
-            let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
             let takes_target = self.plan.pruners.iter().any(|pruner| pruner.traits().budget.is_some());
             let advice = if takes_target {
                 "relax that rule, or request one Gaussian with training.target_count: 1"
             } else {
                 "relax that rule, or start with one Gaussian"
             };
-            return Err(Error::Collapsed { step, removed, advice });
+            return Err(Error::Collapsed { step, left, removed: removed_by(rules), advice });
         }
         if 2 * left < before {
             let (name, removed) = (&self.plan.name, before - left);
+            let rules = counts(rules);
             let message = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
             if self.is_exact() && step > self.plan.training.densify_until {
                 tracing::info!("{message}"); // as requested
@@ -141,9 +190,52 @@ impl Trainer<'_> {
     }
 }
 
+/// Splits per densification on s23, from 2,000 to 5,000 Gaussians.
+const SPLITS_PER_EVENT: usize = 1_000;
+
+/// Whether a step leaves less than a twentieth of `before` Gaussians, or one of several.
+fn is_collapse(left: usize, before: usize) -> bool {
+    20 * left < before || (left == 1 && before > 1)
+}
+
+/// Number of Gaussians into which splits divide one of `ratio` times the limit until none is above it.
+fn descendants(ratio: Real) -> Real {
+    (2.0 as Real).powf((ratio.ln() / SPLIT_SHRINK.ln()).ceil())
+}
+
+/// Rules and the numbers of Gaussians that they removed.
+fn counts(rules: &[(String, usize)]) -> String {
+    let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
+    rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ")
+}
+
+/// Text `, removed by` with these counts; empty without rules.
+fn removed_by(rules: &[(String, usize)]) -> String {
+    Some(counts(rules)).filter(|text| !text.is_empty()).map_or_else(String::new, |text| format!(", removed by {text}"))
+}
+
 /// Returns the first step at which densification checks sizes; `None` if it never does.
 fn first_size_step(settings: &Densify) -> Option<u64> {
     let after = settings.from.max(settings.large_after);
     let step = settings.every * (after.checked_div(settings.every)? + 1);
     (settings.large_above > 0.0 && densify::due(settings, step)).then_some(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{descendants, is_collapse};
+
+    #[test]
+    fn collapse_leaves_less_than_a_twentieth() {
+        let cases =
+            [(6, 3_000, true), (149, 3_000, true), (150, 3_000, false), (1, 2, true), (2, 4, false), (1, 1, false)];
+        for (left, before, expected) in cases {
+            assert_eq!(is_collapse(left, before), expected, "{left} of {before}");
+        }
+    }
+
+    #[test]
+    fn splits_halve_by_1_6() {
+        assert_eq!([1.5, 1.7, 2.5, 2.6].map(descendants), [2.0, 4.0, 4.0, 8.0]);
+    }
 }

@@ -91,23 +91,26 @@ fn text(p: &Preview) -> String {
     ];
     let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
+    rows.extend(p.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
 }
 
-/// Range of the training time, and the timed steps.
+/// Expected training time with its range, and the timed steps.
 fn time(time: &TimeEstimate, grows: bool) -> String {
     let range = |seconds: [f64; 2]| {
         let [shortest, longest] = seconds.map(duration);
         if shortest == longest { shortest } else { format!("{shortest} to {longest}") }
     };
-    let TimeEstimate { seconds, search_seconds: search, start, end, .. } = time;
+    let TimeEstimate { seconds: [shortest, expected, longest], search_seconds: search, start, end, .. } = time;
+    let seconds = [*shortest, *longest];
     let total = if search[1] > 0.0 {
         let whole = range([0, 1].map(|k| search[k] + seconds[k]));
         format!("{whole}: {} of initial search, then ", range(*search))
     } else {
         String::new()
     };
-    let range = range(*seconds);
+    let [spread, about] = [range(seconds), duration(*expected)];
+    let range = if spread.contains(" to ") { format!("about {about} ({spread})") } else { spread };
     let n = |count: usize| grouped(count as i64);
     let [first, last] = [start, end].map(|steps| pace(steps.step_seconds) + " per step");
     let steps = if end.gaussians == start.gaussians {

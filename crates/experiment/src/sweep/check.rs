@@ -63,7 +63,7 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
     let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
     let measured = try_each(plan, &tried, observer, |_, trainer| {
         let time = trainer.time()?;
-        Ok(middle(time.seconds) + middle(time.search_seconds))
+        Ok(time.seconds[1] + middle(time.search_seconds))
     })?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
