@@ -132,7 +132,12 @@ fn shorter_training_still_prunes() {
     assert_eq!(samples("0.25", "fewer", "300"), 75);
     assert_eq!(samples("0.1", "least", "300"), 50);
     assert_eq!(samples("0.1", "few", "20"), 20, "as many as the pipeline has");
-    let tiny = stderr(&succeed(here, &["check", "p.ron", "--scale", "0.05"]));
+    let output = succeed(here, &["check", "p.ron", "--scale", "0.05", "--set", "pruners.LearnableMask.lambda=0.02"]);
+    let (tiny, plan) = (stderr(&output), stdout(&output));
+    assert!(
+        plan.contains("at this lambda, 0.02, the paper keeps 0.08 % of 190,000 points, which is less than one of"),
+        "{plan}"
+    );
     assert!(tiny.contains("needs about 128 steps to close and pruning ends after step 50"), "{tiny}");
 }
 

@@ -144,12 +144,12 @@ impl Pruner for LearnableMask {
         let (lambda, share) = (nearest.0, nearest.1 / PAPER_START);
         let place = if distance(nearest) < 1e-6 { "this" } else { "the nearest published" };
         let fate = match share * initial as f64 {
-            few if few < 1.0 => format!("less than one of these {initial}"),
-            some => format!("{some:.0} of these {initial}"),
+            few if few < 1.0 => "less than one".to_owned(),
+            some => format!("{some:.0}"),
         };
         Some(format!(
             "LearnableMask: lambda decides a share that falls with the length of pruning; at {place} lambda, {lambda}, the \
-             paper keeps {:.2} % of 190,000 points, as much as {fate} Gaussians",
+             paper keeps {:.2} % of 190,000 points, which is {fate} of these {initial} Gaussians",
             100.0 * share
         ))
     }
