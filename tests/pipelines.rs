@@ -21,8 +21,8 @@ fn read(path: &Path) -> Pipeline {
 }
 
 #[test]
-fn program_ships_every_pipeline_and_scene() {
-    for folder in [ShippedFile::PIPELINES, ShippedFile::SCENES] {
+fn program_ships_every_pipeline_experiment_and_scene() {
+    for folder in [ShippedFile::PIPELINES, ShippedFile::EXPERIMENTS, ShippedFile::SCENES] {
         let shipped = ShippedFile::all(folder);
         for path in files(folder) {
             let name = path.file_stem().unwrap().to_str().unwrap();
