@@ -112,7 +112,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
 /// Least number of training steps per combination for an estimate, which takes up to 80 steps.
 const WORTH_STEPS: u64 = 1_600;
 
-/// Validates the runs and prints their estimated total time, unless the estimate would take long beside them.
+/// Validates the runs and prints their estimated total time, unless the estimate would take long compared with them.
 pub(super) fn check_and_announce(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<()> {
     let steps: u64 = runs.iter().map(|run| plan.runs[*run].pipeline.training.steps).sum();
     let combinations = runs.iter().map(|run| plan.runs[*run].combination).collect::<BTreeSet<_>>().len() as u64;

@@ -10,26 +10,40 @@ use std::collections::BTreeMap;
 
 /// Number of marks per line.
 const MARKS: usize = 6;
-/// Maximum number of names beside the lines.
+/// Maximum number of names at the ends of lines.
 const MOST_NAMES: usize = 16;
 /// End of the axis over the last step that changes N, if trainings differ in length.
 const AFTER: f64 = 1.5;
 
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
-    let families = VariantFamily::all(setting);
     let (bands, (end, last)) = (shared_phases(setting), ends(setting));
-    let by_method = families.len() > 1;
+    let by_method = VariantFamily::all(setting).len() > 1;
     let words = context! { shaded => !bands.is_empty(), by_method, cut => end < last };
+    let chart = Chart {
+        x: ChartAxis { name: "training step".into(), ends: Some((0.0, end)), log: false },
+        y: ChartAxis { name: "number of Gaussians N".into(), ends: None, log: true },
+        bands,
+        lines: lines(setting, end),
+        ..Chart::default()
+    };
+    Figure::chart("gaussians", setting, words, chart)
+}
+
+/// One line per variant up to step `end`, with the range over seeds. With several methods, the legend names the methods,
+/// and names at the ends of lines distinguish the variants of each.
+pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
+    let families = VariantFamily::all(setting);
+    let by_method = families.len() > 1;
     let (mut lines, mut names) = (Vec::new(), Vec::new());
-    let (mut drawn, count) = (0.5, setting.variants.len() as f64);
+    let (mut shift, count) = (0.5, setting.variants.len() as f64);
     for (m, way) in families.iter().enumerate() {
         let variants = way.variants.iter().zip(&way.values).filter(|(v, _)| v.runs[0].facts.gaussians > 0);
         for (v, (variant, value)) in variants.enumerate() {
             let style = if by_method { method_style(way, m) } else { Style::variant(v) };
             let [low, middle, high] = curves(variant, end);
             let mut line = ChartLine::new(decimate_steps(&middle), style);
-            line.marks = marks(&middle, end, drawn / count);
-            drawn += 1.0;
+            line.marks = marks(&middle, end, shift / count);
+            shift += 1.0;
             if !by_method {
                 line = line.named(&variant.label);
             } else if v == 0 {
@@ -50,14 +64,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     if names.len() <= MOST_NAMES {
         lines.append(&mut names);
     }
-    let chart = Chart {
-        x: ChartAxis { name: "training step".into(), ends: Some((0.0, end)), log: false },
-        y: ChartAxis { name: "number of Gaussians N".into(), ends: None, log: true },
-        bands,
-        lines,
-        ..Chart::default()
-    };
-    Figure::chart("gaussians", setting, words, chart)
+    lines
 }
 
 /// End of the axis, and the last step. The axis ends soon after the last change of N if trainings differ in length.
