@@ -329,12 +329,18 @@ fn means(report: &str, metric: &str) -> BTreeMap<String, f64> {
 fn small_twin_of_the_paper_has_its_figures_and_table() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let few = ["data.samples=60", "data.points=500", "training.batch=1", "training.validate_every=0"];
+    let few = [
+        "data.samples=60",
+        "data.points=100",
+        "initializer=Random(count: 100, std: 3.0)",
+        "baselines=[MeanSpectrum(), NearestNeighbours(k: 1)]",
+        "training.densify.max_gaussians=150",
+        "training.batch=1",
+        "training.validate_every=0",
+    ];
     let set: Vec<&str> = few.iter().flat_map(|change| ["--set", change]).collect();
-    let table = stdout(&succeed(
-        here,
-        &[&["sweep", "paper-office", "--scale", "0.1", "--jobs", "2", "--threads", "2"][..], &set].concat(),
-    ));
+    let command = ["sweep", "paper-office", "--scale", "0.2", "--jobs", "2", "--threads", "2"];
+    let table = stdout(&succeed(here, &[&command[..], &set].concat()));
     assert!(table.contains("36 of 36 runs finished"), "{table}");
     let report = here.join("runs/paper-office/report");
     for figure in ["gaussians", "ssim-n", "room", "spectra"] {
