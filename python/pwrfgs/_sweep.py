@@ -38,7 +38,7 @@ def sweep(
     """Perform all unfinished runs of a sweep and write its report. Returns the runs in order, followed by the joined model if
     ``join`` is set.
 
-    ``experiment`` is an experiment file, or with ``axes`` the base pipeline::
+    ``experiment`` is an experiment file or its name in ``pwrfgs pipelines``, or with ``axes`` the base pipeline::
 
         sweep("quickstart", axes={"training.steps": [500, 2000], "split": {"voxel": pwrfgs.Voxel()}}, seeds=range(3))
 

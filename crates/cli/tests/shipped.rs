@@ -46,6 +46,11 @@ fn pipelines_are_listed_with_their_purpose() {
         |name: &str| list.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{name}: {list}"));
     assert!(line("s23-laptop ").contains("Trains P-WRFGS on s23 (measured)"));
     assert!(line("quickstart ").contains("simulated") && line("scenes ").contains("office-csi"));
+    assert!(
+        line("paper-office ").contains("simulated office") && line("curve ").contains("equal numbers of Gaussians")
+    );
+    let at = |text: &str| list.find(text).unwrap_or_else(|| panic!("{text}: {list}"));
+    assert!(at("\nwrfgs ") < at("experiments for `pwrfgs sweep`") && at("\narray ") < at("scenes for"));
     assert!(list.lines().all(|line| line.len() < 165), "{list}");
 }
 
@@ -56,7 +61,7 @@ fn unknown_names_suggest_shipped_ones() {
     refused(&["run", "quikstart"], &["quikstart: no such file", "did you mean `quickstart`?"]);
     refused(
         &["pipelines", "--copy", "s23-labtop"],
-        &["--copy s23-labtop: no such pipeline; did you mean `s23-laptop`?"],
+        &["--copy s23-labtop: no such pipeline or experiment; did you mean `s23-laptop`?"],
     );
     refused(&["simulate", "ofice", "--out", "o"], &["ofice: no such file", "did you mean `office`?"]);
     refused(&["run", "quickstart", "--set", "data.scene=ofice"], &["did you mean `office`?"]);
@@ -73,6 +78,13 @@ fn experiments_and_simulate_accept_names() {
     write(&here.join("e.ron"), format!("Experiment(name: \"e\", base: \"quickstart\", axes: [{axis}])"));
     let plan = succeed(here, &["sweep", "e.ron", "--dry-run", "--set", "data.samples=60", "--set", "data.points=500"]);
     assert!(stdout(&plan).contains("runs/e"), "{}", stdout(&plan));
+    let status = |name: &str| stdout(&succeed(here, &["sweep", name, "--status"]));
+    let named = status("splits");
+    assert!(named.contains("0 of 24 runs finished, in runs/splits"), "{named}");
+    let copied = stdout(&succeed(here, &["pipelines", "--copy", "splits"]));
+    assert!(copied.ends_with("next: pwrfgs sweep splits.ron\n"), "{copied}");
+    assert_eq!(status("splits.ron"), named);
+    refuse(here, &["sweep", "split"], 2, &["split: no such file", "did you mean `splits`?"]);
     succeed(here, &["simulate", "office", "--samples", "5", "--points", "10", "--no-paths", "--out", "data"]);
     assert!(here.join("data/spectrum/00005.png").is_file());
 }

@@ -1,5 +1,7 @@
 //! Sweeps: what they run, what they skip, what stops them and what does not.
 use crate::common::{SMALL, call, files, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -96,6 +98,33 @@ fn killed_sweep_resumes_to_identical_result() {
     for run in runs {
         assert!(model(&here.join("whole"), run) == model(&here.join("killed"), run), "{run} differs");
     }
+}
+
+#[test]
+fn sweep_prints_its_total_time_before_the_first_run() {
+    let with_steps = |steps: &str| folder(EXPERIMENT, &SMALL.replace("steps: 60", &format!("steps: {steps}")));
+    let total = "in total on this machine with --jobs 1";
+    let long = with_steps("1_700");
+    let text = stderr(&succeed(long.path(), &["sweep", "e.ron", "--only", RUNS[2]]));
+    assert!(text.find(total).unwrap() < text.find("training 1,700 steps").unwrap(), "{text}");
+    assert!(!text.contains("slowest runs"), "{text}");
+    // Quiet, and with few steps, whose timing takes longer than the runs.
+    let short = with_steps("60");
+    for (here, quiet) in [(&long, &["-q"][..]), (&short, &[])] {
+        let text = stderr(&succeed(here.path(), &[&["sweep", "e.ron", "--only", RUNS[3]], quiet].concat()));
+        assert!(!text.contains(total), "{text}");
+    }
+
+    // Days: also the slowest combinations, each by the run that comes next.
+    let days = with_steps("4_000_000_000");
+    let mut child = pwrfgs(days.path()).args(["sweep", "e.ron"]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let before: Vec<String> = lines.by_ref().take_while(|line| !line.contains("training 4,000,000,000")).collect();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let named = before.iter().skip_while(|line| !line.starts_with("slowest runs; --only RUN")).skip(1);
+    let named: Vec<&str> = named.filter_map(|line| line.split("  ").next()).collect();
+    assert!(named.len() == 3 && named.iter().all(|name| RUNS.contains(name)), "{before:#?}");
 }
 
 #[test]
@@ -287,4 +316,43 @@ fn other_experiment_of_same_name_keeps_first_listing() {
     write(&here.join("e.ron"), EXPERIMENT.replace("seeds: [4]", "seeds: [4, 5]"));
     succeed(here, &["sweep", "e.ron", "-q", "--only", RUNS[0]]);
     assert!(listing().matches("\"seed\": ").count() == 8 && listing().contains("\"seed\": 5"), "{}", listing());
+}
+
+/// Mean of a metric by variant, in `report.csv` whose labels have no commas.
+fn means(report: &str, metric: &str) -> BTreeMap<String, f64> {
+    let rows = report.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let own = rows.filter(|row| row[3] == "variant" && row[4] == metric && ["mean", "value"].contains(&row[6]));
+    own.map(|row| (row[2].to_owned(), row[7].parse().unwrap())).collect()
+}
+
+#[test]
+fn small_twin_of_the_paper_has_its_figures_and_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let few = [
+        "data.samples=60",
+        "data.points=100",
+        "initializer=Random(count: 100, std: 3.0)",
+        "baselines=[MeanSpectrum(), NearestNeighbours(k: 1)]",
+        "training.densify.max_gaussians=150",
+        "training.batch=1",
+        "training.validate_every=0",
+    ];
+    let set: Vec<&str> = few.iter().flat_map(|change| ["--set", change]).collect();
+    let command = ["sweep", "paper-office", "--scale", "0.2", "--jobs", "2", "--threads", "2"];
+    let table = stdout(&succeed(here, &[&command[..], &set].concat()));
+    assert!(table.contains("36 of 36 runs finished"), "{table}");
+    let report = here.join("runs/paper-office/report");
+    for figure in ["gaussians", "ssim-n", "room", "spectra"] {
+        assert!(report.join(format!("figures/1-{figure}.pdf")).is_file(), "{figure}");
+    }
+    let text = std::fs::read_to_string(report.join("report.csv")).unwrap();
+    for metric in ["ssim", "latency_total_ms", "model_bytes", "gaussian_bytes"] {
+        assert_eq!(means(&text, metric).len(), 12, "{metric}");
+    }
+    let n = means(&text, "gaussians");
+    for start in ["masks", "masks on point cloud"] {
+        let falling = ["0.01", "0.03", "0.06", "0.075"].map(|lambda| n[&format!("row {start} λ {lambda}")]);
+        assert!(falling.is_sorted_by(|more, less| more > less), "{start}: {falling:?}");
+    }
 }

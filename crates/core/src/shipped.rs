@@ -1,4 +1,4 @@
-//! `ShippedFile`: pipelines and scenes inside the program, which are used by name.
+//! `ShippedFile`: pipelines, experiments and scenes inside the program, which are used by name.
 //!
 //! The facade `pwrfgs` registers the files of the repository; a program without it has none.
 
@@ -22,7 +22,7 @@ inventory::collect!(ShippedFile);
 impl ShippedFile {
     /// Folder of pipelines.
     pub const PIPELINES: &'static str = "pipelines";
-    /// Folder of experiments, whose axes `pwrfgs compare` uses.
+    /// Folder of experiments.
     pub const EXPERIMENTS: &'static str = "experiments";
     /// Folder of scenes.
     pub const SCENES: &'static str = "scenes";

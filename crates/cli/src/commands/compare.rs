@@ -7,7 +7,7 @@ use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::Predictions;
-use pwrfgs::experiment::sweep::{Axis, Experiment, ListedRun, Listing, PlannedRun, SweepPlan, check};
+use pwrfgs::experiment::sweep::{Axis, Experiment, ListedRun, Listing, PlannedRun, SweepPlan};
 use pwrfgs::experiment::{CEILING, samples, scores::MODEL};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::train::{Rays, Trainer, Training};
@@ -78,7 +78,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         return sweep::dry_run(&plan, &runs, 1, verbosity).map_err(unplaced);
     }
     check_earlier_runs(&plan)?;
-    RunProgress::during(verbosity, |progress| check(&plan, &runs, progress)).map_err(unplaced)?;
+    sweep::check_and_announce(&plan, &runs, 1, verbosity).map_err(unplaced)?;
     sweep::here(&plan, &runs, 1, (external.first().map(|own| own.name()).as_deref(), verbosity))
 }
 

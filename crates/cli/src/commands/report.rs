@@ -22,8 +22,8 @@ Replaces an older report; never changes a folder with other files. Lists unfinis
 them out. For a single run without --out, it also rebuilds report.html in the run folder.
 
 EXAMPLES
-  pwrfgs report runs/lambda
-  pwrfgs report runs/lambda --reference 5-NN
+  pwrfgs report runs/paper-office
+  pwrfgs report runs/paper-office --reference 5-NN
   pwrfgs report runs/quarter runs/quarter-1 --out compared")]
 pub(crate) struct Report {
     /// Run folders or sweep folders

@@ -10,29 +10,30 @@ use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate, execute, pool, slurm};
 use pwrfgs::experiment::{RunOutcome, Session};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use table::SweepTable;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
-are validated before the first one starts. Repeat the command to resume: it skips finished runs and
-retries failed ones. The sweep ends with tables and figures in DIR/report and, if the file says
-`join: true`, an ensemble of all models in DIR/joined. docs/guide.md explains the file.
+are validated, and their total time is estimated, before the first one starts. Repeat the command to
+resume: it skips finished runs and retries failed ones. The sweep ends with tables and figures in
+DIR/report and, if the file says `join: true`, an ensemble of all models in DIR/joined.
+docs/guide.md explains the file; `pwrfgs pipelines` also lists the shipped experiments.
 
 ON A CLUSTER
   --launcher slurm submits a job array, one task per run, with the resources of `slurm` in the file.
   Other schedulers: start the command n times on a shared disk, with --shard 1/n to --shard n/n.
 
 EXAMPLES
-  pwrfgs sweep experiments/lambda.ron --dry-run
-  pwrfgs sweep experiments/lambda.ron --jobs 2
-  pwrfgs sweep experiments/lambda.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23")]
+  pwrfgs sweep paper-office --dry-run
+  pwrfgs sweep paper-office --jobs 2
+  pwrfgs sweep experiments/splits.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23")]
 pub(crate) struct Sweep {
-    /// Experiment file
+    /// Experiment file, or name in `pwrfgs pipelines`
     #[arg(value_name = "EXPERIMENT")]
     pub(crate) experiment: PathBuf,
     #[command(flatten)]
@@ -100,11 +101,35 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     if arguments.dry_run {
         return dry_run(&plan, &runs, arguments.jobs, verbosity);
     }
-    let open = RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
-    match arguments.launcher {
-        Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
-        None => here(&plan, &runs, arguments.jobs, (None, verbosity)),
+    if let Some(Launcher::Slurm) = arguments.launcher {
+        let open = RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
+        return submit(&plan, &open, arguments, threads);
     }
+    check_and_announce(&plan, &runs, arguments.jobs, verbosity)?;
+    here(&plan, &runs, arguments.jobs, (None, verbosity))
+}
+
+/// Least number of training steps per combination for an estimate, which takes up to 80 steps.
+const WORTH_STEPS: u64 = 1_600;
+
+/// Validates the runs and prints their estimated total time, unless the estimate would take long compared with them.
+pub(super) fn check_and_announce(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<()> {
+    let steps: u64 = runs.iter().map(|run| plan.runs[*run].pipeline.training.steps).sum();
+    let combinations = runs.iter().map(|run| plan.runs[*run].combination).collect::<BTreeSet<_>>().len() as u64;
+    if verbosity == Verbosity::Quiet || steps < WORTH_STEPS * combinations {
+        return RunProgress::during(verbosity, |progress| check(plan, runs, progress)).map(drop);
+    }
+    let seconds = estimated(plan, runs, jobs, verbosity)?;
+    if seconds.iter().any(|own| *own > 0.0) {
+        output::note(table::total(plan, runs, &seconds, jobs).trim_end());
+    }
+    Ok(())
+}
+
+/// Estimated seconds of each run.
+fn estimated(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<Vec<f64>> {
+    let pool = pool(jobs)?;
+    RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))
 }
 
 /// Names of the runs in the Slurm queue, empty with a note if it cannot be read.
@@ -177,8 +202,7 @@ fn is_last(plan: &SweepPlan) -> bool {
 
 /// Lists all runs with estimated times.
 pub(super) fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
-    let pool = pool(jobs)?;
-    let seconds = RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
+    let seconds = estimated(plan, runs, jobs, verbosity)?;
     output::result(&table::plan(plan, runs, &seconds, jobs))?;
     Ok(SUCCESS)
 }
@@ -208,14 +232,16 @@ fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<u
 
 /// Command line of a task; the name of its run comes last.
 fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
-    let text = |path: &std::path::Path| {
+    let text = |path: &Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
     let program = output::program()?;
     let here = std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.
     let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];
-    words.extend([text(&arguments.experiment)?, "--out".into(), text(&plan.folder)?]);
+    let shipped = ShippedFile::find(ShippedFile::EXPERIMENTS, Path::new(""), &arguments.experiment);
+    let experiment = shipped.map_or_else(|| text(&arguments.experiment), |file| Ok(file.name.into()))?;
+    words.extend([experiment, "--out".into(), text(&plan.folder)?]);
     words.extend(arguments.changes.all().into_iter().flat_map(|set| ["--set".into(), set]));
     words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
     Ok(words)

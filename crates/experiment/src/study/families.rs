@@ -21,8 +21,12 @@ pub struct ParetoComparison<'a> {
 pub struct VariantFamily<'a> {
     /// Common part of its labels.
     pub name: String,
+    /// Name in a legend: `name`, or the label of a single variant without words that all names begin with.
+    pub title: String,
     /// Variants in the order of the plan.
     pub variants: Vec<&'a StudyVariant>,
+    /// What distinguishes each variant in its strategy, such as `λ 0.02`.
+    pub values: Vec<String>,
     /// Score and rank, from 1, at each number of the race; `None` if the strategy does not reach it.
     pub places: Vec<Option<(Spread, usize)>>,
 }
@@ -33,13 +37,27 @@ impl<'a> VariantFamily<'a> {
         let mut families: Vec<Self> = Vec::new();
         for variant in &setting.variants {
             let name = family(&variant.label);
+            let value = value(&variant.label, &name);
             match families.iter_mut().find(|way| way.name == name) {
-                Some(way) => way.variants.push(variant),
-                None => families.push(Self { name, variants: vec![variant], places: Vec::new() }),
+                Some(way) => {
+                    way.variants.push(variant);
+                    way.values.push(value);
+                }
+                None => families.push(Self {
+                    name,
+                    title: String::new(),
+                    variants: vec![variant],
+                    values: vec![value],
+                    places: Vec::new(),
+                }),
             }
         }
-        if families.len() > 1 {
-            shorten(&mut families);
+        let prefix = if families.len() > 1 { shorten(&mut families) } else { String::new() };
+        for way in &mut families {
+            way.title = match way.variants[..] {
+                [only] => only.label.strip_prefix(&prefix).unwrap_or(&only.label).to_owned(),
+                _ => way.name.clone(),
+            };
         }
         families
     }
@@ -79,6 +97,13 @@ fn family(label: &str) -> String {
     }
 }
 
+/// Label without the words of its family.
+fn value(label: &str, family: &str) -> String {
+    let is_common = |word: &&str| family.split_whitespace().any(|own| own.trim_matches(',') == word.trim_matches(','));
+    let words: Vec<&str> = label.split_whitespace().filter(|word| !is_common(word)).collect();
+    words.join(" ").trim_matches([',', ' ']).to_owned()
+}
+
 /// N of a variant, if its seeds agree.
 fn count(variant: &StudyVariant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
@@ -113,8 +138,8 @@ impl<'a> ParetoComparison<'a> {
     }
 }
 
-/// Removes words that all names begin or end with.
-fn shorten(families: &mut [VariantFamily<'_>]) {
+/// Removes words that all names begin or end with. Returns what all names begin with.
+fn shorten(families: &mut [VariantFamily<'_>]) -> String {
     let words = |way: &VariantFamily<'_>| way.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
     let all: Vec<Vec<String>> = families.iter().map(words).collect();
     let least = all.iter().map(Vec::len).min().unwrap_or(0);
@@ -125,11 +150,12 @@ fn shorten(families: &mut [VariantFamily<'_>]) {
     for (way, own) in families.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
         own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
     }
+    all[0][..first].iter().map(|word| format!("{word} ")).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::family;
+    use super::{family, value};
 
     #[test]
     fn family_ignores_numeric_settings() {
@@ -142,6 +168,9 @@ mod tests {
             assert_eq!(family(label), "masks", "{label}");
         }
         let single = ["λ 0.02", "a long name 8", "WRF-GS", "blending, N 250, equal time", "0.02"].map(family);
+        let values = ["row masks on walls λ 0.02", "method Mlp, N 24", "λ 0.02, masks"]
+            .map(|label| value(label, &family(label)));
+        assert_eq!(values, ["λ 0.02", "N 24", "λ 0.02"]);
         assert_eq!(single, ["by λ", "a long name", "WRF-GS", "blending, equal time", ""]);
     }
 }

@@ -15,6 +15,7 @@ use crate::training::fitting;
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::Trainer;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Validates the plan against its folder, and unfinished runs of `runs` (indices in the plan) against their data and
@@ -23,28 +24,17 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// The first invalid run, by name; no files are written in that case.
 pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
-    runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
-    // All runs, including those of other shards: runs of one folder are compared.
-    for (run, planned) in plan.runs.iter().enumerate() {
-        RunFolder::inspect(&plan.folder_of(run), &planned.pipeline)?;
-    }
-    if let Some(joined) = &plan.joined {
-        RunFolder::inspect(&plan.folder.join(JOINED), joined)?;
-    }
-    plan.listing().inspect(&plan.folder)?;
-    let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), RunStage::Finished(_))).collect();
-    let warned = try_each(plan, &representatives(plan, &open), observer, |run, trainer| Ok((run, trainer.warnings())))?;
-    for (run, warnings) in warned {
-        warnings.iter().for_each(|warning| observer.on_warning(&format!("{}: {warning}", plan.runs[run].folder)));
-    }
+    let open = open(plan, runs)?;
+    try_open(plan, &open, &|_| false, observer)?;
     Ok(open)
 }
 
 /// Estimated seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]); densification makes
-/// later steps slower. Finished runs take none; if another seed has finished, its time is used.
+/// later steps slower. Finished runs take none; if another seed has finished, its time is used. NaN, with a warning, if
+/// the steps fail.
 ///
 /// # Errors
-/// Same as [`check`].
+/// Same as [`check`], whose checks it makes.
 pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
     let states = plan.states();
     let known = |combination: usize| {
@@ -57,14 +47,8 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
             .collect();
         (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
     };
-    let open = check(plan, runs, observer)?;
-    let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
-    let tried = representatives(plan, &unknown);
-    let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
-    let measured = try_each(plan, &tried, observer, |_, trainer| {
-        let time = trainer.time()?;
-        Ok(time.seconds[1] + middle(time.search_seconds))
-    })?;
+    let open = open(plan, runs)?;
+    let measured = try_open(plan, &open, &|combination| known(combination).is_none(), observer)?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
@@ -73,11 +57,50 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
             RunStage::Running { step } | RunStage::Stopped { step } => 1.0 - step as f64 / steps,
             RunStage::Waiting | RunStage::Failed(_) => 1.0,
         };
-        let same = tried.iter().position(|&t| plan.runs[t].combination == *combination);
-        let whole = known(*combination).or_else(|| Some(measured[same?])).unwrap_or(f64::NAN);
+        let whole = known(*combination).or_else(|| measured.get(combination).copied()).unwrap_or(f64::NAN);
         if left == 0.0 { 0.0 } else { left * whole }
     };
     Ok(runs.iter().map(seconds).collect())
+}
+
+/// Unfinished runs of `runs`, after the checks that need no data.
+fn open(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
+    runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
+    // All runs, including those of other shards: runs of one folder are compared.
+    for (run, planned) in plan.runs.iter().enumerate() {
+        RunFolder::inspect(&plan.folder_of(run), &planned.pipeline)?;
+    }
+    if let Some(joined) = &plan.joined {
+        RunFolder::inspect(&plan.folder.join(JOINED), joined)?;
+    }
+    plan.listing().inspect(&plan.folder)?;
+    Ok(runs.iter().copied().filter(|&r| !matches!(plan.state(r), RunStage::Finished(_))).collect())
+}
+
+/// Initialises the first of the `open` runs of each combination. Returns the estimated seconds by combination, if it
+/// `is_timed`.
+fn try_open(
+    plan: &SweepPlan,
+    open: &[usize],
+    is_timed: &dyn Fn(usize) -> bool,
+    observer: &mut dyn Observer,
+) -> Result<BTreeMap<usize, f64>> {
+    let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
+    let tried = try_each(plan, &representatives(plan, open), observer, |run, trainer| {
+        let (combination, warnings) = (plan.runs[run].combination, trainer.warnings());
+        let time = is_timed(combination).then(|| trainer.time());
+        Ok((run, warnings, time))
+    })?;
+    let mut seconds = BTreeMap::new();
+    for (run, warnings, time) in tried {
+        let PlannedRun { folder, combination, .. } = &plan.runs[run];
+        let failed = time.as_ref().and_then(|time| time.as_ref().err()).map(ToString::to_string);
+        warnings.into_iter().chain(failed).for_each(|warning| observer.on_warning(&format!("{folder}: {warning}")));
+        if let Some(Ok(time)) = time {
+            seconds.insert(*combination, time.seconds[1] + middle(time.search_seconds));
+        }
+    }
+    Ok(seconds)
 }
 
 /// First of `runs` of each combination: another seed cannot cause other errors.

@@ -3,8 +3,9 @@
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
 use crate::input::{change, read_base, set_all};
+use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
+use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean};
 use pwrfgs_model::file::MOST_MEMBERS;
 use pwrfgs_pipeline::ron_tree::RonTree;
 use pwrfgs_pipeline::{Change, Pipeline, PipelineEdit};
@@ -69,7 +70,7 @@ impl SweepPlan {
     /// # Errors
     /// An invalid experiment (with line and column), base, or combination (with axis and label).
     pub fn read(path: &Path, set: &[String], out: Option<&Path>) -> Result<Self> {
-        let text = read_text(path)?;
+        let text = ShippedFile::read(ShippedFile::EXPERIMENTS, path, MAX_TEXT)?;
         Self::of(&Experiment::parse(&text, path)?, (path, &text), None, set, out)
     }
 

@@ -7,6 +7,7 @@ use crate::canvas::{Canvas, Colour, Paint, Point, VectorPath, WHITE};
 const COLOURS: [u32; 8] = [0x00_5aa0, 0xd5_5e00, 0x00_9e73, 0x78_286e, 0xe6_9f00, 0x10_1318, 0x56_b4e9, 0xcc_79a7];
 /// Greys of baselines.
 const GREYS: [u32; 2] = [0x3c_3f46, 0x8c_9098];
+const STROKES: [Stroke; 4] = [Stroke::FULL, Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED];
 const DASHES: [Stroke; 3] = [Stroke::DASHED, Stroke::DOTTED, Stroke::DASH_DOTTED];
 /// Colour of published values.
 const GREY: Colour = Colour::hex(0x6e_727a);
@@ -120,14 +121,18 @@ impl Style {
 
     /// Style of variant `k`: eight colours with eight markers, then the same dashed.
     pub(crate) fn variant(k: usize) -> Self {
-        let strokes = [Stroke::FULL, Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED];
         Self {
             colour: Colour::hex(COLOURS[k % COLOURS.len()]),
             width: 2.0,
-            stroke: strokes[k / COLOURS.len() % strokes.len()],
+            stroke: STROKES[k / COLOURS.len() % STROKES.len()],
             marker: Some(Marker::ALL[k % Marker::ALL.len()]),
             hollow: k / COLOURS.len() % 2 == 1,
         }
+    }
+
+    /// Style of method `k`, whose line joins variants: that of a variant, with other dashes than its neighbours.
+    pub(crate) fn method(k: usize) -> Self {
+        Self { stroke: STROKES[(k + k / STROKES.len()) % STROKES.len()], ..Self::variant(k) }
     }
 
     /// Style of predictions of another program, the `k`th of all lines: that of a variant without marks.
@@ -141,8 +146,8 @@ impl Style {
     }
 
     /// Style of published points.
-    pub(crate) fn published() -> Self {
-        Self { marker: Some(Marker::Star), hollow: true, ..Self::line(GREY, 1.0, Stroke::None) }
+    pub(crate) fn published(hollow: bool) -> Self {
+        Self { marker: Some(Marker::Star), hollow, ..Self::line(GREY, 1.0, Stroke::None) }
     }
 
     /// Style of a line that joins variants.
@@ -167,8 +172,10 @@ impl Style {
     /// Draws a mark at `at`.
     pub(crate) fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
         let Some(marker) = self.marker else { return };
+        // Marks without a line show behind others.
+        let radius = if self.stroke == Stroke::None { 1.5 * RADIUS } else { RADIUS };
         let corners: Vec<Point> =
-            marker.corners().into_iter().map(|(x, y)| [at[0] + RADIUS * x, at[1] + RADIUS * y]).collect();
+            marker.corners().into_iter().map(|(x, y)| [at[0] + radius * x, at[1] + radius * y]).collect();
         let paint = if self.hollow {
             Paint::fill(WHITE).outlined(self.colour, 1.0)
         } else {
@@ -210,9 +217,12 @@ mod tests {
 
     #[test]
     fn twelve_variants_differ_without_colour() {
-        let shapes: Vec<_> = (0..12).map(Style::variant).map(|s| (s.marker, s.stroke, s.hollow)).collect();
-        for (k, shape) in shapes.iter().enumerate() {
-            assert!(!shapes[..k].contains(shape), "variant {k}");
+        for style in [Style::variant, Style::method] {
+            let shapes: Vec<_> = (0..12).map(style).map(|s| (s.marker, s.stroke, s.hollow)).collect();
+            for (k, shape) in shapes.iter().enumerate() {
+                assert!(!shapes[..k].contains(shape), "line {k}");
+            }
         }
+        assert!((1..12).all(|k| Style::method(k).stroke != Style::method(k - 1).stroke));
     }
 }

@@ -1,7 +1,7 @@
 //! Figures that compare the variants of one setting, each as SVG, PDF (text as outlines in both) and PNG.
 //!
-//! A variant has the same colour, marker and dashes in all figures; each of the three distinguishes variants, also in
-//! greyscale. A figure has no heading: its title and caption are next to it.
+//! A variant has the same colour, marker and dashes in all figures, and a method in the figures of N; each of the three
+//! distinguishes lines, also in greyscale. A figure has no heading: its title and caption are next to it.
 
 mod errors;
 mod gaussians;

@@ -8,7 +8,6 @@ use pwrfgs::experiment::text::{aligned, duration, grouped, number};
 use pwrfgs::experiment::{Facts, Observer, RunOutcome};
 use pwrfgs_core::{Error, Result, Task};
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 use std::time::Instant;
 
 /// Observer that shows the progress of a sweep.
@@ -128,12 +127,31 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
     let mut text =
         format!("{}: {} runs of {combinations} combinations, in {}\n", plan.name, runs.len(), plan.folder.display());
     text += &aligned(&lines, 2);
-    let all = seconds.iter().sum::<f64>() / jobs as f64;
-    _ = writeln!(
-        text,
+    text += &total(plan, runs, seconds, jobs);
+    text
+}
+
+/// Total above which the slowest runs are named, and the number of them.
+const LONG_SECONDS: f64 = 12.0 * 3600.0;
+const SLOWEST: usize = 3;
+
+/// Estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest combinations.
+pub(super) fn total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+    let all = seconds.iter().filter(|own| own.is_finite()).sum::<f64>() / jobs as f64;
+    let mut text = format!(
         "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
-         pruning; densification lengthens later steps, and initialising, baselines and scoring are not included",
+         pruning; densification lengthens later steps, and initialising, baselines and scoring are not included\n",
         duration(all)
     );
+    if all > LONG_SECONDS {
+        let mut slowest: Vec<(usize, f64)> = runs.iter().copied().zip(seconds.iter().copied()).collect();
+        slowest.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let mut seen = BTreeSet::new();
+        slowest.retain(|(run, own)| own.is_finite() && seen.insert(plan.runs[*run].combination));
+        slowest.truncate(SLOWEST);
+        text += "slowest runs; --only RUN runs one of the sweep\n";
+        let line = |&(run, own): &(usize, f64)| vec![plan.runs[run].folder.clone(), format!("about {}", duration(own))];
+        text += &aligned(&slowest.iter().map(line).collect::<Vec<_>>(), 2);
+    }
     text
 }

@@ -1,40 +1,83 @@
 //! N against training steps: figure 2a of the paper.
 
 use super::Figure;
+use super::tradeoff::method_style;
 use crate::draw::charts::{Band, Chart, ChartAxis, ChartLine, decimate_steps, phases};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
-use pwrfgs_experiment::{Setting, StudyVariant};
+use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily};
 use std::collections::BTreeMap;
 
 /// Number of marks per line.
 const MARKS: usize = 6;
+/// Maximum number of names at the ends of lines.
+const MOST_NAMES: usize = 16;
+/// End of the axis over the last step that changes N, if trainings differ in length.
+const AFTER: f64 = 1.5;
 
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
-    let end = setting.variants.iter().map(|v| v.runs[0].pipeline.training.steps).max().unwrap_or(0) as f64;
-    let bands = shared_phases(setting);
-    let words = context! { shaded => !bands.is_empty() };
-    let mut lines = Vec::new();
-    let count = setting.variants.len();
-    for (k, variant) in setting.variants.iter().enumerate().filter(|(_, v)| v.runs[0].facts.gaussians > 0) {
-        let style = Style::variant(k);
-        let [low, middle, high] = curves(variant);
-        let mut line = ChartLine::new(decimate_steps(&middle), style).named(&variant.label);
-        line.marks = marks(&middle, end, (k as f64 + 0.5) / count as f64);
-        lines.push(line);
-        if low != high {
-            let round = decimate_steps(&high).into_iter().chain(decimate_steps(&low).into_iter().rev()).collect();
-            lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
-        }
-    }
+    let (bands, (end, last)) = (shared_phases(setting), ends(setting));
+    let by_method = VariantFamily::all(setting).len() > 1;
+    let words = context! { shaded => !bands.is_empty(), by_method, cut => end < last };
     let chart = Chart {
         x: ChartAxis { name: "training step".into(), ends: Some((0.0, end)), log: false },
         y: ChartAxis { name: "number of Gaussians N".into(), ends: None, log: true },
         bands,
-        lines,
+        lines: lines(setting, end),
         ..Chart::default()
     };
     Figure::chart("gaussians", setting, words, chart)
+}
+
+/// One line per variant up to step `end`, with the range over seeds. With several methods, the legend names the methods,
+/// and names at the ends of lines distinguish the variants of each.
+pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
+    let families = VariantFamily::all(setting);
+    let by_method = families.len() > 1;
+    let (mut lines, mut names) = (Vec::new(), Vec::new());
+    let (mut shift, count) = (0.5, setting.variants.len() as f64);
+    for (m, way) in families.iter().enumerate() {
+        let variants = way.variants.iter().zip(&way.values).filter(|(v, _)| v.runs[0].facts.gaussians > 0);
+        for (v, (variant, value)) in variants.enumerate() {
+            let style = if by_method { method_style(way, m) } else { Style::variant(v) };
+            let [low, middle, high] = curves(variant, end);
+            let mut line = ChartLine::new(decimate_steps(&middle), style);
+            line.marks = marks(&middle, end, shift / count);
+            shift += 1.0;
+            if !by_method {
+                line = line.named(&variant.label);
+            } else if v == 0 {
+                line = line.named(&way.title);
+            }
+            let is_whole = variant.runs[0].pipeline.training.steps as f64 >= end;
+            if let Some(last) = line.points.last().filter(|_| by_method && is_whole && way.variants.len() > 1) {
+                let invisible = Style { stroke: Stroke::None, ..style };
+                names.push(ChartLine::new(vec![*last], invisible).named_at_end(value));
+            }
+            lines.push(line);
+            if low != high {
+                let round = decimate_steps(&high).into_iter().chain(decimate_steps(&low).into_iter().rev()).collect();
+                lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
+            }
+        }
+    }
+    if names.len() <= MOST_NAMES {
+        lines.append(&mut names);
+    }
+    lines
+}
+
+/// End of the axis, and the last step. The axis ends soon after the last change of N if trainings differ in length.
+fn ends(setting: &Setting) -> (f64, f64) {
+    let steps = || setting.runs().map(|run| run.pipeline.training.steps);
+    let (least, most) = (steps().min().unwrap_or(0), steps().max().unwrap_or(0) as f64);
+    let changed = |curve: Vec<(f64, f64)>| {
+        let is_last = |place: &(f64, f64)| curve.last().is_some_and(|last| last.1 == place.1);
+        let before = curve.iter().rposition(|place| !is_last(place))?;
+        curve.get(before + 1).map(|place| place.0)
+    };
+    let last = setting.runs().filter_map(|run| changed(run.curve_of(4))).fold(0.0, f64::max);
+    (if least as f64 == most || last == 0.0 { most } else { most.min(AFTER * last) }, most)
 }
 
 /// Phases, if they are equal in all runs.
@@ -48,13 +91,13 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
     if same { phases(&first.runs[0].pipeline.training) } else { Vec::new() }
 }
 
-/// Minimum, mean and maximum N at each step that all runs of the variant recorded.
-fn curves(variant: &StudyVariant) -> [Vec<(f64, f64)>; 3] {
+/// Minimum, mean and maximum N at each step up to `end` that all runs of the variant recorded.
+fn curves(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (step, n) in variant.runs.iter().flat_map(|r| r.curve_of(4)) {
         at.entry(step as u64).or_default().push(n);
     }
-    at.retain(|_, all| all.len() == variant.runs.len());
+    at.retain(|step, all| *step as f64 <= end && all.len() == variant.runs.len());
     let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, all)| (*step as f64, f(all))).collect();
     let extreme = |f: fn(f64, f64) -> f64| fold(&|all| all.iter().copied().reduce(f).unwrap_or(f64::NAN));
     [extreme(f64::min), fold(&|all| all.iter().sum::<f64>() / all.len() as f64), extreme(f64::max)]

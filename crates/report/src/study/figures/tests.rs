@@ -1,7 +1,8 @@
 use super::panels::{methods, spectra_columns};
 use super::tradeoff::strategies;
-use super::{Figure, all};
+use super::{Figure, all, gaussians};
 use crate::canvas::outside;
+use crate::draw::charts::LineName;
 use crate::page;
 use pwrfgs_experiment::{NoopObserver, PageBuilder, RunOutcome, Session, Study, read_pipeline, run};
 use std::path::{Path, PathBuf};
@@ -62,6 +63,14 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
             let names: Vec<&str> = columns.iter().map(|own| own.label.as_str()).collect();
             assert!(names[..2].iter().all(|name| setting.baselines().contains(name)), "{names:?}");
             assert_eq!(names[2..], shown, "baselines first");
+            let over_steps = gaussians::lines(setting, 6.0);
+            let named = |of: fn(&LineName) -> Option<&String>| -> Vec<&str> {
+                over_steps.iter().filter_map(|line| of(&line.name)).map(String::as_str).collect()
+            };
+            let legend = named(|name| if let LineName::Legend(name) = name { Some(name) } else { None });
+            assert_eq!(legend, ["Grid", "a strategy with a long name", "mask", "none"], "each method once");
+            let at_ends = named(|name| if let LineName::AtEnd(name) = name { Some(name) } else { None });
+            assert_eq!(at_ends, ["8", "12", "8", "12"], "variants by their numbers");
         }
         let drawn = all(&study.settings[0], &|_, _| {});
         assert_eq!(drawn.left_out, None);

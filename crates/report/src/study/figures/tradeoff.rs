@@ -10,16 +10,19 @@ use pwrfgs_experiment::{
     CEILING, ParetoComparison, Record, Setting, StudyVariant, VariantFamily, scores::MODEL, statistics::Spread,
 };
 
+/// Method and its published values by N.
+type Published = (&'static str, &'static [(f64, f64)]);
+
 /// Published SSIM by N: Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field
-/// Construction", for mask penalties of 0, 0.02 and 0.04.
+/// Construction", for mask penalties of 0.02 and 0.04, and WRF-GS with the point cloud.
 ///
 /// The text prints 0.642 at N = 8; the other values are only in its figure 2b, which has no numbers, and its LaTeX
-/// source. N = 65,469 is WRF-GS with the point cloud. The data are the measured spectra of NeRF2 (`s23`) with a random
-/// split, 4,898 for training and 1,225 for test, and 200,000 steps. The paper does not state whether its SSIM is a mean
-/// or a median.
-const PUBLISHED_SSIM: [(f64, f64); 3] = [(65_469.0, 0.899), (157.0, 0.850), (8.0, 0.642)];
+/// source. The data are the measured spectra of NeRF2 (`s23`) with a random split, 4,898 for training and 1,225 for test,
+/// and 200,000 steps. The paper does not state whether its SSIM is a mean or a median.
+const PUBLISHED_SSIM: [Published; 2] =
+    [("P-WRFGS in the paper", &[(157.0, 0.850), (8.0, 0.642)]), ("WRF-GS in the paper", &[(65_469.0, 0.899)])];
 /// Published rate ratio η by N, from the same paper.
-const PUBLISHED_ETA: [(f64, f64); 1] = [(8.0, 0.9288)];
+const PUBLISHED_ETA: [Published; 1] = [("P-WRFGS in the paper", &[(8.0, 0.9288)])];
 
 /// Score that is plotted against N.
 struct Score {
@@ -30,7 +33,7 @@ struct Score {
     /// Name of the axis.
     axis: String,
     /// N and score that the paper publishes.
-    published: &'static [(f64, f64)],
+    published: &'static [Published],
 }
 
 pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
@@ -61,7 +64,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();
-    lines.extend(published.then(|| reference(score.key, score.published)));
+    lines.extend(score.published.iter().filter(|_| published).map(|own| reference(score.key, own)));
     lines.extend(baselines(setting, score.key));
     lines.extend(ceiling(setting, score.key));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
@@ -70,11 +73,10 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// One curve per strategy over N, in the colour of its first variant in the other figures.
+/// One curve per strategy over N.
 pub(super) fn strategies(setting: &Setting, key: &str) -> Vec<ChartLine> {
-    let first = |way: &VariantFamily<'_>| setting.variants.iter().position(|v| v.label == way.variants[0].label);
-    let line = |way: &VariantFamily<'_>| way_line(way, first(way)?, &COSTS[N], key, true);
-    VariantFamily::all(setting).iter().filter_map(line).collect()
+    let families = VariantFamily::all(setting);
+    families.iter().enumerate().filter_map(|(k, way)| way_line(way, k, &COSTS[N], key, true)).collect()
 }
 
 /// Height of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are all near 1.
@@ -111,9 +113,9 @@ fn is_s23(setting: &Setting) -> bool {
     !setting.simulated && setting.runs().all(|run| names(&run.facts.data))
 }
 
-/// Published values.
-fn reference(key: &str, published: &[(f64, f64)]) -> ChartLine {
-    let mut line = ChartLine::new(Vec::new(), Style::published()).named("published, s23");
+/// Published values of a method: stars, hollow for the method of the paper.
+fn reference(key: &str, (name, published): &Published) -> ChartLine {
+    let mut line = ChartLine::new(Vec::new(), Style::published(name.starts_with("P-WRFGS"))).named(name);
     line.marks = published.iter().map(|(n, own)| (*n, height(key, *own))).collect();
     line
 }
@@ -170,7 +172,7 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     lines.append(&mut shown);
     lines.append(&mut others);
     let published = K == N && headline.key == "ssim" && is_s23(setting);
-    lines.extend(published.then(|| reference(headline.key, &PUBLISHED_SSIM)));
+    lines.extend(PUBLISHED_SSIM.iter().filter(|_| published).map(|own| reference(headline.key, own)));
     lines.extend(baselines(setting, headline.key));
     lines.extend(ceiling(setting, headline.key));
     let axis = format!("mean {}", headline.name);
@@ -185,6 +187,11 @@ fn worst_baseline(setting: &Setting) -> Option<f64> {
     let headline = setting.headline();
     let of = |name: &str| setting.baseline(name, headline.key);
     setting.baselines().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
+}
+
+/// Style of strategy `k`.
+pub(super) fn method_style(way: &VariantFamily<'_>, k: usize) -> Style {
+    if way.variants.len() > 1 { Style::method(k) } else { Style::variant(k) }
 }
 
 /// Line of a method through its variants, with bars over seeds.
@@ -202,8 +209,7 @@ fn way_line(way: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown
     if !shown {
         return Some(ChartLine::new(points, Style::thread()));
     }
-    let name = if let [variant] = way.variants[..] { &variant.label } else { &way.name };
-    let mut line = ChartLine::new(points.clone(), Style::variant(k)).named(name);
+    let mut line = ChartLine::new(points.clone(), method_style(way, k)).named(&way.title);
     line.marks = points;
     let bars = |(paid, score): &(Spread, Spread)| {
         let (x, y) = (paid.mean, height(key, score.mean));
