@@ -330,16 +330,16 @@ fn small_twin_of_the_paper_has_its_figures_and_table() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let few = [
-        "data.samples=60",
-        "data.points=100",
-        "initializer=Random(count: 100, std: 3.0)",
+        "data.samples=40",
+        "data.points=60",
+        "initializer=Random(count: 60, std: 3.0)",
         "baselines=[MeanSpectrum(), NearestNeighbours(k: 1)]",
-        "training.densify.max_gaussians=150",
+        "training.densify.max_gaussians=100",
         "training.batch=1",
         "training.validate_every=0",
     ];
     let set: Vec<&str> = few.iter().flat_map(|change| ["--set", change]).collect();
-    let command = ["sweep", "paper-office", "--scale", "0.2", "--jobs", "2", "--threads", "2"];
+    let command = ["sweep", "paper-office", "--scale", "0.15", "--jobs", "2", "--threads", "2"];
     let table = stdout(&succeed(here, &[&command[..], &set].concat()));
     assert!(table.contains("36 of 36 runs finished"), "{table}");
     let report = here.join("runs/paper-office/report");
