@@ -106,6 +106,9 @@ fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
 
 impl Update {
     /// Adam of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted from the value.
+    ///
+    /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
+    /// processor down many times; they become 0.
     fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
         const CHUNK: usize = 16_384;
         let [beta1, beta2] = BETAS;
@@ -121,8 +124,11 @@ impl Update {
                         let mut finite = true;
                         for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
                             let g = d + self.l2 * *x;
-                            *m = beta1 * *m + (1.0 - beta1) * g;
-                            *v = beta2 * *v + (1.0 - beta2) * g * g;
+                            let first = beta1 * *m + (1.0 - beta1) * g;
+                            let second = beta2 * *v + (1.0 - beta2) * g * g;
+                            let is_idle = first.abs() < Real::MIN_POSITIVE;
+                            *m = if is_idle { 0.0 } else { first };
+                            *v = if is_idle && second < Real::MIN_POSITIVE { 0.0 } else { second };
                             let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
                             *x -= self.rate * (step + self.decay * *x);
                             finite &= x.is_finite();
@@ -183,6 +189,17 @@ mod tests {
         let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
         Update { l2: 0.5, decay: 0.0, ..quiet }.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
         assert!((x[0] - 1.9).abs() < 1e-5, "Adam moves by the rate whatever the size of the gradient, found {}", x[0]);
+    }
+
+    /// Numbers below the smallest normal one are slow, and half the moments of a network of dead units end as such.
+    #[test]
+    fn moments_without_gradient_decay_to_zero() {
+        let update = Update { rate: 0.1, eps: 1e-15, unbias: [1.0, 1.0], l2: 0.0, decay: 0.0 };
+        let (mut x, mut m, mut v) = (vec![2.0, 1.0], vec![1e-3, 1e-3], vec![2.0 * Real::MIN_POSITIVE, 1.0]);
+        for _ in 0..if size_of::<Real>() == 4 { 1_000 } else { 8_000 } {
+            update.apply(&mut x, &[0.0; 2], &mut m, &mut v).unwrap();
+        }
+        assert!(m == [0.0; 2] && v[0] == 0.0 && v[1] > 0.0, "{m:?} {v:?}");
     }
 
     #[test]
