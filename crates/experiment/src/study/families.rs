@@ -150,7 +150,7 @@ fn shorten(families: &mut [VariantFamily<'_>]) -> String {
     for (way, own) in families.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
         own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
     }
-    all[0][..first].iter().map(|word| format!("{word} ")).collect()
+    all[0][..first].iter().flat_map(|word| [word.as_str(), " "]).collect()
 }
 
 #[cfg(test)]
