@@ -21,6 +21,12 @@ pub trait Deformation: crate::plugin::PluginObject {
     /// the same weights, centres and pose, or `None`; both give bit-identical results.
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas;
 
+    /// Computes [`Self::forward`] without preparation, and what [`Self::vjp`] reuses of it
+    /// ([`DeformationInputs::kept`]): `None`, or up to [`KEPT_BYTES`].
+    fn forward_for_vjp(&self, inputs: &DeformationInputs<'_>) -> (Deltas, Cache) {
+        (self.forward(inputs, &None), None)
+    }
+
     /// Precomputes the transmitter-independent part of [`Self::forward`] from weights and centres, for repeated
     /// predictions. `None` if all computations depend on the transmitter.
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
@@ -55,6 +61,10 @@ pub trait Deformation: crate::plugin::PluginObject {
 }
 plugin_kind!(Deformation);
 
+/// Maximum of the bytes that a forward pass keeps for the derivative: the activations of about 30,000 Gaussians of the
+/// network of the paper. Those of further Gaussians are computed again.
+pub const KEPT_BYTES: usize = 256 << 20;
+
 /// Inputs and properties of a [`Deformation`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(clippy::struct_excessive_bools)] // independent properties
@@ -76,6 +86,8 @@ pub struct DeformationTraits {
     /// Number of values per Gaussian, independent of the number of transmitters, that [`Deformation::forward`] and its
     /// derivative store in addition to the terms. Used for memory estimates; 0 if they work in small chunks.
     pub kept_per_gaussian: usize,
+    /// Number of values per Gaussian and transmitter that [`Deformation::forward_for_vjp`] keeps within [`KEPT_BYTES`].
+    pub kept_per_term: usize,
     /// Whether [`Deformation::vjp`] supports the derivative by the positions of the transmitters.
     pub differentiates_positions: bool,
 }
@@ -91,6 +103,7 @@ impl Default for DeformationTraits {
             reads_receiver: false,
             couples_gaussians: false,
             kept_per_gaussian: 0,
+            kept_per_term: 0,
             differentiates_positions: false,
         }
     }
@@ -132,12 +145,15 @@ pub struct DeformationInputs<'a> {
     pub txs: Conditions<'a>,
     /// Pose of the receiver.
     pub pose: &'a Pose,
+    /// For [`Deformation::vjp`]: result of [`Deformation::forward_for_vjp`] for the same inputs, or `None`; both give
+    /// bit-identical results.
+    pub kept: &'a Cache,
 }
 
 impl<'a> DeformationInputs<'a> {
     /// Creates the inputs for some transmitters.
     pub fn new(weights: &'a [Real], means: &'a [[Real; 3]], txs: impl Into<Conditions<'a>>, pose: &'a Pose) -> Self {
-        Self { weights, means, txs: txs.into(), pose }
+        Self { weights, means, txs: txs.into(), pose, kept: &None }
     }
 }
 

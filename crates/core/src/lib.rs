@@ -47,7 +47,7 @@ pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
 pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched, check_receivers};
-pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
+pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, KEPT_BYTES, LinearPart};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};

@@ -420,6 +420,8 @@ pub struct Activated {
 pub struct Cost {
     /// Number of stored values per Gaussian.
     pub per_gaussian: usize,
+    /// Number of stored values per Gaussian and transmitter, up to [`KEPT_BYTES`](crate::KEPT_BYTES).
+    pub per_term: usize,
     /// Number of drawn values per link.
     pub pixels: usize,
     /// Memory for the backward pass that does not depend on the Gaussians, bytes.
@@ -431,6 +433,6 @@ pub struct Cost {
 
 impl Default for Cost {
     fn default() -> Self {
-        Self { per_gaussian: 0, pixels: 0, bytes: 0, links_at_once: usize::MAX }
+        Self { per_gaussian: 0, per_term: 0, pixels: 0, bytes: 0, links_at_once: usize::MAX }
     }
 }

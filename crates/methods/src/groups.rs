@@ -3,8 +3,8 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, Link, MeasurementSetup,
-    Method, MethodVjp, ObservationRequest, Parameters, PixelSubset, Pose, Real, Vec3,
+    Activated, Cache, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, Link,
+    MeasurementSetup, Method, MethodVjp, ObservationRequest, Parameters, PixelSubset, Pose, Real, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
@@ -155,6 +155,20 @@ pub(crate) const OFFSETS: &str = "receiver.offsets";
 pub(crate) fn rows(deformation: &dyn Deformation, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
     let all = deformation.traits().couples_gaussians;
     (0..cloud.len()).filter(|&i| all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
+}
+
+/// Returns the terms of the network and, in training, what it keeps for the backward pass.
+pub(crate) fn terms(
+    deformation: &dyn Deformation,
+    inputs: &DeformationInputs<'_>,
+    prepared: &Cache,
+    is_training: bool,
+) -> (Deltas, Cache) {
+    if is_training && prepared.is_none() {
+        deformation.forward_for_vjp(inputs)
+    } else {
+        (deformation.forward(inputs, prepared), None)
+    }
 }
 
 /// Backward pass of activation and network: adds to `sums`, given the cotangents of the activation.

@@ -57,7 +57,8 @@ struct Ready {
 
 /// Results of the forward pass for the backward pass.
 struct ForwardCache {
-    deltas: Deltas,
+    /// Terms of the network, and what it keeps for its derivative.
+    terms: (Deltas, Cache),
     /// Per group: its links, its waves, and signals `[N, links, 2]`.
     received: Vec<(ReceiverGroup, Arc<Waves>, Vec<Real>)>,
 }
@@ -93,7 +94,8 @@ impl SplattedChannel {
         let (network, offsets) = parts(setup, p.weights);
         let pose = setup.pose();
         let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
-        let deltas = self.deformation.forward(&inputs, ready.map_or(&None, |ready| &ready.deformation));
+        let of_network = ready.map_or(&None, |ready| &ready.deformation);
+        let (deltas, kept) = groups::terms(&*self.deformation, &inputs, of_network, is_training);
         let network = start.elapsed().as_secs_f64();
         let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
         let mut received = Vec::new();
@@ -108,7 +110,7 @@ impl SplattedChannel {
             received.extend(is_training.then_some((group, waves, signals)));
         }
         let blending = start.elapsed().as_secs_f64() - network;
-        let cache = is_training.then(|| Arc::new(ForwardCache { deltas, received }) as _);
+        let cache = is_training.then(|| Arc::new(ForwardCache { terms: (deltas, kept), received }) as _);
         (ForwardOutput { numbers, cache }, StageTimes { network, blending, ..StageTimes::default() })
     }
 
@@ -161,8 +163,9 @@ impl Method for SplattedChannel {
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
-        let per_gaussian = self.deformation.traits().kept_per_gaussian + PER_WAVE * setup.numbers() / 2;
-        Cost { per_gaussian, pixels: setup.numbers(), ..Cost::default() }
+        let own = self.deformation.traits();
+        let per_gaussian = own.kept_per_gaussian + PER_WAVE * setup.numbers() / 2;
+        Cost { per_gaussian, per_term: own.kept_per_term, pixels: setup.numbers(), ..Cost::default() }
     }
 
     fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
@@ -201,7 +204,7 @@ impl Method for SplattedChannel {
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
-        let ForwardCache { deltas, received } = cached(&observed.cache);
+        let ForwardCache { terms: (deltas, kept), received } = cached(&observed.cache);
         let (n, activation) = (p.cloud.len(), self.activation());
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
         let (network, offsets) = parts(setup, p.weights);
@@ -222,8 +225,8 @@ impl Method for SplattedChannel {
                 sums.stats.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * mean.sqrt();
             }
         }
-        let pose = setup.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
+        let (means, txs) = (&p.cloud.means, request.conditions);
+        let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
         groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 

@@ -8,6 +8,7 @@
 
 use pwrfgs_core::Real;
 use rayon::prelude::*;
+use std::cell::Cell;
 use std::ops::Range;
 
 /// Matrix inside a slice: element (i, j) has index `i · strides.0 + j · strides.1`.
@@ -49,6 +50,13 @@ impl<'a> Matrix<'a> {
         Self { shape: (self.shape.1, self.shape.0), strides: (self.strides.1, self.strides.0), ..self }
     }
 
+    /// Splits the matrix after `rows` rows.
+    fn split_rows(self, rows: usize) -> (Self, Self) {
+        let (m, n) = self.shape;
+        let below = &self.data[rows * self.strides.0..];
+        (Self { shape: (rows, n), ..self }, Self { data: below, shape: (m - rows, n), ..self })
+    }
+
     /// Returns the columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
@@ -76,6 +84,19 @@ impl<'a> MatrixMut<'a> {
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
     }
 
+    /// Splits a matrix of [`Self::has_rows`] after `rows` rows.
+    fn split_rows(self, rows: usize) -> (Self, Self) {
+        let (m, n) = self.shape;
+        let (above, below) = self.data.split_at_mut(rows * self.strides.0);
+        let part = |data, rows| MatrixMut { data, shape: (rows, n), strides: self.strides };
+        (part(above, rows), part(below, m - rows))
+    }
+
+    /// Returns whether each row is contiguous and ends before the next.
+    fn has_rows(&self) -> bool {
+        self.strides.1 == 1 && self.shape.1 <= self.strides.0
+    }
+
     /// Reborrows the matrix.
     fn lent(&mut self) -> MatrixMut<'_> {
         MatrixMut { data: self.data, shape: self.shape, strides: self.strides }
@@ -91,14 +112,44 @@ pub enum StoreMode {
     Add,
 }
 
-/// Computes `c = a·b` or `c += a·b` on the calling thread; parallelism is over chunks.
+thread_local! {
+    /// Number of threads that share the products of this thread.
+    static SHARED_BY: Cell<usize> = const { Cell::new(1) };
+}
+
+/// Runs `run`, in which each product is divided among up to `threads` threads. The result does not depend on them.
+pub(crate) fn shared_by<R>(threads: usize, run: impl FnOnce() -> R) -> R {
+    let before = SHARED_BY.replace(threads);
+    let result = run();
+    SHARED_BY.set(before);
+    result
+}
+
+/// Computes `c = a·b` or `c += a·b`: on the calling thread, or on those of [`shared_by`].
 ///
 /// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
 /// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into
 /// 48 and 32. On other processors this has no disadvantage.
-pub fn product(mut c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
+pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
+    assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, c.shape.1), "inner and outer sizes of a product agree");
+    divide(c, store, a, b, SHARED_BY.get());
+}
+
+/// Divides the rows of a product among `threads` threads. `gemm` adds up each element in an order that the number of
+/// rows does not change, unless there are few: the parts have more.
+fn divide(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
+    let ((m, n), k) = (c.shape, a.shape.1);
+    let least = if k <= 512 { 32 } else { 80 };
+    if threads < 2 || n < 16 || k < 16 || m < 2 * least + 12 || !c.has_rows() {
+        return split_columns(c, store, a, b);
+    }
+    let above = m / 2 / 6 * 6; // six rows at a time
+    let (half, (first, second), (a_first, a_second)) = (threads / 2, c.split_rows(above), a.split_rows(above));
+    rayon::join(|| divide(first, store, a_first, b, threads - half), || divide(second, store, a_second, b, half));
+}
+
+fn split_columns(mut c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
-    assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
     let left_over = n > 64 && (1..=16).contains(&(n % 64));
     let cut = if left_over { n / 64 * 64 - 16 } else { n };
     multiply(c.lent().columns(0..cut), store, a, b.columns(0..cut));

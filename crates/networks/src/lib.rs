@@ -3,8 +3,8 @@
 //! [`Mlp`] is the network of P-WRFGS and [`Wrfgs`] that of WRF-GS. [`Factored`] runs once per transmitter instead of
 //! once per Gaussian, and [`Fixed`] has no network. A network is a [`linear::LayoutBuilder`] of tensors in one flat weight
 //! vector, [`linear::Linear`] layers with their offsets, and passes over chunks of contiguous points ([`dense`]);
-//! [`trunk`] is the ReLU stack. NeRF2 uses the same layers. Derivatives are written by hand. Nothing is stored between
-//! calls: the backward pass recomputes the activations of each chunk while they fit the cache.
+//! [`trunk`] is the ReLU stack. NeRF2 uses the same layers. Derivatives are written by hand. The backward
+//! pass recomputes the activations of each chunk, unless `Mlp` kept them within `KEPT_BYTES`.
 
 pub mod dense;
 pub mod encoding;

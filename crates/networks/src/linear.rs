@@ -3,6 +3,7 @@
 
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use pwrfgs_core::{Layout, Real, WeightSpec};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Maximum number of units per layer.
@@ -247,12 +248,30 @@ pub fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
         .collect()
 }
 
-/// Returns the number of items per weight-gradient accumulator, in order. The number of accumulators is a power of two
-/// up to 16, independent of the threads: each is summed in order, then they are added in order.
-pub fn items_per_sum(items: usize) -> usize {
-    let half = (items / 2).max(1);
-    let sums = (1 << half.ilog2()).clamp(2, 16);
-    items.div_ceil(sums).max(1)
+/// Runs `run` on groups of items, in parallel; it adds derivatives of the weights to its second argument. Adds them to
+/// `d_weights` and returns the results, in the order of the groups.
+///
+/// The number of groups is a power of two up to 16, independent of the threads: each is summed in order, then they are
+/// added in order; the first is `d_weights` itself. Further threads share the products of a group.
+pub fn sum_groups<T: Sync, R: Send>(
+    items: &[T],
+    d_weights: &mut [Real],
+    run: impl Fn(&[T], &mut [Real]) -> R + Sync,
+) -> Vec<R> {
+    let groups = (1_usize << (items.len() / 2).max(1).ilog2()).clamp(2, 16);
+    let size = items.len().div_ceil(groups).max(1);
+    let (numbers, groups) = (d_weights.len(), items.len().div_ceil(size));
+    let threads = rayon::current_num_threads();
+    let mut first = Some(&mut *d_weights);
+    let sums: Vec<Option<&mut [Real]>> = (0..groups).map(|_| first.take()).collect();
+    let one = |(items, sum): (&[T], Option<&mut [Real]>)| {
+        let mut own = vec![0.0; if sum.is_some() { 0 } else { numbers }];
+        let result = dense::shared_by(threads / groups, || run(items, sum.unwrap_or(&mut own)));
+        (own, result)
+    };
+    let (sums, results): (Vec<Vec<Real>>, Vec<R>) = items.par_chunks(size).zip(sums).map(one).unzip();
+    dense::add_in_order(d_weights, &sums.iter().skip(1).map(Vec::as_slice).collect::<Vec<_>>());
+    results
 }
 
 #[cfg(test)]

@@ -8,14 +8,15 @@
 use crate::check_carrier;
 use crate::dense::{self, StoreMode};
 use crate::encoding::{self, check_frequencies, encode};
-use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, items_per_sum, laid_out, planned};
+use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, laid_out, planned, sum_groups};
 use crate::mlp_branch::{TxBranch, TxSide};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real,
+    Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, KEPT_BYTES, Layout, Real, cached,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// The network of P-WRFGS: additive changes of signal, rotation and scale per Gaussian and transmitter.
 ///
@@ -106,6 +107,7 @@ impl Deformation for Mlp {
         DeformationTraits {
             varies_geometry: self.outputs == Outputs::All,
             reads_carrier: self.carrier != 0.0,
+            kept_per_term: self.depth * self.width,
             differentiates_positions: true,
             ..DeformationTraits::default()
         }
@@ -117,7 +119,13 @@ impl Deformation for Mlp {
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         let network = laid_out(inputs.weights, |plan| self.network(plan));
-        network.forward(inputs.weights, inputs.means, inputs.txs)
+        network.forward(inputs, false).0
+    }
+
+    fn forward_for_vjp(&self, inputs: &DeformationInputs<'_>) -> (Deltas, Cache) {
+        let network = laid_out(inputs.weights, |plan| self.network(plan));
+        let (deltas, kept) = network.forward(inputs, true);
+        (deltas, Some(Arc::new(kept)))
     }
 
     fn vjp(
@@ -174,37 +182,55 @@ pub(super) struct MlpLayers {
 struct Scratch {
     gamma: Vec<Real>,
     shared: Joints,
-    slots: Vec<Vec<Real>>,
+    slots: Activations,
     out: Vec<Real>,
     d: Vec<Real>,
     spare: Vec<Real>,
 }
 
-/// Accumulator of the backward pass.
-struct GradientSum {
-    weights: Vec<Real>,
-    /// Cotangents of the folded biases, `[B, width]` each.
-    folded: Joints,
-}
+/// Activations of a chunk for one transmitter, by layer.
+type Activations = Vec<Vec<Real>>;
+
+/// Activations of the forward pass per item and transmitter, for the backward pass; empty beyond [`KEPT_BYTES`].
+pub(super) struct Kept(Vec<Vec<Activations>>);
 
 impl MlpLayers {
-    /// Computes γ and W·γ of the centres of a chunk.
-    fn begin(&self, weights: &[Real], means: &[[Real; 3]], scratch: &mut Scratch) {
+    /// Computes γ of the centres of a chunk.
+    fn encode(&self, means: &[[Real; 3]], scratch: &mut Scratch) {
         scratch.gamma.resize(means.len() * encoding::width(self.position_frequencies), 0.0);
         encode(means.iter().copied(), self.position_frequencies, &mut scratch.gamma);
+    }
+
+    /// Computes γ and W·γ of the centres of a chunk.
+    fn begin(&self, weights: &[Real], means: &[[Real; 3]], scratch: &mut Scratch) {
+        self.encode(means, scratch);
         self.trunk.share(weights, &scratch.gamma, &mut scratch.shared);
     }
 
-    pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Deltas {
+    /// Returns the outputs, and the activations if they are to be kept.
+    pub(super) fn forward(&self, inputs: &DeformationInputs<'_>, is_kept: bool) -> (Deltas, Kept) {
+        let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.branch.sides(weights, &self.trunk, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
-        let pieces: Vec<Vec<Deltas>> = items
-            .par_iter()
-            .map_init(Scratch::default, |scratch, item| {
-                self.begin(weights, &means[item.rows.clone()], scratch);
-                sides[item.txs.clone()].iter().map(|side| self.deltas(weights, side, scratch)).collect()
-            })
-            .collect();
+        let mut bytes = 0;
+        let fits = |item: &Item| {
+            bytes += item.rows.len() * item.txs.len() * self.trunk.depth() * self.trunk.width * size_of::<Real>();
+            is_kept && bytes <= KEPT_BYTES
+        };
+        let fit: Vec<bool> = items.iter().map(fits).collect();
+        let one = |scratch: &mut Scratch, (item, is_kept): (&Item, bool)| {
+            self.begin(weights, &means[item.rows.clone()], scratch);
+            let mut kept = Vec::new();
+            let mut deltas = Vec::new();
+            for side in &sides[item.txs.clone()] {
+                scratch.slots.resize_with(if is_kept { self.trunk.depth() } else { 2 }, Vec::new);
+                deltas.push(self.deltas(weights, side, scratch));
+                kept.extend(is_kept.then(|| std::mem::take(&mut scratch.slots)));
+            }
+            (deltas, kept)
+        };
+        let (pieces, kept): (Vec<Vec<Deltas>>, Vec<Vec<Activations>>) =
+            items.par_iter().zip(fit).map_init(Scratch::default, one).unzip();
         let mut all = Deltas::default();
         let mut start = 0;
         while start < items.len() {
@@ -219,15 +245,14 @@ impl MlpLayers {
             }
             start += chunks;
         }
-        all
+        (all, Kept(kept))
     }
 
     /// Returns the outputs of the heads for the chunk in `scratch` and one transmitter.
     fn deltas(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
         let Scratch { shared, slots, out, .. } = scratch;
-        slots.resize_with(2, Vec::new);
         self.trunk.forward(weights, shared, &side.folded, slots);
-        let h = &slots[self.trunk.last(2)];
+        let h = &slots[self.trunk.last(slots.len())];
         let rows = h.len() / self.trunk.width;
         self.heads.apply(weights, h, out);
         match self.outputs {
@@ -248,44 +273,53 @@ impl MlpLayers {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.branch.sides(weights, &self.trunk, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
-        let sums: Vec<GradientSum> = items
-            .par_chunks(items_per_sum(items.len()))
-            .map(|items| {
-                let folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
-                let mut sum = GradientSum { weights: vec![0.0; weights.len()], folded };
-                let mut scratch = Scratch::default();
-                for item in items {
-                    self.item_vjp(inputs, &sides, d, item, &mut scratch, &mut sum);
-                }
-                sum
-            })
-            .collect();
-        dense::add_in_order(d_weights, &sums.iter().map(|s| s.weights.as_slice()).collect::<Vec<_>>());
+        let kept: &[Vec<Activations>] = if inputs.kept.is_some() { &cached::<Kept>(inputs.kept).0 } else { &[] };
+        let items: Vec<(Item, &[Activations])> =
+            items.into_iter().enumerate().map(|(k, item)| (item, kept.get(k).map_or(&[][..], Vec::as_slice))).collect();
+        let sums = sum_groups(&items, d_weights, |items, d_weights| {
+            let mut folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
+            let mut scratch = Scratch::default();
+            for (item, kept) in items {
+                self.item_vjp(inputs, &sides, d, (item, kept), &mut scratch, (d_weights, &mut folded));
+            }
+            folded
+        });
         let mut folded = self.trunk.zero_joints(txs.len() * self.trunk.width);
-        dense::add_in_order(&mut folded.first, &sums.iter().map(|s| s.folded.first.as_slice()).collect::<Vec<_>>());
-        dense::add_in_order(&mut folded.joined, &sums.iter().map(|s| s.folded.joined.as_slice()).collect::<Vec<_>>());
+        dense::add_in_order(&mut folded.first, &sums.iter().map(|s| s.first.as_slice()).collect::<Vec<_>>());
+        dense::add_in_order(&mut folded.joined, &sums.iter().map(|s| s.joined.as_slice()).collect::<Vec<_>>());
         self.branch.vjp(weights, &self.trunk, &sides, &folded, d_weights, d_txs);
     }
 
-    /// Backward pass of one chunk for some transmitters; recomputes its forward pass first.
+    /// Backward pass of one chunk for some transmitters; recomputes its forward pass first, unless it was kept. Adds to
+    /// the derivatives of the weights and of the folded biases, `[B, width]` each.
     fn item_vjp(
         &self,
         inputs: &DeformationInputs<'_>,
         sides: &[TxSide],
         d: &Deltas,
-        item: &Item,
+        (item, kept): (&Item, &[Activations]),
         scratch: &mut Scratch,
-        sum: &mut GradientSum,
+        (d_weights, d_folded): (&mut [Real], &mut Joints),
     ) {
         let (weights, n, width) = (inputs.weights, inputs.means.len(), self.trunk.width);
-        self.begin(weights, &inputs.means[item.rows.clone()], scratch);
+        let means = &inputs.means[item.rows.clone()];
+        if kept.is_empty() {
+            self.begin(weights, means, scratch);
+        } else {
+            self.encode(means, scratch);
+        }
         let Scratch { gamma, shared, slots, out, d: d_h, spare } = scratch;
         let rows = item.rows.len();
         slots.resize_with(self.trunk.depth(), Vec::new);
         let mut d_shared = self.trunk.zero_joints(width * rows);
         out.resize(self.heads.outputs * rows, 0.0);
-        for b in item.txs.clone() {
-            self.trunk.forward(weights, shared, &sides[b].folded, slots);
+        for (k, b) in item.txs.clone().enumerate() {
+            let slots = if let Some(slots) = kept.get(k) {
+                slots
+            } else {
+                self.trunk.forward(weights, shared, &sides[b].folded, slots);
+                &*slots
+            };
             let here = b * n + item.rows.start..b * n + item.rows.end;
             match self.outputs {
                 Outputs::All => {
@@ -296,12 +330,11 @@ impl MlpLayers {
                 Outputs::Signals => scatter(d.signals.get(here), out, 0, rows),
             }
             let h = &slots[self.trunk.depth() - 1];
-            self.heads.apply_vjp(weights, (h, out), &mut sum.weights, (d_h, StoreMode::Set));
-            let into =
-                TrunkGradient { weights: &mut sum.weights, shared: &mut d_shared, folded: sum.folded.of_tx(b, width) };
+            self.heads.apply_vjp(weights, (h, out), d_weights, (d_h, StoreMode::Set));
+            let into = TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: d_folded.of_tx(b, width) };
             self.trunk.backward(weights, slots, d_h, spare, into);
         }
-        self.trunk.share_vjp(weights, gamma, &d_shared, &mut sum.weights, None);
+        self.trunk.share_vjp(weights, gamma, &d_shared, d_weights, None);
     }
 }
 

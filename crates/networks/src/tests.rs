@@ -210,7 +210,7 @@ fn initial_weights_are_uniform_and_scaled_by_inputs() {
     }
 }
 
-/// Returns deltas and weight derivative on a pool with this number of threads.
+/// Returns deltas and all derivatives, with what the forward pass keeps, on a pool with this number of threads.
 fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: usize) -> (Deltas, Vec<Real>) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let mut weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
@@ -218,10 +218,14 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
     let (means, txs) = (points(n, "means"), points(batch, "txs"));
     pool.install(|| {
         let inputs = DeformationInputs::new(&weights, &means, &txs, &POSE);
-        let deltas = deformation.forward(&inputs, &None);
+        let (deltas, kept) = deformation.forward_for_vjp(&inputs);
+        assert!(deltas == deformation.forward(&inputs, &None));
+        let (mut again, inputs) = (vec![0.0; weights.len()], DeformationInputs { kept: &kept, ..inputs });
+        deformation.vjp(&DeformationInputs { kept: &None, ..inputs }, &cotangent(&deltas), &mut again, None, None);
         let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
         let mut d_txs = vec![[0.0; 3]; batch];
         deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means), Some(&mut d_txs));
+        assert!(d_weights == again, "activations that are kept equal those computed again");
         d_weights.extend(d_txs.as_flattened());
         d_weights.extend_from_slice(d_means.as_flattened());
         (deltas, d_weights)
@@ -229,15 +233,21 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
 }
 
 #[test]
-fn result_is_bit_identical_with_one_and_two_threads() {
-    let mlp = Mlp { width: 64, ..Mlp::default() };
+fn result_is_bit_identical_for_any_number_of_threads() {
+    let mlp = Mlp { width: 128, ..Mlp::default() };
     let factored = Factored { near: Some(Near { count: 40, length_m: 0.5 }), ..Factored::default() };
-    let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
+    let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 80, ..Wrfgs::default() }, &factored];
     for (n, batch) in [(157, 3), (1500, 2), (16, 70)] {
         for deformation in deformations {
-            assert_eq!(on_threads(1, deformation, n, batch), on_threads(2, deformation, n, batch));
+            let expected = on_threads(1, deformation, n, batch);
+            for threads in [2, 16, 64] {
+                assert!(on_threads(threads, deformation, n, batch) == expected, "{threads}, {n}, {batch}");
+            }
         }
     }
+    // Long sums, which `gemm` divides, and a last chunk of few rows.
+    let wide = Mlp { width: 600, depth: 2, skip: None, ..Mlp::default() };
+    assert!(on_threads(64, &wide, 197, 1) == on_threads(1, &wide, 197, 1));
 }
 
 #[test]
@@ -248,7 +258,7 @@ fn batch_is_bit_identical_to_single_calls() {
     let (means, txs) = (points(300, "means"), points(5, "txs"));
     for deformation in deformations {
         let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
-        let inputs = |txs| DeformationInputs { weights: &weights, means: &means, txs, pose: &POSE };
+        let inputs = |txs| DeformationInputs { weights: &weights, means: &means, txs, pose: &POSE, kept: &None };
         let batch = deformation.forward(&inputs((&txs).into()), &None);
         let d = cotangent(&batch);
         let mut d_batch = vec![0.0; weights.len()];

@@ -99,7 +99,7 @@ impl Deformation for Wrfgs {
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
-        let &DeformationInputs { weights, means, txs, pose } = inputs;
+        let &DeformationInputs { weights, means, txs, pose, .. } = inputs;
         let gain = self.gain(means, pose) as Real;
         let txs = txs.positions();
         let products = if prepared.is_some() {

@@ -7,7 +7,7 @@
 
 use crate::dense::{self, StoreMode, amplitude, amplitude_slope};
 use crate::encoding::{self, encode, encode_vjp};
-use crate::linear::{Item, Linear, items, items_per_sum};
+use crate::linear::{Item, Linear, items, sum_groups};
 use crate::trunk::{Joints, Trunk, TrunkGradient};
 use crate::wrfgs_branch::{Branch, BranchScratch, TxSide};
 use pwrfgs_core::{DeformationInputs, Real};
@@ -44,9 +44,8 @@ struct Scratch {
     spare: Vec<Real>,
 }
 
-/// Accumulator of the backward pass.
+/// Accumulator of the backward pass, besides the derivatives of the weights.
 struct GradientSum {
-    weights: Vec<Real>,
     /// Cotangents of the folded bias of `sig.0`, `[B, width]`.
     folded: Vec<Real>,
     /// Cotangents of the two biases of the trunk, which are added separately.
@@ -81,24 +80,21 @@ impl WrfgsLayers {
     }
 
     /// Backward pass of [`Self::begin`].
-    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, sum: &mut GradientSum) {
+    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, d_weights: &mut [Real], sum: &mut GradientSum) {
         let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
         let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
         let [of_feature, ..] = self.branch.parts();
-        of_feature.weight_vjp(&mut sum.weights, feature, d_from_feature);
+        of_feature.weight_vjp(d_weights, feature, d_from_feature);
         spare.resize(feature.len(), 0.0);
         of_feature.input_vjp(weights, d_from_feature, spare, StoreMode::Set);
-        self.feature.apply_vjp(weights, (h, spare), &mut sum.weights, (d, StoreMode::Set));
-        self.attenuation.apply_vjp(weights, (h, d_attenuation), &mut sum.weights, (d, StoreMode::Add));
+        self.feature.apply_vjp(weights, (h, spare), d_weights, (d, StoreMode::Set));
+        self.attenuation.apply_vjp(weights, (h, d_attenuation), d_weights, (d, StoreMode::Add));
         let mut d_shared = self.trunk.zero_joints(h.len());
-        let into = TrunkGradient {
-            weights: &mut sum.weights,
-            shared: &mut d_shared,
-            folded: sum.trunk_biases.of_tx(0, width),
-        };
+        let into =
+            TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: sum.trunk_biases.of_tx(0, width) };
         self.trunk.backward(weights, slots, d, spare, into);
         let mut d_gamma = sum.means.as_ref().map(|_| vec![0.0; gamma.len()]);
-        self.trunk.share_vjp(weights, gamma, &d_shared, &mut sum.weights, d_gamma.as_deref_mut());
+        self.trunk.share_vjp(weights, gamma, &d_shared, d_weights, d_gamma.as_deref_mut());
         if let (Some(d_gamma), Some(d_means)) = (d_gamma, &mut sum.means) {
             encode_vjp(gamma, &d_gamma, self.branch.frequencies, &mut d_means[sum.row..]);
         }
@@ -171,26 +167,21 @@ impl WrfgsLayers {
         let txs = inputs.txs.positions();
         let sides = self.branch.tx_sides(weights, txs);
         let items = items(means.len(), 1, self.trunk.width);
-        let sums: Vec<GradientSum> = items
-            .par_chunks(items_per_sum(items.len()))
-            .map(|items| {
-                let mut sum = GradientSum {
-                    weights: vec![0.0; weights.len()],
-                    folded: vec![0.0; txs.len() * self.trunk.width],
-                    trunk_biases: self.trunk.zero_joints(self.trunk.width),
-                    along_gain: 0.0,
-                    means: d_means.is_some().then(Vec::new),
-                    txs: d_txs.is_some().then(|| vec![[0.0; 3]; txs.len()]),
-                    row: 0,
-                };
-                let mut scratch = Scratch::default();
-                for item in items {
-                    self.item_vjp(inputs, &sides, d, item, &mut scratch, &mut sum);
-                }
-                sum
-            })
-            .collect();
-        dense::add_in_order(d_weights, &sums.iter().map(|s| s.weights.as_slice()).collect::<Vec<_>>());
+        let sums = sum_groups(&items, d_weights, |items, d_weights| {
+            let mut sum = GradientSum {
+                folded: vec![0.0; txs.len() * self.trunk.width],
+                trunk_biases: self.trunk.zero_joints(self.trunk.width),
+                along_gain: 0.0,
+                means: d_means.is_some().then(Vec::new),
+                txs: d_txs.is_some().then(|| vec![[0.0; 3]; txs.len()]),
+                row: 0,
+            };
+            let mut scratch = Scratch::default();
+            for item in items {
+                self.item_vjp(inputs, &sides, d, item, &mut scratch, (d_weights, &mut sum));
+            }
+            sum
+        });
         for sum in &sums {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
             self.branch.tx_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());
@@ -213,7 +204,7 @@ impl WrfgsLayers {
         d: &[Real],
         item: &Item,
         scratch: &mut Scratch,
-        sum: &mut GradientSum,
+        (d_weights, sum): (&mut [Real], &mut GradientSum),
     ) {
         let (n, weights, width) = (inputs.means.len(), inputs.weights, self.trunk.width);
         let means = &inputs.means[item.rows.clone()];
@@ -240,8 +231,8 @@ impl WrfgsLayers {
             let d_means = sum.means.as_mut().map(|d_means| &mut d_means[sum.row..]);
             let d_folded = &mut sum.folded[b * width..(b + 1) * width];
             let d_tx = sum.txs.as_mut().map(|d_txs| &mut d_txs[b]);
-            self.branch.vjp(weights, branch, &mut sum.weights, d_folded, d_from_feature, d_means, d_tx);
+            self.branch.vjp(weights, branch, d_weights, d_folded, d_from_feature, d_means, d_tx);
         }
-        self.begin_vjp(weights, scratch, sum);
+        self.begin_vjp(weights, scratch, d_weights, sum);
     }
 }

@@ -3,7 +3,7 @@
 use crate::settings::{Densify, Rays, Training};
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::Checked;
-use pwrfgs_core::{Deformation, Error, InitializerInput, Real, Result};
+use pwrfgs_core::{Deformation, Error, InitializerInput, KEPT_BYTES, Real, Result};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
@@ -31,7 +31,8 @@ pub struct TimedSteps {
     pub step_seconds: f64,
 }
 
-/// Numbers stored per network weight: the weight, two moments, and its derivative in each of sixteen accumulators.
+/// Numbers stored per network weight: the weight, two moments, its derivative in the graph and in the method, and fifteen
+/// accumulators of it.
 const PER_WEIGHT: usize = 20;
 /// Numbers stored per Gaussian: derivatives, activated and projected parameters, tiles, sort keys.
 const PER_GAUSSIAN: usize = 220;
@@ -72,7 +73,8 @@ impl Trainer<'_> {
         let cost = self.stages.method.cost(setup, links, chosen);
         let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
         let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
-        (numbers * size_of::<Real>()) as u64 + weights + cost.bytes
+        let kept = (n * batch * cost.per_term * size_of::<Real>()).min(KEPT_BYTES);
+        (numbers * size_of::<Real>() + kept) as u64 + weights + cost.bytes
     }
 
     /// Estimates the time of the training: it times steps with the current N and with the N at the end of pruning, and

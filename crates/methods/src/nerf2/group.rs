@@ -104,7 +104,7 @@ impl RayGroup<'_> {
         activations: Option<&RayActivations>,
         d: impl Fn(usize, usize, usize) -> [Real; 2],
         scratch: &mut GroupScratch,
-        into: &mut Sums,
+        into: &mut Sums<'_>,
     ) {
         let (walk, bands) = (&self.walk, self.walk.network.outputs / 2);
         let GroupScratch { trunk_activations, signal } = scratch;

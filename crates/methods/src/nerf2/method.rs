@@ -10,7 +10,7 @@ use pwrfgs_core::{
     ObservationRequest, Parameters, PixelSubset, Real, SPEED_OF_LIGHT, StageTimes, Task, cached,
 };
 use pwrfgs_networks::dense::add_in_order;
-use pwrfgs_networks::linear::{LayoutBuilder, items_per_sum, laid_out, planned};
+use pwrfgs_networks::linear::{LayoutBuilder, laid_out, planned, sum_groups};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
@@ -257,22 +257,18 @@ impl Method for Nerf2 {
         let groups = self.groups(setup, (&network, p.weights), request, &emission);
         let d_totals = Self::observations_vjp(setup, totals, d);
         let of_link = totals.len() / request.links.len().max(1);
-        let parts: Vec<Sums> = chunks
-            .par_chunks(items_per_sum(chunks.len()))
-            .map(|chunks| {
-                let mut into = Sums { weights: vec![0.0; p.weights.len()], emission: vec![0.0; emission.len()] };
-                let mut scratch = GroupScratch::default();
-                for Chunk { group, rays, activations } in chunks {
-                    let group = &groups[*group];
-                    let d = |pass, ray, band| d_totals[place(setup, &group.links, of_link, (pass, ray, band))];
-                    group.back(rays, activations.as_ref(), d, &mut scratch, &mut into);
-                }
-                into
-            })
-            .collect();
-        add_in_order(&mut sums.weights, &parts.iter().map(|part| part.weights.as_slice()).collect::<Vec<_>>());
+        let parts = sum_groups(chunks, &mut sums.weights, |chunks, weights| {
+            let mut into = Sums { weights, emission: vec![0.0; emission.len()] };
+            let mut scratch = GroupScratch::default();
+            for Chunk { group, rays, activations } in chunks {
+                let group = &groups[*group];
+                let d = |pass, ray, band| d_totals[place(setup, &group.links, of_link, (pass, ray, band))];
+                group.back(rays, activations.as_ref(), d, &mut scratch, &mut into);
+            }
+            into.emission
+        });
         let mut d_emission = vec![0.0; emission.len()];
-        add_in_order(&mut d_emission, &parts.iter().map(|part| part.emission.as_slice()).collect::<Vec<_>>());
+        add_in_order(&mut d_emission, &parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
         network.emission_vjp(p.weights, &request.conditions, self.unit_m, &d_emission, (d_weights, d_positions));
     }

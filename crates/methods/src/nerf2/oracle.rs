@@ -117,7 +117,8 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
         totals.iter().zip(&d).map(|([re, im], d)| [d * re / re.hypot(*im), d * im / re.hypot(*im)]).collect()
     };
     let back = |activations: bool| {
-        let mut into = Sums { weights: vec![0.0; weights.len()], emission: vec![0.0; emission.len()] };
+        let mut d_weights = vec![0.0; weights.len()];
+        let mut into = Sums { weights: &mut d_weights, emission: vec![0.0; emission.len()] };
         for (link, group) in groups.iter().enumerate() {
             for chunk in group.walk.chunks() {
                 let results = activations.then(|| group.keep(&chunk).0);
@@ -125,8 +126,8 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 group.back(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
-        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (&mut into.weights, &mut []));
-        into.weights
+        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, &mut []));
+        d_weights
     };
     let found = back(true);
     assert!(back(false) == found, "what is worked out again is what was kept");

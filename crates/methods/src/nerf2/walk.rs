@@ -57,8 +57,8 @@ pub(crate) struct Signal {
 
 /// Derivatives with respect to all learned parameters.
 #[derive(Debug)]
-pub(crate) struct Sums {
-    pub(crate) weights: Vec<Real>,
+pub(crate) struct Sums<'a> {
+    pub(crate) weights: &'a mut [Real],
     /// Derivatives with respect to the contributions of the transmitters, `[B, width]`.
     pub(crate) emission: Vec<Real>,
 }
@@ -185,7 +185,7 @@ impl RayWalk<'_> {
         (shared, signal, of): (&SharedActivations, &Signal, &[usize]),
         d: &[[Real; 2]],
         (d_factors, d_hidden): (&mut [[Real; 2]], &mut [Real]),
-        into: &mut Sums,
+        into: &mut Sums<'_>,
     ) {
         let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live());
         let (bands, rays, samples) = (self.bands(), shared.segments.len(), self.rays.samples());
@@ -206,10 +206,10 @@ impl RayWalk<'_> {
             );
         }
         let (second, mut d_second) = (&signal.second, Vec::new());
-        network.emission.apply_vjp(weights, (second, &d_raw), &mut into.weights, (&mut d_second, StoreMode::Set));
+        network.emission.apply_vjp(weights, (second, &d_raw), into.weights, (&mut d_second, StoreMode::Set));
         let layer = &network.signal[1];
-        dense::bias_relu_vjp(&mut d_second, second, layer.bias_mut(&mut into.weights));
-        layer.whole().weight_vjp(&mut into.weights, &signal.first, &d_second);
+        dense::bias_relu_vjp(&mut d_second, second, layer.bias_mut(into.weights));
+        layer.whole().weight_vjp(into.weights, &signal.first, &d_second);
         let mut d_first = vec![0.0; signal.first.len()];
         layer.whole().input_vjp(weights, &d_second, &mut d_first, StoreMode::Set);
         let rows = d_first.chunks_exact(live.max(1)).zip(signal.first.chunks_exact(live.max(1)));
@@ -231,7 +231,7 @@ impl RayWalk<'_> {
         &self,
         (shared, trunk_activations): (&SharedActivations, &TrunkActivations),
         (d_factors, d_live): (&[[Real; 2]], &[Real]),
-        into: &mut Sums,
+        into: &mut Sums<'_>,
     ) {
         let (network, weights, width) = (self.network, self.weights, self.network.width());
         let (rays, samples, live) = (shared.segments.len(), self.rays.samples(), shared.live());
@@ -244,9 +244,9 @@ impl RayWalk<'_> {
                 d_views[ray] = own.iter().sum();
             }
         }
-        dense::add_bias_vjp(&d_views, network.signal[0].bias_mut(&mut into.weights));
-        network.of_view().weight_vjp(&mut into.weights, &trunk_activations.views, &d_views);
-        network.of_feature().weight_vjp(&mut into.weights, &trunk_activations.feature, &d_hidden);
+        dense::add_bias_vjp(&d_views, network.signal[0].bias_mut(into.weights));
+        network.of_view().weight_vjp(into.weights, &trunk_activations.views, &d_views);
+        network.of_feature().weight_vjp(into.weights, &trunk_activations.feature, &d_hidden);
         let mut d_feature = vec![0.0; trunk_activations.feature.len()];
         network.of_feature().input_vjp(weights, &d_hidden, &mut d_feature, StoreMode::Set);
 
@@ -265,15 +265,14 @@ impl RayWalk<'_> {
             }
         }
         let (h, mut d_h) = (&trunk_activations.slots[network.trunk.depth() - 1], Vec::new());
-        network.feature.apply_vjp(weights, (h, &d_feature), &mut into.weights, (&mut d_h, StoreMode::Set));
-        network.attenuation.apply_vjp(weights, (h, &d_attenuation), &mut into.weights, (&mut d_h, StoreMode::Add));
+        network.feature.apply_vjp(weights, (h, &d_feature), into.weights, (&mut d_h, StoreMode::Set));
+        network.attenuation.apply_vjp(weights, (h, &d_attenuation), into.weights, (&mut d_h, StoreMode::Add));
 
         let (mut d_shared, mut d_folded) = (network.trunk.zero_joints(d_h.len()), network.trunk.zero_joints(width));
-        let trunk =
-            TrunkGradient { weights: &mut into.weights, shared: &mut d_shared, folded: d_folded.of_tx(0, width) };
+        let trunk = TrunkGradient { weights: into.weights, shared: &mut d_shared, folded: d_folded.of_tx(0, width) };
         network.trunk.backward(weights, &trunk_activations.slots, &mut d_h, &mut d_feature, trunk);
-        network.trunk.add_joint_biases(&mut into.weights, &d_folded);
-        network.trunk.share_vjp(weights, &trunk_activations.gamma, &d_shared, &mut into.weights, None);
+        network.trunk.add_joint_biases(into.weights, &d_folded);
+        network.trunk.share_vjp(weights, &trunk_activations.gamma, &d_shared, into.weights, None);
     }
 }
 

@@ -20,7 +20,8 @@ const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
 struct ForwardCache {
-    deltas: Deltas,
+    /// Terms of the network, and what it keeps for its derivative.
+    terms: (Deltas, Cache),
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
 }
 
@@ -102,7 +103,8 @@ impl Splatting {
     ) -> (ForwardOutput, StageTimes) {
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
-        let deltas = self.terms(setup, p, request.conditions, ready.map_or(&None, |ready| &ready.deformation));
+        let of_network = ready.map_or(&None, |ready| &ready.deformation);
+        let (deltas, kept) = self.terms(setup, p, request.conditions, of_network, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let (views, laws, numbers) = (self.views(setup), self.parts(setup, p.weights).1, setup.numbers());
         let one = |group: ReceiverGroup| {
@@ -135,7 +137,7 @@ impl Splatting {
             }
             drawings.extend(drawing.map(|(view, drawing)| (group, view, drawing)));
         }
-        let cache = is_training.then(|| Arc::new(ForwardCache { deltas, drawings }) as _);
+        let cache = is_training.then(|| Arc::new(ForwardCache { terms: (deltas, kept), drawings }) as _);
         (ForwardOutput { numbers: all, cache }, times)
     }
 
@@ -160,9 +162,11 @@ impl Splatting {
         p: &Parameters<'_>,
         conditions: Conditions<'_>,
         prepared: &Cache,
-    ) -> Deltas {
-        let network = self.parts(setup, p.weights).0;
-        self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &setup.pose()), prepared)
+        is_training: bool,
+    ) -> (Deltas, Cache) {
+        let (network, pose) = (self.parts(setup, p.weights).0, setup.pose());
+        let inputs = DeformationInputs::new(network, &p.cloud.means, conditions, &pose);
+        groups::terms(&*self.deformation, &inputs, prepared, is_training)
     }
 }
 
@@ -185,9 +189,9 @@ impl Method for Splatting {
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
-        let sky = self.sky(setup);
-        let per_gaussian = self.deformation.traits().kept_per_gaussian;
-        Cost { per_gaussian, pixels: sky.width * sky.height, ..Cost::default() }
+        let (sky, own) = (self.sky(setup), self.deformation.traits());
+        let pixels = sky.width * sky.height;
+        Cost { per_gaussian: own.kept_per_gaussian, per_term: own.kept_per_term, pixels, ..Cost::default() }
     }
 
     fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
@@ -239,7 +243,7 @@ impl Method for Splatting {
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
-        let ForwardCache { deltas, drawings } = cached(&observed.cache);
+        let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);
         let (numbers, n) = (setup.numbers(), p.cloud.len());
         let (network, laws) = self.parts(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
@@ -269,8 +273,8 @@ impl Method for Splatting {
             }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
-        let pose = setup.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
+        let (means, txs) = (&p.cloud.means, request.conditions);
+        let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
         groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 

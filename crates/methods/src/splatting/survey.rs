@@ -34,7 +34,7 @@ impl Splatting {
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
         let blind = is_static && !question.any(reads_signals);
-        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions, &None) };
+        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions, &None, false).0 };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
         for group in ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves())) {
