@@ -126,8 +126,8 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 group.back(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
-        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (&mut into.weights, &mut []));
-        into.weights
+        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, &mut []));
+        d_weights
     };
     let found = back(true);
     assert!(back(false) == found, "what is worked out again is what was kept");
