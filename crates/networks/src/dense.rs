@@ -125,7 +125,7 @@ pub(crate) fn shared_by<R>(threads: usize, run: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Computes `c = a·b` or `c += a·b`: on the calling thread, or on those of [`shared_by`].
+/// Computes `c = a·b` or `c += a·b`: on the calling thread, or on those of `shared_by`.
 ///
 /// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
 /// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into
