@@ -206,8 +206,11 @@ def activate(tensors, note, added):
     if physical:
         scales, quats = np.maximum(scales, 1e-4), unit(quats)
     opacities = 1 / (1 + np.exp(-tensors["gaussians.opacity_logits"][:, 0]))
-    replaces = note["deformation"][""] == "Wrfgs"
-    signals = added["signal"] if replaces else tensors["gaussians.signals"] + added.get("signal", 0)
+    delta = added.get("signal", 0)
+    if note["deformation"][""] == "Wrfgs":
+        signals = delta
+    else:
+        signals = tensors["gaussians.signals"] + (delta if physical else np.abs(delta))
     if not physical:
         signals = np.maximum(0.28209479177387814 * signals + 0.5, 0)
     return scales, quats, opacities, signals[:, : 1 if note["readout"][""] == "Real" else 2]

@@ -447,8 +447,8 @@ export class Predictor {
   signals({ signal }) {
     const { physical } = this;
     return Float64Array.from(this.base.signals, (v, k) => {
-      const sum = v + (signal ? signal[k] : 0);
-      return physical ? sum : Math.max(0, 0.28209479177387814 * sum + 0.5);
+      const delta = signal ? signal[k] : 0;
+      return physical ? v + delta : Math.max(0, 0.28209479177387814 * (v + Math.abs(delta)) + 0.5);
     });
   }
 
