@@ -219,7 +219,10 @@ mod tests {
     #[test]
     fn estimates_of_recorded_runs_are_within_a_factor_of_1_5() {
         let curve = CountCurve { full: [2_000.0, 3_000.0], grown: 500, fall: [1_411, 40_000], steps: 200_000 };
-        let runs = [("0.01", [(2_000.0, 0.115), (72.0, 0.0130)], 3_850.0)];
+        let runs = [
+            ("0.01", [(2_000.0, 0.115), (72.0, 0.0130)], 3_850.0),
+            ("0.0075", [(2_000.0, 0.077), (136.0, 0.0085)], 3_000.0),
+        ];
         for (lambda, timed, taken) in runs {
             let [shortest, expected, longest] = KEPT_BY_MASKS.map(|kept| curve.seconds(kept, timed));
             let ratio = expected / taken;
