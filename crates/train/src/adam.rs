@@ -7,6 +7,9 @@ use rayon::prelude::*;
 /// Decay rates of the first and the second moment, as in Kingma and Ba, 2015, and in all methods implemented here.
 pub(crate) const BETAS: [Real; 2] = [0.9, 0.999];
 
+/// Weights of dead units under L2 decay become 0 below this: it is under one unit in the last place of any weight above 2e-5.
+const NEGLIGIBLE: Real = 1e-12;
+
 /// First and second moments of all learned parameters.
 #[derive(Clone, Debug)]
 pub(crate) struct Adam {
@@ -108,7 +111,8 @@ impl Update {
     /// Adam of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted from the value.
     ///
     /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
-    /// processor down many times; they become 0.
+    /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with
+    /// small activations are subnormal.
     fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
         const CHUNK: usize = 16_384;
         let [beta1, beta2] = BETAS;
@@ -130,7 +134,8 @@ impl Update {
                             *m = if is_idle { 0.0 } else { first };
                             *v = if is_idle && second < Real::MIN_POSITIVE { 0.0 } else { second };
                             let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
-                            *x -= self.rate * (step + self.decay * *x);
+                            let next = *x - self.rate * (step + self.decay * *x);
+                            *x = if self.l2 > 0.0 && next.abs() < NEGLIGIBLE { 0.0 } else { next };
                             finite &= x.is_finite();
                         }
                         finite
@@ -200,6 +205,20 @@ mod tests {
             update.apply(&mut x, &[0.0; 2], &mut m, &mut v).unwrap();
         }
         assert!(m == [0.0; 2] && v[0] == 0.0 && v[1] > 0.0, "{m:?} {v:?}");
+    }
+
+    /// WRF-GS trains with L2 decay, and most weights of its first layers lose their gradient.
+    #[test]
+    fn weights_without_gradient_decay_to_zero_under_l2() {
+        let update = Update { rate: 8e-4, eps: 1e-8, unbias: [1.0, 1.0], l2: 5e-5, decay: 0.0 };
+        let (mut x, mut m, mut v) = (vec![1e-3, 1e-3], vec![0.0; 2], vec![0.0; 2]);
+        for _ in 0..2_000 {
+            update.apply(&mut x, &[0.0, 1e-3], &mut m, &mut v).unwrap();
+        }
+        assert!(x[0] == 0.0 && x[1] < -0.1, "{x:?}");
+        let (mut x, mut m, mut v) = (vec![1e-20], vec![0.0], vec![0.0]);
+        Update { l2: 0.0, ..update }.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
+        assert_eq!(x, [1e-20], "without L2 no weight changes");
     }
 
     #[test]

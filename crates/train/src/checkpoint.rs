@@ -43,7 +43,7 @@ struct Note {
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 
 impl<'a> Trainer<'a> {
     /// Returns the fingerprint of plan and data.
