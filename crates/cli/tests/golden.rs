@@ -65,7 +65,7 @@ impl Content {
     }
 }
 
-/// Tensors of a safetensors file of 32-bit numbers, by name.
+/// Tensors of a safetensors file of 32-bit numbers and identifiers, by name.
 fn tensors(path: &Path, label: &str) -> Vec<Content> {
     let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let (length, rest) = bytes.split_first_chunk().unwrap();
@@ -73,9 +73,15 @@ fn tensors(path: &Path, label: &str) -> Vec<Content> {
     let mut header: BTreeMap<String, serde_json::Value> = serde_json::from_slice(header).unwrap();
     header.remove("__metadata__");
     let content = header.into_iter().map(|(name, entry)| {
-        assert_eq!(entry["dtype"], "F32", "{name}");
+        let number = |bytes: &[u8; 4]| match entry["dtype"].as_str() {
+            Some("U32") => f64::from(u32::from_le_bytes(*bytes)),
+            dtype => {
+                assert_eq!(dtype, Some("F32"), "{name}");
+                f64::from(f32::from_le_bytes(*bytes))
+            }
+        };
         let [from, to] = [0, 1].map(|k| entry["data_offsets"][k].as_u64().unwrap() as usize);
-        let values: Vec<f64> = data[from..to].as_chunks().0.iter().map(|v| f64::from(f32::from_le_bytes(*v))).collect();
+        let values: Vec<f64> = data[from..to].as_chunks().0.iter().map(number).collect();
         let shape = entry["shape"].to_string();
         Content::of(format!("{label}/{name}{shape}"), &values)
     });

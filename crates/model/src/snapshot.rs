@@ -17,8 +17,8 @@ pub struct Snapshot {
     pub means: Vec<[Real; 3]>,
     /// Opacities `[N]` in (0, 1), without the gates of pruners.
     pub opacities: Vec<Real>,
-    /// Learned scales `[N,3]` in metres and rotations `[N,4]` (w, x, y, z), without transmitter-dependent terms; empty
-    /// in files of an earlier version.
+    /// Learned scales `[N,3]` in metres and rotations `[N,4]` (w, x, y, z), without transmitter-dependent terms; empty if
+    /// unknown.
     pub scales: Vec<[Real; 3]>,
     /// Learned rotations, see [`Self::scales`].
     pub quats: Vec<[Real; 4]>,
@@ -40,7 +40,7 @@ struct Note {
 }
 
 const FORMAT: &str = "pwrfgs-snapshot";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 impl Snapshot {
     /// Creates a snapshot of `cloud`, relative to `origin`, at `step`.
@@ -80,18 +80,15 @@ impl Snapshot {
         let mut file = Tensors::new(&note);
         file.put("means", vec![n, 3], self.means.as_flattened().to_vec());
         file.put("opacities", vec![n], self.opacities.clone());
-        let gaussian_ids: Vec<Real> = self.gaussian_ids.iter().map(|id| *id as Real).collect();
         let scales = self.scales.as_flattened().to_vec();
         let quats = self.quats.as_flattened().to_vec();
-        for (name, width, values) in [
-            ("scales", 3, scales),
-            ("quats", 4, quats),
-            ("gaussian_ids", 1, gaussian_ids),
-            ("gates", 1, self.gates.clone()),
-        ] {
+        for (name, width, values) in [("scales", 3, scales), ("quats", 4, quats), ("gates", 1, self.gates.clone())] {
             if !values.is_empty() {
                 file.put(name, vec![n, width], values);
             }
+        }
+        if !self.gaussian_ids.is_empty() {
+            file.put_ids("gaussian_ids", &self.gaussian_ids);
         }
         write_atomically(path, &file.to_bytes())
     }
@@ -108,7 +105,7 @@ impl Snapshot {
     fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;
-        if note.format != FORMAT || !(1..=VERSION).contains(&note.version) {
+        if (&*note.format, note.version) != (FORMAT, VERSION) {
             return Err(format!(
                 "a `{}` of version {}, expected `{FORMAT}` of version {VERSION}",
                 note.format, note.version
@@ -125,7 +122,9 @@ impl Snapshot {
             None => Ok(Vec::new()),
         };
         let (scales, quats) = (column("scales", 3)?, column("quats", 4)?);
-        let (gaussian_ids, gates) = (column("gaussian_ids", 1)?, column("gates", 1)?);
+        let gates = column("gates", 1)?;
+        let gaussian_ids =
+            if file.shape("gaussian_ids").is_some() { file.take_ids("gaussian_ids", n)? } else { Vec::new() };
         Ok(Self {
             step: note.step,
             origin: note.origin,
@@ -133,7 +132,7 @@ impl Snapshot {
             opacities,
             scales: rows(&scales),
             quats: rows(&quats),
-            gaussian_ids: gaussian_ids.into_iter().map(|id| id as u32).collect(),
+            gaussian_ids,
             gates,
         })
     }
@@ -155,7 +154,8 @@ mod tests {
         let mut cloud = GaussianCloud::zeros(3);
         cloud.means[1] = [1.0, -2.0, 0.5];
         cloud.opacity_logits = vec![0.0, 3.0, -3.0];
-        let snapshot = Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2])).known(&[4, 0, 9], Some(vec![1.0, 0.0, 0.5]));
+        let snapshot =
+            Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2])).known(&[4, 0, u32::MAX], Some(vec![1.0, 0.0, 0.5]));
         assert_eq!(snapshot.place(1), [500_001.0, 5_399_998.0, 100.5]);
         assert!((snapshot.opacities[1] + snapshot.opacities[2] - 1.0).abs() < 1e-6);
         snapshot.write(&path).unwrap();

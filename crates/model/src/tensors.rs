@@ -16,9 +16,52 @@ pub(crate) const SCALES: &str = ".scales";
 pub struct Tensors {
     /// JSON text of the metadata.
     pub note: String,
-    long: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
-    /// 8-bit tensors, which are large: not converted to [`Real`].
-    short: BTreeMap<String, (Vec<usize>, Vec<i8>)>,
+    tensors: BTreeMap<String, (Vec<usize>, Values)>,
+}
+
+/// Values of a tensor, row by row.
+#[derive(Clone, Debug, PartialEq)]
+enum Values {
+    Reals(Vec<Real>),
+    /// Values of 8 bits, which are large: not converted to [`Real`].
+    Bytes(Vec<i8>),
+    /// Identifiers, of which [`Real`] would round those above 2^24.
+    Ids(Vec<u32>),
+}
+
+impl Values {
+    fn len(&self) -> usize {
+        match self {
+            Self::Reals(values) => values.len(),
+            Self::Bytes(values) => values.len(),
+            Self::Ids(values) => values.len(),
+        }
+    }
+
+    /// Returns type and bytes in the file.
+    fn encoded(&self) -> (Dtype, Vec<u8>) {
+        let real = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
+        match self {
+            Self::Reals(values) => (real, values.iter().flat_map(|v| v.to_le_bytes()).collect()),
+            Self::Bytes(values) => (Dtype::I8, values.iter().flat_map(|v| v.to_le_bytes()).collect()),
+            Self::Ids(values) => (Dtype::U32, values.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        }
+    }
+
+    /// Decodes the bytes of a file; `None` for a type that no file of pwrfgs has.
+    fn decode(dtype: Dtype, bytes: &[u8]) -> Option<Self> {
+        Some(match dtype {
+            Dtype::I8 => Self::Bytes(bytes.iter().map(|b| i8::from_le_bytes([*b])).collect()),
+            Dtype::U32 => Self::Ids(bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect()),
+            Dtype::F32 => Self::Reals(bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect()),
+            Dtype::F64 => Self::Reals(bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b) as Real).collect()),
+            Dtype::F16 => {
+                let wide = |b: &[u8; 2]| half::f16::from_le_bytes(*b).to_f64() as Real;
+                Self::Reals(bytes.as_chunks().0.iter().map(wide).collect())
+            }
+            _ => return None,
+        })
+    }
 }
 
 impl Tensors {
@@ -29,20 +72,29 @@ impl Tensors {
 
     /// Adds a tensor; `values` fill `shape` row by row.
     pub fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<Real>) {
-        assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
-        self.long.insert(name.into(), (shape, values));
+        self.insert(name, shape, Values::Reals(values));
     }
 
     /// Adds a tensor of 8-bit integers; `values` fill `shape` row by row.
     pub fn put_short(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<i8>) {
+        self.insert(name, shape, Values::Bytes(values));
+    }
+
+    /// Adds a tensor of identifiers.
+    pub fn put_ids(&mut self, name: impl Into<String>, ids: &[u32]) {
+        self.insert(name, vec![ids.len()], Values::Ids(ids.to_vec()));
+    }
+
+    fn insert(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Values) {
         assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
-        self.short.insert(name.into(), (shape, values));
+        self.tensors.insert(name.into(), (shape, values));
     }
 
     /// Rounds a tensor `[rows, columns]` to 8 bits, and adds a tensor `NAME.scales` `[rows]` with a factor per row. Readers
     /// restore the values.
     pub(crate) fn round_to_bytes(&mut self, name: &str) {
-        let (shape, values) = self.long.remove(name).expect("a tensor of the file");
+        let shape = self.shape(name).expect("a tensor of the file").to_vec();
+        let values = self.take(name, &shape).expect("finite values");
         let (integers, scales) = quantise(&values, shape[1]);
         self.put(format!("{name}{SCALES}"), vec![shape[0]], scales);
         self.put_short(name, shape, integers);
@@ -53,12 +105,21 @@ impl Tensors {
     /// # Errors
     /// The message names the tensor and the expected shape.
     pub fn take_short(&mut self, name: &str, shape: &[usize]) -> Result<Vec<i8>, String> {
-        let (found, values) =
-            self.short.remove(name).ok_or_else(|| format!("tensor `{name}` of type I8 is missing"))?;
-        if found != shape {
-            return Err(format!("tensor `{name}` has shape {found:?}, expected {shape:?}"));
+        match self.remove(name, shape)? {
+            Values::Bytes(values) => Ok(values),
+            _ => Err(format!("tensor `{name}` is not of type I8")),
         }
-        Ok(values)
+    }
+
+    /// Takes out a tensor of `n` identifiers.
+    ///
+    /// # Errors
+    /// The message names the tensor and the expected shape.
+    pub fn take_ids(&mut self, name: &str, n: usize) -> Result<Vec<u32>, String> {
+        match self.remove(name, &[n])? {
+            Values::Ids(ids) => Ok(ids),
+            _ => Err(format!("tensor `{name}` is not of type U32")),
+        }
     }
 
     /// Takes out a tensor of this shape.
@@ -66,12 +127,18 @@ impl Tensors {
     /// # Errors
     /// The message names the tensor and the expected shape.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
-        self.expect(name, shape)?;
-        let (_, values) = self.long.remove(name).expect("it is there");
+        let Values::Reals(values) = self.remove(name, shape)? else {
+            return Err(format!("tensor `{name}` is not of type F16, F32 or F64"));
+        };
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             return Err(format!("tensor `{name}` holds {} at {at}", values[at]));
         }
         Ok(values)
+    }
+
+    fn remove(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
+        self.expect(name, shape)?;
+        Ok(self.tensors.remove(name).expect("it is there").1)
     }
 
     /// Checks for a tensor of this shape.
@@ -88,19 +155,15 @@ impl Tensors {
 
     /// Returns the shape of a tensor.
     pub fn shape(&self, name: &str) -> Option<&[usize]> {
-        self.long.get(name).map(|(shape, _)| shape.as_slice())
+        self.tensors.get(name).map(|(shape, _)| shape.as_slice())
     }
 
     /// Returns the SHA-256 of the note and of every tensor with its name and shape.
     pub fn digest(&self) -> String {
         let mut all = self.note.clone().into_bytes();
-        for (name, (shape, values)) in &self.long {
+        for (name, (shape, values)) in &self.tensors {
             all.extend(format!("\n{name} {shape:?}\n").bytes());
-            all.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-        }
-        for (name, (shape, values)) in &self.short {
-            all.extend(format!("\n{name} {shape:?}\n").bytes());
-            all.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+            all.extend(values.encoded().1);
         }
         digest(&all)
     }
@@ -116,28 +179,28 @@ impl Tensors {
     /// The message names a tensor with a number beyond ±65504, the largest of F16.
     pub fn to_bytes_half(&self, short: impl Fn(&str) -> bool) -> Result<Vec<u8>, String> {
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
-        match self.long.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
+        let fault = |(name, (_, values)): &(&String, &(_, Values))| match values {
+            Values::Reals(values) => short(name) && values.iter().any(too_large),
+            _ => false,
+        };
+        match self.tensors.iter().find(fault) {
             Some((name, _)) => Err(format!("tensor `{name}` has a value too large for 16 bits")),
             None => Ok(self.encode(short)),
         }
     }
 
     fn encode(&self, half: impl Fn(&str) -> bool) -> Vec<u8> {
-        let whole = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
-        let encoded = |name: &str, values: &[Real]| -> (Dtype, Vec<u8>) {
-            if half(name) {
-                let short = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
-                (Dtype::F16, values.iter().flat_map(short).collect())
-            } else {
-                (whole, values.iter().flat_map(|v| v.to_le_bytes()).collect())
-            }
+        let encoded = |(name, (shape, values)): (&String, &(Vec<usize>, Values))| {
+            let narrow = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
+            let (dtype, bytes) = match values {
+                Values::Reals(values) if half(name) => (Dtype::F16, values.iter().flat_map(narrow).collect()),
+                values => values.encoded(),
+            };
+            (name.clone(), shape.clone(), dtype, bytes)
         };
-        let reals = self.long.iter().map(|(name, (shape, values))| (name, shape, encoded(name, values)));
-        let bytes = |values: &[i8]| values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let bytes_of = self.short.iter().map(|(name, (shape, values))| (name, shape, (Dtype::I8, bytes(values))));
-        let all: Vec<_> = reals.chain(bytes_of).collect();
-        let views = all.iter().map(|(name, shape, (dtype, data))| {
-            (name.as_str(), TensorView::new(*dtype, (*shape).clone(), data).expect("a tensor fills its shape"))
+        let all: Vec<_> = self.tensors.iter().map(encoded).collect();
+        let views = all.iter().map(|(name, shape, dtype, bytes)| {
+            (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("a tensor fills its shape"))
         });
         let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
         safetensors::serialize(views, Some(note)).expect("shapes fit their data")
@@ -153,48 +216,30 @@ impl Tensors {
         let note = header.metadata().as_ref().and_then(|m| m.get(NOTE)).cloned();
         let note = note.ok_or("a safetensors file, but not one of pwrfgs")?;
         let file = SafeTensors::deserialize(bytes).map_err(damaged)?;
-        let (mut long, mut short) = (BTreeMap::new(), BTreeMap::new());
+        let mut read = Self { note, tensors: BTreeMap::new() };
         for (name, view) in file.tensors() {
-            let data = view.data();
-            if view.dtype() == Dtype::I8 {
-                let values = data.iter().map(|b| i8::from_le_bytes([*b])).collect();
-                short.insert(name, (view.shape().to_vec(), values));
-                continue;
-            }
-            let values = match view.dtype() {
-                Dtype::F32 => {
-                    data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("four")) as Real).collect()
-                }
-                Dtype::F64 => {
-                    data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight")) as Real).collect()
-                }
-                Dtype::F16 => {
-                    let long = |b: &[u8]| half::f16::from_le_bytes(b.try_into().expect("two")).to_f64() as Real;
-                    data.chunks_exact(2).map(long).collect()
-                }
-                other => {
-                    return Err(format!("tensor `{name}` has type {other:?}, expected I8, F16, F32 or F64"));
-                }
+            let Some(values) = Values::decode(view.dtype(), view.data()) else {
+                let dtype = view.dtype();
+                return Err(format!("tensor `{name}` has type {dtype:?}, expected I8, U32, F16, F32 or F64"));
             };
-            long.insert(name, (view.shape().to_vec(), values));
+            read.tensors.insert(name, (view.shape().to_vec(), values));
         }
-        let mut read = Self { note, long, short };
         read.restore()?;
         Ok(read)
     }
 
     /// Replaces 8-bit tensors that have scales by their values.
     fn restore(&mut self) -> Result<(), String> {
-        let scaled = |name: &&String| self.long.contains_key(&format!("{name}{SCALES}"));
-        let names: Vec<String> = self.short.keys().filter(scaled).cloned().collect();
-        for name in names {
-            let (shape, integers) = self.short.remove(&name).expect("a key of the map");
+        let is_scaled = |name: &String| self.tensors.contains_key(&format!("{name}{SCALES}"));
+        let short =
+            self.tensors.iter().filter(|(name, (_, values))| matches!(values, Values::Bytes(_)) && is_scaled(name));
+        for (name, shape) in short.map(|(name, (shape, _))| (name.clone(), shape.clone())).collect::<Vec<_>>() {
+            let integers = self.take_short(&name, &shape)?;
             let rows = shape.first().copied().unwrap_or(1);
             let scales = self.take(&format!("{name}{SCALES}"), &[rows])?;
-            let columns = integers.len() / rows.max(1);
-            let values =
-                integers.iter().enumerate().map(|(i, q)| scales[i / columns.max(1)] * Real::from(*q)).collect();
-            self.long.insert(name, (shape, values));
+            let columns = (integers.len() / rows.max(1)).max(1);
+            let values = integers.iter().enumerate().map(|(i, q)| scales[i / columns] * Real::from(*q)).collect();
+            self.insert(name, shape, Values::Reals(values));
         }
         Ok(())
     }

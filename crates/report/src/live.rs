@@ -31,13 +31,18 @@ impl TensorBundle {
         self.insert(name, Dtype::F32, shape, bytes);
     }
 
+    /// Adds identifiers.
+    pub fn put_ids(&mut self, name: &str, ids: &[u32]) {
+        self.insert(name, Dtype::U32, &[ids.len()], ids.iter().flat_map(|id| id.to_le_bytes()).collect());
+    }
+
     /// Adds bytes, row by row.
     pub fn put_bytes(&mut self, name: &str, shape: &[usize], bytes: Vec<u8>) {
         self.insert(name, Dtype::U8, shape, bytes);
     }
 
     fn insert(&mut self, name: &str, dtype: Dtype, shape: &[usize], bytes: Vec<u8>) {
-        let size = if dtype == Dtype::F32 { 4 } else { 1 };
+        let size = if dtype == Dtype::U8 { 1 } else { 4 };
         assert_eq!(shape.iter().product::<usize>() * size, bytes.len(), "an array fills its shape");
         self.arrays.insert(name.into(), (dtype, shape.to_vec(), bytes));
     }

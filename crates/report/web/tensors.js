@@ -21,7 +21,7 @@ export function readTensors(file) {
   return { note, get, shape: (name) => header[name].shape, has: (name) => name in header, names: () => Object.keys(header) };
 }
 
-const TENSOR_TYPES = { F32: Float32Array, F64: Float64Array, U8: Uint8Array, I8: Int8Array, F16: Uint16Array };
+const TENSOR_TYPES = { F32: Float32Array, F64: Float64Array, U8: Uint8Array, U32: Uint32Array, I8: Int8Array, F16: Uint16Array };
 
 function tensorOf(entry, data, name) {
   if (!entry) throw new Error(`no tensor ${name}`);

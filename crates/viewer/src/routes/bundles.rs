@@ -142,7 +142,7 @@ fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
         bundle.put("quats", &[n, 4], snapshot.quats.as_flattened().iter().copied());
     }
     if snapshot.gaussian_ids.len() == n {
-        bundle.put("gaussian_ids", &[n], snapshot.gaussian_ids.iter().map(|id| *id as Real));
+        bundle.put_ids("gaussian_ids", &snapshot.gaussian_ids);
     }
     if snapshot.gates.len() == n {
         bundle.put("gates", &[n], snapshot.gates.iter().copied());
