@@ -19,14 +19,19 @@ impl Layout {
         self.weights.iter().map(WeightSpec::len).sum()
     }
 
-    /// Returns the ranges of the flat weight vector that [do not learn](WeightSpec::fixed).
-    pub fn fixed(&self) -> Vec<Range<usize>> {
-        let mut first = 0;
-        let range = |spec: &WeightSpec| {
-            first += spec.len();
-            spec.fixed.then(|| first - spec.len()..first)
-        };
-        self.weights.iter().filter_map(range).collect()
+    /// Returns the ranges of the flat weight vector that [learn](WeightSpec::learns), as few as possible.
+    pub fn groups(&self) -> Vec<WeightGroup> {
+        let (mut groups, mut first): (Vec<WeightGroup>, usize) = (Vec::new(), 0);
+        for spec in &self.weights {
+            let range = first..first + spec.len();
+            first = range.end;
+            match groups.last_mut() {
+                _ if !spec.learns => {}
+                Some(last) if (last.range.end, last.decays) == (range.start, spec.decays) => last.range.end = range.end,
+                _ => groups.push(WeightGroup { range, decays: spec.decays }),
+            }
+        }
+        groups
     }
 
     /// Draws initial weights.
@@ -64,6 +69,15 @@ impl Layout {
     }
 }
 
+/// Learned weights that the optimiser treats alike.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WeightGroup {
+    /// Range of the flat weight vector.
+    pub range: Range<usize>,
+    /// Whether weight decay applies.
+    pub decays: bool,
+}
+
 /// Name, shape and initial values of a tensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeightSpec {
@@ -76,14 +90,16 @@ pub struct WeightSpec {
     /// Whether its rows are hidden units before a ReLU, to which [`Layout::dropout`] may apply. The bias of such a
     /// layer follows its weight directly.
     pub hidden: bool,
-    /// Whether its values follow from the training set and do not learn.
-    pub fixed: bool,
+    /// Whether it learns; otherwise its values follow from the training set.
+    pub learns: bool,
+    /// Whether weight decay applies: not to offsets of receivers, whose values are physical.
+    pub decays: bool,
 }
 
 impl WeightSpec {
     /// Creates a tensor with initial values of zero.
     pub fn zeros(name: impl Into<String>, shape: Vec<usize>) -> Self {
-        Self { name: name.into(), shape, bound: None, hidden: false, fixed: false }
+        Self { name: name.into(), shape, bound: None, hidden: false, learns: true, decays: true }
     }
 
     /// Creates a tensor with initial values uniform within ±`bound`.

@@ -52,7 +52,7 @@ pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
-pub use layout::{Layout, WeightSpec};
+pub use layout::{Layout, WeightGroup, WeightSpec};
 pub use method::{
     Activated, Appearance, Cost, ForwardOutput, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp,
     ObservationRequest, Parameters, PixelSubset,

@@ -177,7 +177,7 @@ impl Method for SplattedChannel {
             return Err("receivers have different numbers of antennas; give all of them the same number".into());
         }
         let mut layout = self.deformation.layout();
-        layout.weights.push(WeightSpec::zeros(OFFSETS, vec![setup.receivers.len()]));
+        layout.weights.push(WeightSpec { decays: false, ..WeightSpec::zeros(OFFSETS, vec![setup.receivers.len()]) });
         Ok(layout)
     }
 

@@ -26,9 +26,9 @@ pub fn to_bytes(model: &Model, bits: Bits) -> Result<Vec<u8>> {
     let mut file = tensors(model);
     let weights = model.stages.layout().weights;
     let named = |name: &str| format!("{NETWORK}{name}");
-    let fixed: BTreeSet<String> = weights.iter().filter(|spec| spec.fixed).map(|spec| named(&spec.name)).collect();
+    let fixed: BTreeSet<String> = weights.iter().filter(|spec| !spec.learns).map(|spec| named(&spec.name)).collect();
     if bits == Bits::Eight {
-        let matrices = weights.iter().filter(|spec| spec.shape.len() == 2 && !spec.fixed);
+        let matrices = weights.iter().filter(|spec| spec.shape.len() == 2 && spec.learns);
         matrices.for_each(|spec| file.round_to_bytes(&named(&spec.name)));
     }
     let is_whole = |name: &str| name.starts_with(CONSTANTS) || name.ends_with(SCALES) || fixed.contains(name);

@@ -4,7 +4,7 @@ use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, AngleAxis, Dataset, Deformation, Error, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method,
-    Origin, Parameters, Projector, Real, Result, WeightSpec, check_receivers,
+    Origin, Parameters, Projector, Real, Result, check_receivers,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -76,8 +76,6 @@ impl DerefMut for Stages {
 const MAX_PIXELS: usize = 1 << 24;
 /// Maximum number of receivers.
 const MAX_RECEIVERS: usize = 1 << 16;
-/// Prefix of the names of receiver weights: they come last, and weight decay does not apply to them.
-const RECEIVERS: &str = "receiver.";
 
 impl Stages {
     /// Creates stages from the settings of a method and its frame.
@@ -157,11 +155,6 @@ impl Stages {
     /// If the method does not support the frame, which [`Self::check`] rejects.
     pub fn layout(&self) -> Layout {
         self.method.layout(&self.setup).unwrap_or_else(|why| panic!("{why}"))
-    }
-
-    /// Returns the number of network weights; the weights of receivers follow them.
-    pub fn network_weights(&self) -> usize {
-        self.layout().weights.iter().take_while(|spec| !spec.name.starts_with(RECEIVERS)).map(WeightSpec::len).sum()
     }
 
     /// Returns the rows of `cloud` that can affect an observation.

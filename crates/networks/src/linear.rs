@@ -151,7 +151,7 @@ impl LayoutBuilder {
 
     /// Adds a tensor that follows from the training set and does not learn. Returns its offset in the flat vector.
     pub fn fixed(&mut self, name: &str, shape: Vec<usize>) -> usize {
-        self.add(WeightSpec { fixed: true, ..WeightSpec::zeros(name, shape) })
+        self.add(WeightSpec { learns: false, ..WeightSpec::zeros(name, shape) })
     }
 
     /// Adds a layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.

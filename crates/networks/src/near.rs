@@ -151,7 +151,7 @@ mod tests {
         }
         assert!((found[4] - GAIN * (-1.0 as Real).exp()).abs() < 1e-5);
         assert_eq!(found[6..], [0.0; 3]);
-        assert_eq!(plan.layout().fixed().first(), Some(&(0..9)));
+        assert_eq!(plan.layout().groups()[0].range.start, 9, "positions do not learn");
     }
 
     #[test]

@@ -42,7 +42,7 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     let width = deformation.traits().inputs;
     let conditions = |n: usize, name: &str| points(n * width, name).as_flattened()[..n * width].to_vec();
     deformation.start(Conditions::new(width, &conditions(5, "training")), &mut weights);
-    let fixed = deformation.layout().fixed();
+    let learned = deformation.layout().groups();
     let (means, txs) = (points(n, "means"), conditions(batch, "txs"));
     let carriers: Vec<Real> = txs.chunks_exact(width).map(|tx| tx[0]).collect();
     let along_txs = deformation.traits().differentiates_positions;
@@ -52,10 +52,10 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     let split = |x: &[Real]| {
         let (w, rest) = x.split_at(weights.len());
         let (sent, m) = rest.split_at(sent.len());
-        let mut w = w.to_vec();
-        fixed.iter().for_each(|range| w[range.clone()].copy_from_slice(&weights[range.clone()]));
+        let mut all = weights.clone();
+        learned.iter().for_each(|group| all[group.range.clone()].copy_from_slice(&w[group.range.clone()]));
         (
-            w,
+            all,
             if along_txs { sent } else { &txs }.to_vec(),
             if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() },
         )

@@ -154,9 +154,7 @@ impl Pipeline {
 
     /// Pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.
     pub fn essential(&self) -> Self {
-        let checkpoint_every = Training::default().checkpoint_every;
-        let training = Training { checkpoint_every, ..Training::clone(&self.training) };
-        let training = Checked::new(training).unwrap_or_else(|_| self.training.clone());
+        let training = Checked::new(self.training.of_run()).unwrap_or_else(|_| self.training.clone());
         Self { tensorboard: false, training, ..self.clone() }
     }
 }

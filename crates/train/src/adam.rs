@@ -1,7 +1,7 @@
 //! Adam optimizer: its moments survive clone, split and prune, and each column has its own rate.
 
-use crate::settings::{Optimizer, Training};
-use pwrfgs_core::{ColumnSpec, GaussianCloud, Real};
+use crate::settings::{Optimizer, Schedule, Training};
+use pwrfgs_core::{ColumnSpec, GaussianCloud, Real, WeightGroup};
 use rayon::prelude::*;
 
 /// Decay rates of the first and the second moment, as in Kingma and Ba, 2015, and in all methods implemented here.
@@ -30,62 +30,80 @@ struct Update {
     decay: Real,
 }
 
+/// Learning rates at a step, from 1.
+#[derive(Clone, Copy)]
+pub(crate) struct Rates<'a> {
+    pub(crate) training: &'a Training,
+    pub(crate) step: u64,
+}
+
+impl Rates<'_> {
+    fn of(self, schedule: Schedule) -> Real {
+        schedule.rate(self.step, self.training.steps)
+    }
+
+    /// Returns the update without decay.
+    fn update(self, rate: Real, eps: Real) -> Update {
+        let unbias = BETAS.map(|b| 1.0 - b.powi(self.step.min(i32::MAX as u64) as i32));
+        Update { rate, eps, unbias, l2: 0.0, decay: 0.0 }
+    }
+}
+
 impl Adam {
     pub(crate) fn new(cloud: &GaussianCloud, weights: &[Real]) -> Self {
         let zeros = cloud.zeros_like();
         Self { cloud: [zeros.clone(), zeros], weights: [vec![0.0; weights.len()], vec![0.0; weights.len()]] }
     }
 
-    /// Applies one update at `step` (from 1). Returns the name of a column that is no longer finite.
-    pub(crate) fn step(
+    /// Updates the columns of the cloud. Returns the name of a column that is no longer finite.
+    pub(crate) fn step_cloud(
         &mut self,
-        settings: &Training,
+        rates: Rates<'_>,
         specs: &[ColumnSpec],
-        step: u64,
-        (cloud, d_cloud): (&mut GaussianCloud, &GaussianCloud),
-        (weights, d_weights, decayed): (&mut [Real], &[Real], usize),
+        cloud: &mut GaussianCloud,
+        d_cloud: &GaussianCloud,
     ) -> Result<(), String> {
-        let o = &settings.optimizer;
-        let rate = |schedule: crate::Schedule| schedule.rate(step, settings.steps);
-        let update = Update {
-            rate: 0.0,
-            eps: o.eps,
-            unbias: BETAS.map(|b| 1.0 - b.powi(step.min(i32::MAX as u64) as i32)),
-            l2: 0.0,
-            decay: 0.0,
-        };
-        let n = cloud.len();
+        let (n, optimizer) = (cloud.len(), &rates.training.optimizer);
         let [first, second] = &mut self.cloud;
         let columns = cloud.columns_mut().zip(d_cloud.columns()).zip(first.columns_mut().zip(second.columns_mut()));
         for (((name, _, x), (_, _, d)), ((_, _, m), (_, _, v))) in columns {
-            let Some(rate) = rate_of(o, specs, name, rate) else { continue };
-            let stepped = if specs.iter().any(|spec| spec.name == name && !spec.adam) {
-                descend(x, d, rate * n as Real)
-            } else {
-                Update { rate, ..update }.apply(x, d, m, v)
+            let spec = specs.iter().find(|spec| spec.name == name);
+            let Some(rate) = rate_of(optimizer, spec, name, |schedule| rates.of(schedule)) else { continue };
+            let stepped = match spec {
+                Some(spec) if !spec.adam => descend(x, d, rate * n as Real),
+                _ => rates.update(rate, optimizer.eps).apply(x, d, m, v),
             };
             stepped.map_err(|()| format!("`{name}`"))?;
         }
+        Ok(())
+    }
+
+    /// Updates the learned weights of the network.
+    pub(crate) fn step_weights(
+        &mut self,
+        rates: Rates<'_>,
+        groups: &[WeightGroup],
+        weights: &mut [Real],
+        d_weights: &[Real],
+    ) -> Result<(), String> {
+        let o = &rates.training.optimizer;
+        let warm = (rates.step as f64 / o.network_warmup.max(1) as f64).min(1.0) as Real;
+        let update = rates.update(warm * rates.of(o.network), o.network_eps);
+        let decayed = Update { l2: o.network_l2, decay: o.network_decay, ..update };
         let [first, second] = &mut self.weights;
-        let warm = (step as f64 / o.network_warmup.max(1) as f64).min(1.0) as Real;
-        let network = Update {
-            rate: warm * rate(o.network),
-            eps: o.network_eps,
-            l2: o.network_l2,
-            decay: o.network_decay,
-            ..update
-        };
-        // Offsets of receivers are not weights, so weight decay does not apply to them.
-        let others = Update { l2: 0.0, decay: 0.0, ..network };
-        let (w, m, v) = (weights.split_at_mut(decayed), first.split_at_mut(decayed), second.split_at_mut(decayed));
-        let d = d_weights.split_at(decayed);
-        let stepped = network.apply(w.0, d.0, m.0, v.0).and_then(|()| others.apply(w.1, d.1, m.1, v.1));
-        stepped.map_err(|()| "the network".into())
+        for WeightGroup { range, decays } in groups {
+            let all = range.clone();
+            let (x, m, v) = (&mut weights[all.clone()], &mut first[all.clone()], &mut second[all]);
+            (if *decays { decayed } else { update })
+                .apply(x, &d_weights[range.clone()], m, v)
+                .map_err(|()| "the network".to_owned())?;
+        }
+        Ok(())
     }
 }
 
 /// Returns the rate of column `name`; `None` for state that is not learned, and for a rate of 0.
-fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate::Schedule) -> Real) -> Option<Real> {
+fn rate_of(o: &Optimizer, spec: Option<&ColumnSpec>, name: &str, rate: impl Fn(Schedule) -> Real) -> Option<Real> {
     let rate = match name {
         "means" => rate(o.means),
         "log_scales" => rate(o.log_scales),
@@ -93,8 +111,8 @@ fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate:
         "opacity_logits" => rate(o.opacity_logits),
         "signals" => rate(o.signals),
         // Columns that no pruner requested belong to the method: further signals.
-        extra => match specs.iter().find(|s| s.name == extra) {
-            Some(pruners) => pruners.learning_rate?,
+        _ => match spec {
+            Some(spec) => spec.learning_rate?,
             None => rate(o.signals),
         },
     };
@@ -161,7 +179,7 @@ mod tests {
         let specs = [ColumnSpec { adam: false, ..ColumnSpec::learned("m", 0.0, 0.1) }];
         let (settings, mut adam) = (Training::default(), Adam::new(&cloud, &[]));
         for step in 1..=2 {
-            adam.step(&settings, &specs, step, (&mut cloud, &d_cloud), (&mut [], &[], 0)).unwrap();
+            adam.step_cloud(Rates { training: &settings, step }, &specs, &mut cloud, &d_cloud).unwrap();
         }
         let expected: [Real; 3] = [0.7, 2.0, 3.6];
         assert!(cloud.extra[0].values.iter().zip(expected).all(|(m, e)| (m - e).abs() < 1e-6), "{:?}", cloud.extra[0]);
@@ -222,7 +240,21 @@ mod tests {
     }
 
     #[test]
-    fn reports_optimizer_setting_out_of_range() {
+    fn weights_outside_groups_and_their_moments_keep_their_values() {
+        let (mut weights, cloud) = (vec![1.0; 6], GaussianCloud::zeros(0));
+        let mut adam = Adam::new(&cloud, &weights);
+        let groups = [WeightGroup { range: 1..3, decays: true }, WeightGroup { range: 4..6, decays: false }];
+        let mut training = Training::default();
+        (training.optimizer.network, training.optimizer.network_decay) = (Schedule::Constant(0.5), 1.0);
+        let rates = Rates { training: &training, step: 1 };
+        adam.step_weights(rates, &groups, &mut weights, &[1.0, 0.0, 1.0, 1.0, 0.0, 1.0]).unwrap();
+        assert_eq!(weights, [1.0, 0.5, 0.0, 1.0, 1.0, 0.5]);
+        let moved: Vec<usize> = (0..6).filter(|&i| adam.weights[0][i] != 0.0).collect();
+        assert_eq!(moved, [2, 5]);
+    }
+
+    #[test]
+    fn gradient_that_is_not_finite_is_an_error() {
         let update = Update { rate: 0.1, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.0 };
         assert!(update.apply(&mut [1.0], &[Real::NAN], &mut [0.0], &mut [0.0]).is_err());
     }

@@ -7,7 +7,6 @@ use crate::adam::Adam;
 use crate::edit::GaussianIds;
 use crate::plan::TrainingPlan;
 use crate::plan::specs_of;
-use crate::settings::Training;
 use crate::trainer::Trainer;
 use pwrfgs_core::files::digest;
 use pwrfgs_core::plugin::to_ron;
@@ -77,8 +76,7 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns() {
             file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
         }
-        let gaussian_ids = self.gaussian_ids.of.iter().map(|id| *id as Real).collect();
-        file.put("gaussian_ids", vec![self.cloud.len()], gaussian_ids);
+        file.put_ids("gaussian_ids", &self.gaussian_ids.of);
         file.note = json(&Sealed { digest: file.digest(), note });
         file.to_bytes()
     }
@@ -120,9 +118,7 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns_mut() {
             *values = file.take(&format!("stats.{name}"), &[n])?;
         }
-        let gaussian_ids = file.take("gaussian_ids", &[n])?;
-        self.gaussian_ids =
-            GaussianIds { of: gaussian_ids.into_iter().map(|id| id as u32).collect(), next: note.next_gaussian_id };
+        self.gaussian_ids = GaussianIds { of: file.take_ids("gaussian_ids", n)?, next: note.next_gaussian_id };
         (self.done, self.masks) = (note.done, note.masks);
         Ok(())
     }
@@ -140,14 +136,7 @@ const CHUNK: usize = 64;
 pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) -> String {
     // The destructuring is complete on purpose: a new field of a plan must be hashed or listed here as irrelevant.
     let TrainingPlan { name: _, seed, method, initializer, pruners, training } = plan;
-    let looks = Training::default();
-    let training = Training {
-        checkpoint_every: looks.checkpoint_every,
-        validate_every: looks.validate_every,
-        validation_samples: looks.validation_samples,
-        ..Training::clone(training)
-    };
-    let message = to_ron(&(seed, initializer, method, pruners, training));
+    let message = to_ron(&(seed, initializer, method, pruners, training.of_model()));
     let columns: Vec<_> = specs_of(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
     let parts = [message, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
     digest(parts.join("\n").as_bytes())
@@ -168,13 +157,15 @@ fn of_data(data: &Dataset) -> String {
     let samples: Vec<(usize, Sample)> = data.samples().enumerate().collect();
     let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-    let scene = &data.scene;
-    let frequencies = data.observations.frequencies_hz();
-    let links = digest(format!("{:?}", data.links).as_bytes());
-    let size = (data.width, data.height, data.elevation);
-    // Runs on data without carriers keep the digest of earlier versions.
-    let receivers = format!("{:?}", scene.receivers).replace(", carrier_hz: None", "");
-    let setup = format!("{:?} {receivers} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.origin);
-    let camera = data.camera.map_or_else(String::new, |camera| format!(" {camera:?}"));
-    [setup, digest(&points), parts.join(" ")].join(" ") + &camera
+    let links = data.links.iter().flat_map(|link| [link.transmitter, link.receiver]);
+    let links: Vec<u8> = links.flat_map(|index| (index as u64).to_le_bytes()).collect();
+    let Dataset { scene, width, height, elevation, camera, .. } = data;
+    let setup = json(&(
+        data.task().name,
+        &scene.receivers,
+        scene.origin,
+        (width, height, elevation, camera),
+        data.observations.frequencies_hz(),
+    ));
+    [setup, digest(&points), digest(&links), parts.join(" ")].join("\n")
 }

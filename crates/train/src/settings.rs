@@ -26,6 +26,25 @@ pub enum Rays {
     Each(usize),
 }
 
+/// Settings of a training of `scale` times the steps.
+trait Scaled {
+    /// Multiplies the numbers of steps.
+    fn scaled(&self, scale: f64) -> Self;
+}
+
+/// Every `u64` of the settings is a number of steps; a value above 0 stays at least 1.
+impl Scaled for u64 {
+    fn scaled(&self, scale: f64) -> Self {
+        if *self == 0 { 0 } else { ((*self as f64 * scale).round() as Self).max(1) }
+    }
+}
+
+/// Types without numbers of steps.
+macro_rules! unscaled {
+    ($($ty:ty)*) => { $(impl Scaled for $ty { fn scaled(&self, _: f64) -> Self { *self } })* };
+}
+unscaled! { usize f32 f64 bool PixelLoss Rays }
+
 /// Declares settings structs with default values.
 macro_rules! settings {
     ($(#[$meta:meta])* $name:ident {
@@ -40,6 +59,11 @@ macro_rules! settings {
         impl Default for $name {
             fn default() -> Self {
                 Self { $($field: $default,)* }
+            }
+        }
+        impl Scaled for $name {
+            fn scaled(&self, scale: f64) -> Self {
+                Self { $($field: self.$field.scaled(scale),)* }
             }
         }
     };
@@ -92,15 +116,6 @@ impl Schedule {
         }
     }
 
-    /// Multiplies the numbers of steps of the schedule.
-    fn scaled(self, scale: f64) -> Self {
-        match self {
-            Self::Constant(rate) => Self::Constant(rate),
-            Self::LogLinear { first, last, steps } => Self::LogLinear { first, last, steps: scaled(steps, scale) },
-            Self::Cosine { first, last, steps } => Self::Cosine { first, last, steps: scaled(steps, scale) },
-        }
-    }
-
     fn check(&self, name: &str) -> Result<(), String> {
         let ok = match *self {
             Self::Constant(rate) => rate >= 0.0 && rate.is_finite(),
@@ -111,6 +126,16 @@ impl Schedule {
             Ok(())
         } else {
             Err(format!("`{name}` has an invalid rate; give finite rates of 0 or more (LogLinear: above 0)"))
+        }
+    }
+}
+
+impl Scaled for Schedule {
+    fn scaled(&self, scale: f64) -> Self {
+        match *self {
+            Self::Constant(rate) => Self::Constant(rate),
+            Self::LogLinear { first, last, steps } => Self::LogLinear { first, last, steps: steps.scaled(scale) },
+            Self::Cosine { first, last, steps } => Self::Cosine { first, last, steps: steps.scaled(scale) },
         }
     }
 }
@@ -238,42 +263,31 @@ settings! {
 /// Validation samples of a shorter training, unless the pipeline has fewer.
 const LEAST_VALIDATED: usize = 50;
 
-/// Multiplies a number of steps; a value above 0 stays at least 1.
-fn scaled(steps: u64, scale: f64) -> u64 {
-    if steps == 0 { 0 } else { ((steps as f64 * scale).round() as u64).max(1) }
-}
-
 impl Training {
     /// Returns the settings with `scale` applied to all numbers of steps, and `scale` set to 1.
     pub fn resolved(&self) -> Self {
-        let mut own = self.clone();
         if self.scale == 1.0 {
-            return own; // numbers of steps beyond 2^53 would be rounded
+            return self.clone(); // numbers of steps beyond 2^53 would be rounded
         }
-        let (densify, o) = (&mut own.densify, &mut own.optimizer);
-        let counts = [
-            &mut own.steps,
-            &mut own.densify_until,
-            &mut own.prune_until,
-            &mut own.prune_every,
-            &mut own.validate_every,
-            &mut own.checkpoint_every,
-            &mut densify.from,
-            &mut densify.every,
-            &mut densify.large_after,
-            &mut densify.reset_every,
-            &mut o.network_warmup,
-        ];
-        counts.into_iter().for_each(|count| *count = scaled(*count, self.scale));
-        let schedules =
-            [&mut o.means, &mut o.log_scales, &mut o.quats, &mut o.opacity_logits, &mut o.signals, &mut o.network];
-        schedules.into_iter().for_each(|schedule| *schedule = schedule.scaled(self.scale));
+        let mut resolved = Self { scale: 1.0, ..self.scaled(self.scale) };
         if self.scale < 1.0 {
             let fewer = (self.validation_samples as f64 * self.scale).round() as usize;
-            own.validation_samples = fewer.max(self.validation_samples.min(LEAST_VALIDATED));
+            resolved.validation_samples = fewer.max(self.validation_samples.min(LEAST_VALIDATED));
         }
-        own.scale = 1.0;
-        own
+        resolved
+    }
+
+    /// Returns the settings that affect a run folder: not the interval of checkpoints, which has its default.
+    #[must_use]
+    pub fn of_run(&self) -> Self {
+        Self { checkpoint_every: Self::default().checkpoint_every, ..self.clone() }
+    }
+
+    /// Returns the settings that affect the trained model: those of [`Self::of_run`], and not the validation.
+    #[must_use]
+    pub fn of_model(&self) -> Self {
+        let Self { validate_every, validation_samples, .. } = Self::default();
+        Self { validate_every, validation_samples, ..self.of_run() }
     }
 }
 

@@ -97,7 +97,7 @@ impl<'a> Trainer<'a> {
         let mut stages = whole.clone();
         stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
         check_rays(plan.training.rays, &stages)?;
-        let fixed = stages.method.layout(&stages.setup).map_err(Error::Config)?.fixed();
+        let groups = stages.method.layout(&stages.setup).map_err(Error::Config)?.groups();
         whole.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
         let blank = Self {
@@ -114,7 +114,7 @@ impl<'a> Trainer<'a> {
             plan,
             cloud,
             weights: Arc::default(),
-            fixed,
+            groups,
             masks: None,
             before_reset: None,
             done: 0,

@@ -1,6 +1,6 @@
 //! `Trainer`: the loop of algorithm 1, step by step.
 
-use crate::adam::Adam;
+use crate::adam::{Adam, Rates};
 use crate::batches::{Batches, plane_of_step};
 use crate::densify;
 use crate::edit::{self, GaussianIds, PerGaussianState};
@@ -8,10 +8,10 @@ use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::Objective;
 use crate::plan::{PruneTarget, TrainingPlan, contexts};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Real, Result, StepContext, rng,
+    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Real, Result, StepContext,
+    WeightGroup, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
-use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 /// Results of one training step.
@@ -63,8 +63,8 @@ pub struct Trainer<'a> {
     pub(crate) specs: Vec<ColumnSpec>,
     pub(crate) cloud: GaussianCloud,
     pub(crate) weights: Arc<Vec<Real>>,
-    /// Ranges of the weights that do not learn.
-    pub(crate) fixed: Vec<Range<usize>>,
+    /// Weights that learn.
+    pub(crate) groups: Vec<WeightGroup>,
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) gaussian_ids: GaussianIds,
@@ -196,19 +196,11 @@ impl Trainer<'_> {
             found.d_weights = times(factors, &found.d_weights);
         }
         self.stats.add(&found.stats);
-        let fixed: Vec<Vec<Real>> = self.fixed.iter().map(|range| self.weights[range.clone()].to_vec()).collect();
-        self.adam
-            .step(
-                &self.plan.training,
-                &self.specs,
-                step,
-                (&mut self.cloud, &found.d_cloud),
-                (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
-            )
+        let rates = Rates { training: &self.plan.training, step };
+        let weights = Arc::make_mut(&mut self.weights);
+        (self.adam.step_cloud(rates, &self.specs, &mut self.cloud, &found.d_cloud))
+            .and_then(|()| self.adam.step_weights(rates, &self.groups, weights, &found.d_weights))
             .map_err(|what| Error::NonFinite { what, step })?;
-        for (range, values) in self.fixed.iter().zip(fixed) {
-            Arc::make_mut(&mut self.weights)[range.clone()].copy_from_slice(&values);
-        }
         for (pruner, context) in pruners.iter().zip(contexts(&pruners, &context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }

@@ -199,7 +199,9 @@ impl Method for Splatting {
         let mut layout = self.deformation.layout();
         if self.laws(setup) > 0 {
             let receivers = setup.receivers.len();
-            layout.weights.extend(LAW.map(|name| WeightSpec::zeros(name, vec![receivers])));
+            layout
+                .weights
+                .extend(LAW.map(|name| WeightSpec { decays: false, ..WeightSpec::zeros(name, vec![receivers]) }));
         }
         Ok(layout)
     }
