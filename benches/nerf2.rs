@@ -6,8 +6,8 @@
 #![allow(clippy::print_stdout)] // what it prints is what it is for
 
 use pwrfgs::core::{
-    Conditions, GaussianCloud, Link, MeasurementSetup, MethodVjp, ObservationRequest, Origin, Parameters, PixelSubset,
-    Pose, Projector, rng,
+    Call, GaussianCloud, Link, LinkInputs, MeasurementSetup, MethodVjp, Origin, Parameters, PixelSubset, Pose,
+    Projector, WantedInputs, rng,
 };
 use pwrfgs::prelude::*;
 use std::time::Instant;
@@ -26,51 +26,49 @@ fn main() {
         method.layout(&setup).expect("a frame of spectra").init(&mut rng::stream(1, "weights", 0)),
         GaussianCloud::zeros(0),
     );
-    let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
+    let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
     let random = &mut rng::stream(2, "transmitters", 0);
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();
     let links: Vec<Link> = (0..RAYS).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-    let request = |count: usize| ObservationRequest {
-        conditions: Conditions::new(3, &conditions[..3 * count]),
-        links: &links[..count],
-        pixels: PixelSubset::All,
+    let some = |count: usize| LinkInputs {
+        width: 3,
+        values: conditions[..3 * count].to_vec(),
+        links: links[..count].to_vec(),
+        ..LinkInputs::default()
     };
+    let [all, one, five] = [RAYS, 1, 5].map(some);
+    let call = |links| Call { setup: &setup, parameters, links, pixels: &PixelSubset::All };
     let samples = 360.0 * 90.0 * 64.0;
 
     if std::env::args().any(|word| word == "step") {
-        return step(&method, &setup, &p, &request(RAYS), random);
+        return step(&method, &call(&all), random);
     }
     // What cannot show is left out, and with fresh weights nothing is hidden: this is the most that it takes.
-    let (ready, seconds) = timed(1, || method.prepare(&setup, &p));
+    let (ready, seconds) = timed(1, || method.prepare(&setup, &parameters));
     print_time("what no transmitter changes, once", seconds, samples * (WHOLE - LEFT));
-    let (_, seconds) = timed(5, || method.predict(&setup, &p, &request(1), &ready));
+    let (_, seconds) = timed(5, || method.predict(&call(&one), &ready));
     print_time("a spectrum after that", seconds, samples * LEFT);
     drop(ready);
-    let (_, one) = timed(1, || bare.predict(&setup, &p, &request(1), &None));
-    print_time("a spectrum, nothing kept", one, samples * WHOLE);
-    let (_, five) = timed(1, || bare.predict(&setup, &p, &request(5), &None));
-    print_time("each further one of five", (five - one) / 4.0, samples * LEFT);
+    let (_, of_one) = timed(1, || bare.predict(&call(&one), &None));
+    print_time("a spectrum, nothing kept", of_one, samples * WHOLE);
+    let (_, of_five) = timed(1, || bare.predict(&call(&five), &None));
+    print_time("each further one of five", (of_five - of_one) / 4.0, samples * LEFT);
 
-    step(&method, &setup, &p, &request(RAYS), random);
+    step(&method, &call(&all), random);
 }
 
 /// Forward and back over random rays of as many spectra.
-fn step(
-    method: &Plugin<dyn Method>,
-    setup: &MeasurementSetup,
-    p: &Parameters<'_>,
-    request: &ObservationRequest<'_>,
-    random: &mut rng::Rng,
-) {
-    let places: Vec<usize> = (0..RAYS).map(|_| rng::below(random, setup.numbers())).collect();
-    let most = method.cost(setup, RAYS, 1).links_at_once;
+fn step(method: &Plugin<dyn Method>, call: &Call<'_>, random: &mut rng::Rng) {
+    let pixels: Vec<usize> = (0..RAYS).map(|_| rng::below(random, call.setup.numbers())).collect();
+    let most = method.cost(call.setup, RAYS, 1).links_at_once;
     let (_, seconds) = timed(3, || {
-        let mut sums = MethodVjp::zeros(p);
-        for (links, places) in request.links.chunks(most).zip(places.chunks(most)) {
-            let part = ObservationRequest { links, pixels: PixelSubset::Own(places), ..*request };
-            let observed = method.forward(setup, p, &part, &None);
+        let mut sums = MethodVjp::zeros(call, WantedInputs::default());
+        for (links, pixels) in call.links.links.chunks(most).zip(pixels.chunks(most)) {
+            let links = &LinkInputs { links: links.to_vec(), ..call.links.clone() };
+            let part = Call { links, pixels: &PixelSubset::Each(pixels.into()), ..*call };
+            let observed = method.forward(&part, &None);
             let d = observed.numbers.clone();
-            method.vjp(setup, p, &part, observed, &d, &mut sums);
+            method.vjp(&part, observed, &d, &mut sums);
         }
         sums.weights
     });

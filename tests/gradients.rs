@@ -6,8 +6,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Cache, ColumnSpec, Conditions, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, LinkInputs,
-    MeasurementSetup, MethodVjp, ObservationRequest, Parameters, PixelSubset, Receiver, Task, rng, sigmoid,
+    Cache, Call, ColumnSpec, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, LinkInputs,
+    MeasurementSetup, MethodVjp, Parameters, PixelSubset, Receiver, Task, WantedInputs, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -109,18 +109,13 @@ impl Step {
         let Stages { method, setup } = &*self.stages;
         let (cloud, weights) = (&self.cloud, &self.weights);
         let parameters = Parameters { cloud, gate: None, existence: None, weights };
-        let request = ObservationRequest {
-            conditions: Conditions::new(self.batch.inputs.width, conditions).turned(&self.batch.inputs.orientations),
-            links: &self.batch.inputs.links,
-            pixels: PixelSubset::All,
-        };
-        let observed = method.forward(setup, &parameters, &request, &None);
-        let (numbers, mut sums) = (observed.numbers.clone(), MethodVjp::zeros(&parameters));
-        if !alone {
-            sums.positions = vec![[0.0; 3]; conditions.len() / 3];
-        }
+        let links = &LinkInputs { values: conditions.to_vec(), ..self.batch.inputs.clone() };
+        let call = Call { setup, parameters, links, pixels: &PixelSubset::All };
+        let observed = method.forward(&call, &None);
+        let numbers = observed.numbers.clone();
+        let mut sums = MethodVjp::zeros(&call, WantedInputs { positions: !alone, orientations: false });
         if let Some(d) = d {
-            method.vjp(setup, &parameters, &request, observed, d, &mut sums);
+            method.vjp(&call, observed, d, &mut sums);
         }
         (numbers, sums)
     }
@@ -132,8 +127,8 @@ impl Step {
         }
         let vjp = |x: &[Real], d: &[Real]| {
             let (sums, alone) = (self.by_positions(x, Some(d), false).1, self.by_positions(x, Some(d), true).1);
-            assert!(alone.positions.is_empty() && alone.weights == sums.weights, "{name}");
-            sums.positions.into_flattened()
+            assert!(alone.positions.is_none() && alone.weights == sums.weights, "{name}");
+            sums.positions.unwrap().into_flattened()
         };
         let name = format!("{name}, by the positions");
         check_vjp(&name, &self.batch.inputs.values, |x| self.by_positions(x, None, true).0, vjp, 1e-7, 1e-3);

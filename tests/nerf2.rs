@@ -3,8 +3,8 @@
 use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Conditions, GaussianCloud, ImagePlane, Link, MeasurementSetup, MethodVjp, ObservationRequest, Origin, Parameters,
-    PixelSubset, Receiver, Task, rng,
+    Call, GaussianCloud, ImagePlane, Link, LinkInputs, MeasurementSetup, MethodVjp, Origin, Parameters, PixelSubset,
+    Receiver, Task, WantedInputs, rng,
 };
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -55,27 +55,28 @@ impl Room {
         Self { method, setup, weights, conditions }
     }
 
-    fn request<'a>(&'a self, links: &'a [Link], pixels: PixelSubset<'a>) -> ObservationRequest<'a> {
-        ObservationRequest { conditions: Conditions::new(self.method.traits().inputs, &self.conditions), links, pixels }
+    fn links(&self, links: &[Link]) -> LinkInputs {
+        let (width, values) = (self.method.traits().inputs, self.conditions.clone());
+        LinkInputs { width, values, links: links.to_vec(), ..LinkInputs::default() }
     }
 
-    fn numbers(&self, weights: &[Real], links: &[Link], pixels: PixelSubset<'_>) -> Vec<Real> {
-        let cloud = GaussianCloud::zeros(0);
-        let p = Parameters { cloud: &cloud, gate: None, existence: None, weights };
-        self.method.forward(&self.setup, &p, &self.request(links, pixels), &None).numbers
+    fn numbers(&self, weights: &[Real], links: &[Link], pixels: &PixelSubset) -> Vec<Real> {
+        let (cloud, links) = (GaussianCloud::zeros(0), &self.links(links));
+        let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights };
+        self.method.forward(&Call { setup: &self.setup, parameters, links, pixels }, &None).numbers
     }
 
-    fn differentiates(&self, name: &str, pixels: PixelSubset<'_>) {
-        let cloud = GaussianCloud::zeros(0);
-        let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &self.weights };
+    fn differentiates(&self, name: &str, pixels: &PixelSubset) {
+        let (cloud, setup) = (GaussianCloud::zeros(0), &self.setup);
+        let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &self.weights };
         let of_positions = |x: &[Real], d: Option<&[Real]>| {
-            let conditions = Conditions::new(self.method.traits().inputs, x);
-            let request = ObservationRequest { conditions, links: &LINKS, pixels };
-            let observed = self.method.forward(&self.setup, &p, &request, &None);
+            let links = &LinkInputs { values: x.to_vec(), ..self.links(&LINKS) };
+            let call = Call { setup, parameters, links, pixels };
+            let observed = self.method.forward(&call, &None);
             let Some(d) = d else { return observed.numbers };
-            let mut sums = MethodVjp { positions: vec![[0.0; 3]; x.len() / 3], ..MethodVjp::zeros(&p) };
-            self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
-            sums.positions.into_flattened()
+            let mut sums = MethodVjp::zeros(&call, WantedInputs { positions: true, orientations: false });
+            self.method.vjp(&call, observed, d, &mut sums);
+            sums.positions.unwrap().into_flattened()
         };
         if self.method.traits().differentiates_positions {
             let vjp = |x: &[Real], d: &[Real]| of_positions(x, Some(d));
@@ -92,10 +93,11 @@ impl Room {
         let x: Vec<Real> = self.weights.iter().copied().step_by(stride).collect();
         let vjp = |x: &[Real], d: &[Real]| {
             let weights = all(x);
-            let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
-            let (request, mut sums) = (self.request(&LINKS, pixels), MethodVjp::zeros(&p));
-            let observed = self.method.forward(&self.setup, &p, &request, &None);
-            self.method.vjp(&self.setup, &p, &request, observed, d, &mut sums);
+            let (parameters, links) = (Parameters { weights: &weights, ..parameters }, &self.links(&LINKS));
+            let call = Call { setup, parameters, links, pixels };
+            let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
+            let observed = self.method.forward(&call, &None);
+            self.method.vjp(&call, observed, d, &mut sums);
             sums.weights.into_iter().step_by(stride).collect()
         };
         check_vjp(name, &x, |x| self.numbers(&all(x), &LINKS, pixels), vjp, 1e-6, 2e-5);
@@ -106,29 +108,29 @@ impl Room {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn spectra_powers_and_channels_differentiate_in_every_layer() {
     let spectrum = Room::new(Task::Spectrum, "far_m: 3");
-    spectrum.differentiates("all pixels", PixelSubset::All);
-    spectrum.differentiates("the same pixels", PixelSubset::Same(&[5, 0, 5, 23]));
-    spectrum.differentiates("a pixel each", PixelSubset::Own(&[5, 0, 5, 23, 7]));
-    Room::new(Task::Power, "unit_m: 2").differentiates("powers", PixelSubset::All);
-    Room::new(Task::Channel, "features: 5").differentiates("channels", PixelSubset::All);
+    spectrum.differentiates("all pixels", &PixelSubset::All);
+    spectrum.differentiates("the same pixels", &PixelSubset::Same([5, 0, 5, 23].into()));
+    spectrum.differentiates("a pixel each", &PixelSubset::Each([5, 0, 5, 23, 7].into()));
+    Room::new(Task::Power, "unit_m: 2").differentiates("powers", &PixelSubset::All);
+    Room::new(Task::Channel, "features: 5").differentiates("channels", &PixelSubset::All);
 }
 
 #[test]
 fn subsets_and_batches_are_bit_identical_to_whole_image() {
     let room = Room::new(Task::Spectrum, "far_m: 3");
-    let (all, pixels) = (room.numbers(&room.weights, &LINKS, PixelSubset::All), room.setup.numbers());
+    let (all, pixels) = (room.numbers(&room.weights, &LINKS, &PixelSubset::All), room.setup.numbers());
     let every: Vec<usize> = (0..pixels).collect();
-    assert_eq!(room.numbers(&room.weights, &LINKS, PixelSubset::Same(&every)), all);
+    assert_eq!(room.numbers(&room.weights, &LINKS, &PixelSubset::Same(every.into())), all);
     let some = [11, 3, 3, 20, 0];
     let own: Vec<Real> = some.iter().enumerate().map(|(l, p)| all[l * pixels + p]).collect();
-    assert_eq!(room.numbers(&room.weights, &LINKS, PixelSubset::Own(&some)), own);
+    assert_eq!(room.numbers(&room.weights, &LINKS, &PixelSubset::Each(some.into())), own);
     for kind in Task::ALL {
         let room = Room::new(kind, "far_m: 3");
-        let all = room.numbers(&room.weights, &LINKS, PixelSubset::All);
+        let all = room.numbers(&room.weights, &LINKS, &PixelSubset::All);
         for (l, link) in LINKS.iter().enumerate() {
             let of_link = room.setup.numbers();
             assert_eq!(
-                room.numbers(&room.weights, &[*link], PixelSubset::All),
+                room.numbers(&room.weights, &[*link], &PixelSubset::All),
                 all[l * of_link..][..of_link],
                 "{kind:?}"
             );
@@ -141,11 +143,12 @@ fn prepared_prediction_is_bit_identical() {
     for kind in Task::ALL {
         for cache in ["cache_mb: 100", "cache_mb: 0"] {
             let (room, cloud) = (Room::new(kind, cache), GaussianCloud::zeros(0));
-            let p = Parameters { cloud: &cloud, gate: None, existence: None, weights: &room.weights };
-            let ready = room.method.prepare(&room.setup, &p);
+            let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &room.weights };
+            let ready = room.method.prepare(&room.setup, &parameters);
             assert_eq!(ready.is_some(), cache == "cache_mb: 100");
-            let found = room.method.predict(&room.setup, &p, &room.request(&LINKS, PixelSubset::All), &ready).0;
-            assert_eq!(found, room.numbers(&room.weights, &LINKS, PixelSubset::All), "{kind:?}, {cache}");
+            let (setup, links) = (&room.setup, &room.links(&LINKS));
+            let found = room.method.predict(&Call { setup, parameters, links, pixels: &PixelSubset::All }, &ready).0;
+            assert_eq!(found, room.numbers(&room.weights, &LINKS, &PixelSubset::All), "{kind:?}, {cache}");
         }
     }
 }
@@ -170,10 +173,10 @@ fn truncated_rays_differentiate() {
     // Powers are some hundreds, of which differences keep too few digits.
     for kind in [Task::Spectrum, Task::Channel] {
         let mut room = Room::new(kind, "far_m: 3");
-        let seen = room.numbers(&room.weights, &LINKS, PixelSubset::All);
+        let seen = room.numbers(&room.weights, &LINKS, &PixelSubset::All);
         room.weights = darker(&room, 100.0);
-        assert_ne!(room.numbers(&room.weights, &LINKS, PixelSubset::All), seen);
-        room.differentiates("rays that end early", PixelSubset::All);
+        assert_ne!(room.numbers(&room.weights, &LINKS, &PixelSubset::All), seen);
+        room.differentiates("rays that end early", &PixelSubset::All);
     }
 }
 

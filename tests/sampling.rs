@@ -3,8 +3,8 @@
 
 use crate::common::{built_in, cloud, pipeline, plugin, stages};
 use pwrfgs::core::{
-    AngleAxis, Conditions, Elevation, ForwardOutput, Link, MeasurementSetup, MethodVjp, Origin, Parameters,
-    PixelSubset, Projector, Rasterizer, Receiver, rng,
+    AngleAxis, Call, Elevation, Link, LinkInputs, MeasurementSetup, MethodVjp, Origin, Parameters, PixelSubset,
+    Projector, Rasterizer, Receiver, WantedInputs, rng,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -42,23 +42,26 @@ fn narrow_and_wide() -> GaussianCloud {
     cloud
 }
 
-fn draw(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud) -> (MeasurementSetup, ForwardOutput) {
+fn draw(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud) -> Vec<Real> {
+    on_plane(stages, plane, cloud, |call| stages.method.forward(call, &None).numbers)
+}
+
+/// Calls the method for one link on `plane`.
+fn on_plane<T>(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud, run: impl FnOnce(&Call<'_>) -> T) -> T {
     let setup = MeasurementSetup { plane: plane.clone(), ..stages.setup.clone() };
-    let observed = stages.method.forward(&setup, &parameters(cloud), &request(), &None);
-    (setup, observed)
+    on_setup(&setup, cloud, &[], run)
 }
 
-fn parameters(cloud: &GaussianCloud) -> Parameters<'_> {
-    Parameters { cloud, gate: None, existence: None, weights: &[] }
-}
-
-fn request() -> pwrfgs::core::ObservationRequest<'static> {
-    const LINKS: [Link; 1] = [Link { transmitter: 0, receiver: 0 }];
-    pwrfgs::core::ObservationRequest {
-        conditions: Conditions::new(3, &[0.1, 0.2, 0.3]),
-        links: &LINKS,
-        pixels: PixelSubset::All,
-    }
+fn on_setup<T>(
+    setup: &MeasurementSetup,
+    cloud: &GaussianCloud,
+    weights: &[Real],
+    run: impl FnOnce(&Call<'_>) -> T,
+) -> T {
+    let parameters = Parameters { cloud, gate: None, existence: None, weights };
+    let links = vec![Link { transmitter: 0, receiver: 0 }];
+    let links = &LinkInputs { width: 3, values: vec![0.1, 0.2, 0.3], links, ..LinkInputs::default() };
+    run(&Call { setup, parameters, links, pixels: &PixelSubset::All })
 }
 
 /// Where the pixels of a strided plane lie in the whole image.
@@ -72,10 +75,10 @@ fn strided_image_has_pixels_of_whole_image() {
     let cloud = narrow_and_wide();
     let close = if size_of::<Real>() == 8 { 1e-11 } else { 2e-4 };
     every_way(|way, stages| {
-        let whole = draw(stages, &stages.plane, &cloud).1.numbers;
+        let whole = draw(stages, &stages.plane, &cloud);
         for offset in [[0, 0], [2, 1]] {
             let plane = stages.plane.strided(STRIDE, offset);
-            let coarse = draw(stages, &plane, &cloud).1.numbers;
+            let coarse = draw(stages, &plane, &cloud);
             let of_whole: Vec<Real> = places(&plane, stages.plane.width).map(|at| whole[at]).collect();
             assert!(of_whole.iter().any(|v| *v > 0.05), "{way}: there is something to see");
             for (i, (a, b)) in coarse.iter().zip(&of_whole).enumerate() {
@@ -96,10 +99,12 @@ fn strided_gradient_equals_gradient_of_same_pixels() {
         let mut d_whole = vec![0.0; stages.plane.width * stages.plane.height];
         places(&plane, stages.plane.width).zip(&d).for_each(|(at, d)| d_whole[at] = *d);
         let gradient = |plane: &ImagePlane, d: &[Real]| {
-            let (setup, observed) = draw(stages, plane, &cloud);
-            let mut sums = MethodVjp::zeros(&parameters(&cloud));
-            stages.method.vjp(&setup, &parameters(&cloud), &request(), observed, d, &mut sums);
-            sums.cloud
+            on_plane(stages, plane, &cloud, |call| {
+                let observed = stages.method.forward(call, &None);
+                let mut sums = MethodVjp::zeros(call, WantedInputs::default());
+                stages.method.vjp(call, observed, d, &mut sums);
+                sums.cloud
+            })
         };
         let (coarse, whole) = (gradient(&plane, &d), gradient(&stages.plane, &d_whole));
         for ((name, _, a), (_, _, b)) in coarse.columns().zip(whole.columns()) {
@@ -208,8 +213,7 @@ fn power(elevation_deg: Real, sky_deg: u32) -> Real {
         signals: vec![[1.0, 0.0]],
         ..GaussianCloud::default()
     };
-    let parameters = Parameters { weights: &[0.0, 0.0], ..parameters(&cloud) };
-    base.method.forward(&setup, &parameters, &request(), &None).numbers[0]
+    on_setup(&setup, &cloud, &[0.0, 0.0], |call| base.method.forward(call, &None).numbers[0])
 }
 
 #[test]

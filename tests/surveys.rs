@@ -4,8 +4,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    ColumnSpec, DeformationInputs, ImagePlane, MeasurementSetup, ObservationRequest, Parameters, PassStatistics,
-    PixelSubset, Receiver, Statistic, Task, rng,
+    Call, ColumnSpec, DeformationInputs, ImagePlane, MeasurementSetup, Parameters, PassStatistics, PixelSubset,
+    Receiver, Statistic, Task, rng,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -42,14 +42,9 @@ impl Sight {
         Self { stages, cloud: cloud(N, 8), weights, batch }
     }
 
-    fn request(&self) -> ObservationRequest<'_> {
-        self.batch.inputs.request(PixelSubset::All)
-    }
-
     fn survey(&self, statistics: &[Statistic]) -> PassStatistics {
-        let Stages { method, setup } = &*self.stages;
         let needs = Needs::of(statistics, 0);
-        let mut found = method.survey(setup, &self.parameters(), &self.request(), &self.batch.truths, &needs);
+        let mut found = self.stages.method.survey(&self.call(self.parameters()), &self.batch.truths, &needs);
         found.finish();
         found
     }
@@ -58,11 +53,14 @@ impl Sight {
         Parameters { cloud: &self.cloud, gate: None, existence: None, weights: &self.weights }
     }
 
+    fn call<'a>(&'a self, parameters: Parameters<'a>) -> Call<'a> {
+        Call { setup: &self.stages.setup, parameters, links: &self.batch.inputs, pixels: &PixelSubset::All }
+    }
+
     /// Observations with a factor on each Gaussian's part, links one after another.
     fn observed(&self, cloud: &GaussianCloud, existence: &[Real]) -> Vec<Real> {
-        let Stages { method, setup } = &*self.stages;
-        let parameters = Parameters { cloud, gate: None, existence: Some(existence), weights: &self.weights };
-        method.forward(setup, &parameters, &self.request(), &None).numbers
+        let parameters = Parameters { cloud, existence: Some(existence), ..self.parameters() };
+        self.stages.method.forward(&self.call(parameters), &None).numbers
     }
 
     fn deltas(&self, splatting: &Splatting) -> Deltas {

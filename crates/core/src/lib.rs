@@ -54,8 +54,8 @@ pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stret
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightGroup, WeightSpec};
 pub use method::{
-    Activated, Appearance, Cost, ForwardOutput, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp,
-    ObservationRequest, Parameters, PixelSubset,
+    Activated, Appearance, Call, Cost, ForwardOutput, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp,
+    Parameters, PixelSubset, WantedInputs,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};

@@ -5,6 +5,7 @@ use crate::{
     Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs,
     Origin, PassStatistics, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Task, plugin_kind,
 };
+use std::sync::Arc;
 
 /// Receivers and measurement type: all properties of a data set that a trained model needs.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,11 +125,6 @@ impl LinkInputs {
     pub fn conditions(&self) -> Conditions<'_> {
         Conditions::new(self.width, &self.values).turned(&self.orientations).at_carriers(&self.carriers)
     }
-
-    /// Returns the request for these values of all links.
-    pub fn request<'a>(&'a self, pixels: PixelSubset<'a>) -> ObservationRequest<'a> {
-        ObservationRequest { conditions: self.conditions(), links: &self.links, pixels }
-    }
 }
 
 /// Learned parameters in the form that a method reads.
@@ -145,37 +141,39 @@ pub struct Parameters<'a> {
     pub weights: &'a [Real],
 }
 
-/// Request for the observations of some links.
+/// What a method evaluates: links and their values, from parameters, in a measurement setup.
 #[derive(Clone, Copy, Debug)]
-pub struct ObservationRequest<'a> {
-    /// Network inputs per transmitter.
-    pub conditions: Conditions<'a>,
-    /// Links as rows of `conditions` and receivers of the frame, grouped by transmitter.
-    pub links: &'a [Link],
+pub struct Call<'a> {
+    /// Receivers and measurement type.
+    pub setup: &'a MeasurementSetup,
+    /// Gaussians and weights.
+    pub parameters: Parameters<'a>,
+    /// Links with their network inputs, grouped by transmitter.
+    pub links: &'a LinkInputs,
     /// Selected values of each observation; always all, if the method does not [support](MethodTraits::supports_pixel_subset)
     /// a selection.
-    pub pixels: PixelSubset<'a>,
+    pub pixels: &'a PixelSubset,
 }
 
 /// Selected values of an observation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum PixelSubset<'a> {
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum PixelSubset {
     /// All values.
     #[default]
     All,
     /// The same values for every link: indices into an observation.
-    Same(&'a [usize]),
+    Same(Arc<[usize]>),
     /// One value per link: `[L]` indices.
-    Own(&'a [usize]),
+    Each(Arc<[usize]>),
 }
 
-impl PixelSubset<'_> {
+impl PixelSubset {
     /// Returns the number of selected values per link, of `numbers` per observation.
     pub fn of_link(&self, numbers: usize) -> usize {
         match self {
             Self::All => numbers,
-            Self::Same(places) => places.len(),
-            Self::Own(_) => 1,
+            Self::Same(indices) => indices.len(),
+            Self::Each(_) => 1,
         }
     }
 }
@@ -183,7 +181,7 @@ impl PixelSubset<'_> {
 /// Observations, with the state for the backward pass.
 #[derive(Debug)]
 pub struct ForwardOutput {
-    /// Observations `[L, numbers]`, or the values selected by [`ObservationRequest::pixels`].
+    /// Observations `[L, numbers]`, or the values selected by [`Call::pixels`].
     pub numbers: Vec<Real>,
     /// State of the forward pass for [`Method::vjp`].
     pub cache: Cache,
@@ -202,29 +200,37 @@ pub struct MethodVjp {
     pub weights: Vec<Real>,
     /// Statistics for pruners and densification; zeros if the method draws no splats.
     pub stats: CloudStats,
-    /// Derivative with respect to the positions in the [conditions](ObservationRequest::conditions) `[T, 3]`. Empty if not
-    /// requested; to request it from a method that [supports](MethodTraits::differentiates_positions) it, set it to zeros.
-    /// The position of a moving receiver also changes the geometry, which this includes.
-    pub positions: Vec<[Real; 3]>,
-    /// Derivative with respect to the orientations of a moving receiver in the conditions `[T, 4]`, requested in the same
-    /// way from a method that [supports](MethodTraits::differentiates_orientations) it, together with the positions.
-    pub orientations: Vec<[f64; 4]>,
+    /// Derivative with respect to the positions in the [links](Call::links) `[T, 3]`; `None` unless wanted. The position
+    /// of a moving receiver also changes the geometry, which this includes.
+    pub positions: Option<Vec<[Real; 3]>>,
+    /// Derivative with respect to the orientations of a moving receiver in the links `[T, 4]`; `None` unless wanted.
+    pub orientations: Option<Vec<[f64; 4]>>,
 }
 
 impl MethodVjp {
-    /// Creates zeros for parameters of this size, without positions and orientations.
-    pub fn zeros(parameters: &Parameters<'_>) -> Self {
-        let n = parameters.cloud.len();
+    /// Creates zeros for the parameters of `call`, and for those derivatives by its inputs that are `wanted`.
+    pub fn zeros(call: &Call<'_>, wanted: WantedInputs) -> Self {
+        let (n, rows) = (call.parameters.cloud.len(), call.links.conditions().len());
         Self {
-            cloud: parameters.cloud.zeros_like(),
+            cloud: call.parameters.cloud.zeros_like(),
             gate: vec![0.0; n],
             existence: vec![0.0; n],
-            weights: vec![0.0; parameters.weights.len()],
+            weights: vec![0.0; call.parameters.weights.len()],
             stats: CloudStats::zeros(n),
-            positions: Vec::new(),
-            orientations: Vec::new(),
+            positions: wanted.positions.then(|| vec![[0.0; 3]; rows]),
+            orientations: wanted.orientations.then(|| vec![[0.0; 4]; rows]),
         }
     }
+}
+
+/// Inputs by which a derivative is wanted; training wants none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WantedInputs {
+    /// Positions, from a method that [differentiates](MethodTraits::differentiates_positions) them.
+    pub positions: bool,
+    /// Orientations of a moving receiver, from a method that [differentiates](MethodTraits::differentiates_orientations)
+    /// them; together with the positions.
+    pub orientations: bool,
 }
 
 /// Maps parameters to observations. Parameters are the columns of a [`GaussianCloud`], which pruners and densification
@@ -255,38 +261,16 @@ pub trait Method: crate::plugin::PluginObject {
         (0..cloud.len()).filter(|&i| gate.is_none_or(|gate| gate[i] != 0.0)).collect()
     }
 
-    /// Returns the observations of the requested links. `prepared` is the result of [`Self::prepare`] for the same
+    /// Returns the observations of the links. `prepared` is the result of [`Self::prepare`] for the same
     /// parameters, or `None`; both give bit-identical results.
-    fn forward(
-        &self,
-        setup: &MeasurementSetup,
-        parameters: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> ForwardOutput;
+    fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput;
 
     /// Adds to `sums`, given the cotangents `d` of [`ForwardOutput::numbers`].
-    fn vjp(
-        &self,
-        setup: &MeasurementSetup,
-        parameters: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        observed: ForwardOutput,
-        d: &[Real],
-        sums: &mut MethodVjp,
-    );
+    fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp);
 
-    /// Returns statistics of each Gaussian's effect on the requested observations, with measured values `truths` `[L,
-    /// numbers]`.
-    fn survey(
-        &self,
-        setup: &MeasurementSetup,
-        parameters: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        truths: &[Real],
-        needs: &Needs,
-    ) -> PassStatistics {
-        PassStatistics::zeros(needs, parameters.cloud.len())
+    /// Returns statistics of each Gaussian's effect on the observations, with measured values `truths` `[L, numbers]`.
+    fn survey(&self, call: &Call<'_>, truths: &[Real], needs: &Needs) -> PassStatistics {
+        PassStatistics::zeros(needs, call.parameters.cloud.len())
     }
 
     /// Precomputes transmitter-independent values for many predictions.
@@ -296,15 +280,9 @@ pub trait Method: crate::plugin::PluginObject {
 
     /// Returns [`ForwardOutput::numbers`] of [`Self::forward`], bit-identical, from the result of [`Self::prepare`] for the
     /// same parameters; also returns the time of each stage.
-    fn predict(
-        &self,
-        setup: &MeasurementSetup,
-        parameters: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> (Vec<Real>, StageTimes) {
+    fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
         let start = std::time::Instant::now();
-        let numbers = self.forward(setup, parameters, request, prepared).numbers;
+        let numbers = self.forward(call, prepared).numbers;
         (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
     }
 
@@ -350,7 +328,7 @@ pub struct MethodTraits<'a> {
     /// Further columns of the cloud that it reads, by name and width. Their initial value is zero; they are learned at
     /// the rate of `signals` and saved with the model.
     pub columns: Vec<(&'static str, usize)>,
-    /// Whether it supports requests for selected [pixels](ObservationRequest::pixels).
+    /// Whether it supports selected [pixels](Call::pixels).
     pub supports_pixel_subset: bool,
     /// Whether it supports [`Parameters::existence`]; if not, such gates are multiplied into the other gate.
     pub supports_existence_gate: bool,
@@ -426,7 +404,7 @@ pub struct Cost {
     pub pixels: usize,
     /// Memory for the backward pass that does not depend on the Gaussians, bytes.
     pub bytes: u64,
-    /// Maximum number of links with [a pixel each](PixelSubset::Own) per request, so that the backward pass fits in memory.
+    /// Maximum number of links with [a pixel each](PixelSubset::Each) per call, so that the backward pass fits in memory.
     /// Larger steps are split.
     pub links_at_once: usize,
 }

@@ -3,8 +3,8 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Cache, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, Link,
-    MeasurementSetup, Method, MethodVjp, ObservationRequest, Parameters, PixelSubset, Pose, Real, Vec3,
+    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, Link,
+    LinkInputs, MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Pose, Real, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
@@ -53,8 +53,8 @@ impl ReceiverGroup {
     }
 
     /// Returns the distance from receiver to transmitter per link, metres; empty if positions are unknown.
-    pub(crate) fn distances(&self, pose: &Pose, request: &ObservationRequest<'_>) -> Vec<Real> {
-        let txs = request.conditions.positions();
+    pub(crate) fn distances(&self, pose: &Pose, links: &LinkInputs) -> Vec<Real> {
+        let txs = links.conditions().positions();
         let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - pose.origin()).length());
         self.rows.iter().filter_map(distance).collect()
     }
@@ -63,11 +63,11 @@ impl ReceiverGroup {
     pub(crate) fn distances_vjp(
         &self,
         pose: &Pose,
-        request: &ObservationRequest<'_>,
+        links: &LinkInputs,
         d: impl Iterator<Item = Real>,
         d_positions: &mut [[Real; 3]],
     ) {
-        let txs = request.conditions.positions();
+        let txs = links.conditions().positions();
         for (row, d) in self.rows.iter().zip(d) {
             let way = Vec3::from_array(txs[*row]) - pose.origin();
             let d_way = way.normalize_or_zero() * d;
@@ -181,7 +181,7 @@ pub(crate) fn vjp(
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
     if !own.deltas.is_empty() {
         let d_network = &mut sums.weights[..inputs.weights.len()];
-        let d_txs = Some(sums.positions.as_mut_slice()).filter(|d_txs| !d_txs.is_empty());
+        let d_txs = sums.positions.as_deref_mut();
         deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means), d_txs);
     }
     for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
@@ -224,9 +224,9 @@ pub(crate) fn untrained(
     part: &[usize],
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
-    let inputs = setup.inputs(method.traits().inputs, part.iter().map(|&i| data.query(i)));
+    let links = &setup.inputs(method.traits().inputs, part.iter().map(|&i| data.query(i)));
     let parameters = Parameters { cloud, gate: None, existence: None, weights };
-    method.forward(setup, &parameters, &inputs.request(PixelSubset::All), &None).numbers
+    method.forward(&Call { setup, parameters, links, pixels: &PixelSubset::All }, &None).numbers
 }
 
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.

@@ -171,7 +171,7 @@ pub(crate) struct RayBundle {
 
 impl RayBundle {
     /// Creates the rays of receiver `receiver`; for a spectrum only those of `pixels`.
-    pub(crate) fn of(method: &Nerf2, setup: &MeasurementSetup, receiver: usize, pixels: &PixelSubset<'_>) -> Self {
+    pub(crate) fn of(method: &Nerf2, setup: &MeasurementSetup, receiver: usize, pixels: &PixelSubset) -> Self {
         let pose = &setup.receivers[receiver].pose;
         let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
         let directions = if setup.task.has_pixels {
@@ -182,7 +182,7 @@ impl RayBundle {
             };
             match pixels {
                 PixelSubset::All => (0..setup.numbers()).map(at).collect(),
-                PixelSubset::Same(places) | PixelSubset::Own(places) => places.iter().map(|&p| at(p)).collect(),
+                PixelSubset::Same(places) | PixelSubset::Each(places) => places.iter().map(|&p| at(p)).collect(),
             }
         } else {
             method.sky().into_iter().map(turned).collect()

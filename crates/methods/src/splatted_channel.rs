@@ -12,9 +12,9 @@ use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
-    Activated, Appearance, Cache, Cost, Dataset, Deformation, DeformationInputs, Deltas, ForwardOutput, GaussianCloud,
-    JsonSchema, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, ObservationRequest, Parameters, Plugin,
-    Real, StageTimes, Task, WeightSpec, cached, consts, evenly,
+    Activated, Appearance, Cache, Call, Cost, Dataset, Deformation, DeformationInputs, Deltas, ForwardOutput,
+    GaussianCloud, JsonSchema, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters, Plugin, Real,
+    StageTimes, Task, WeightSpec, cached, consts, evenly,
 };
 use pwrfgs_networks::Mlp;
 use serde::{Deserialize, Serialize};
@@ -81,25 +81,19 @@ impl SplattedChannel {
     }
 
     /// Observes the links; keeps the state for the backward pass if `is_training`.
-    fn observe(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-        is_training: bool,
-    ) -> (ForwardOutput, StageTimes) {
+    fn observe(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
         let (network, offsets) = parts(setup, p.weights);
         let pose = setup.pose();
-        let inputs = DeformationInputs::new(network, &p.cloud.means, request.conditions, &pose);
+        let inputs = DeformationInputs::new(network, &p.cloud.means, links.conditions(), &pose);
         let of_network = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = groups::terms(&*self.deformation, &inputs, of_network, is_training);
         let network = start.elapsed().as_secs_f64();
-        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
+        let mut numbers = vec![0.0; links.links.len() * setup.numbers()];
         let mut received = Vec::new();
-        for group in ReceiverGroup::all(request.links, setup.receivers.len(), true) {
+        for group in ReceiverGroup::all(&links.links, setup.receivers.len(), true) {
             let fresh = || Arc::new(Waves::new(setup, group.receiver, p.cloud, p.gate));
             let waves = ready.map_or_else(fresh, |ready| Arc::clone(&ready.waves[group.receiver]));
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
@@ -185,25 +179,12 @@ impl Method for SplattedChannel {
         groups::rows(&*self.deformation, cloud, gate)
     }
 
-    fn forward(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> ForwardOutput {
-        self.observe(setup, p, request, prepared, true).0
+    fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput {
+        self.observe(call, prepared, true).0
     }
 
-    fn vjp(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        observed: ForwardOutput,
-        d: &[Real],
-        sums: &mut MethodVjp,
-    ) {
+    fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), received } = cached(&observed.cache);
         let (n, activation) = (p.cloud.len(), self.activation());
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
@@ -225,7 +206,7 @@ impl Method for SplattedChannel {
                 sums.stats.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * mean.sqrt();
             }
         }
-        let (means, txs) = (&p.cloud.means, request.conditions);
+        let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
         groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
@@ -237,14 +218,8 @@ impl Method for SplattedChannel {
         Some(Arc::new(Ready { deformation, waves }))
     }
 
-    fn predict(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(setup, p, request, prepared, false);
+    fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
+        let (observed, times) = self.observe(call, prepared, false);
         (observed.numbers, times)
     }
 

@@ -22,9 +22,9 @@ use crate::{Activation, Calibration};
 use harmonics::{HIGHEST, terms};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
-    Activated, Cache, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
-    JsonSchema, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, ObservationRequest, Parameters, Real,
-    Receiver, Result, Scene, Task, gains_of, rows_of,
+    Activated, Cache, Call, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
+    JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters, Real, Receiver,
+    Result, Scene, Task, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -76,14 +76,14 @@ pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
 }
 
 /// Returns the links of each carrier, each with the positions of the moving node.
-fn groups(setup: &MeasurementSetup, request: &ObservationRequest<'_>) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
-    let txs = request.conditions.positions();
-    let position = |i: &usize| txs.get(request.links[*i].transmitter).copied();
+fn groups(setup: &MeasurementSetup, links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
+    let txs = links.conditions().positions();
+    let position = |i: &usize| txs.get(links.links[*i].transmitter).copied();
     let with_positions = |group: ReceiverGroup| {
         let own = group.links.iter().filter_map(position).collect();
         (group, own)
     };
-    ReceiverGroup::all(request.links, setup.receivers.len(), true).into_iter().map(with_positions).collect()
+    ReceiverGroup::all(&links.links, setup.receivers.len(), true).into_iter().map(with_positions).collect()
 }
 
 #[typetag::serde]
@@ -113,50 +113,39 @@ impl Method for VirtualTransmitters {
         Ok(())
     }
 
-    fn forward(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        _: &Cache,
-    ) -> ForwardOutput {
+    fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
+        let Call { setup, parameters: p, links, .. } = *call;
         let antennas = array(&setup.receivers[0]);
-        let mut numbers = vec![0.0; request.links.len() * setup.numbers()];
-        for (group, positions) in groups(setup, request) {
+        let mut numbers = vec![0.0; links.links.len() * setup.numbers()];
+        for (group, positions) in groups(setup, links) {
             let frequencies = setup.frequencies_of(group.receiver);
-            let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
-            let own = rows_of(&field(p.cloud, p.gate, &links), frequencies.len());
+            let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
+            let own = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
             group.scatter(&own, setup.numbers(), &mut numbers);
         }
         ForwardOutput { numbers, cache: None as Cache }
     }
 
-    fn vjp(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        _: ForwardOutput,
-        d: &[Real],
-        sums: &mut MethodVjp,
-    ) {
+    fn vjp(&self, call: &Call<'_>, _: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let antennas = array(&setup.receivers[0]);
-        for (group, positions) in groups(setup, request) {
+        for (group, positions) in groups(setup, links) {
             let frequencies = setup.frequencies_of(group.receiver);
             let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
-            let at_once = if sums.positions.is_empty() { positions.len() } else { 1 };
+            let at_once = if sums.positions.is_none() { positions.len() } else { 1 };
             let of_each = at_once * antennas.len() * frequencies.len();
             let parts = positions.chunks(at_once.max(1)).zip(own.chunks(of_each.max(1))).zip(&group.links);
             for ((positions, d), link) in parts {
-                let links = ChannelInputs { positions, antennas: &antennas, frequencies: &frequencies };
-                let found = field_vjp(p.cloud, p.gate, &links, d);
+                let part = ChannelInputs { positions, antennas: &antennas, frequencies: &frequencies };
+                let found = field_vjp(p.cloud, p.gate, &part, d);
                 for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
                     sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
                 }
                 sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
-                if let Some(d_position) = sums.positions.get_mut(request.links[*link].transmitter) {
+                if let Some(d_positions) = &mut sums.positions {
+                    let d_position = &mut d_positions[links.links[*link].transmitter];
                     found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }

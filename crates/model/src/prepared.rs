@@ -2,10 +2,10 @@
 
 mod derivative;
 
-use crate::{Model, Residuals};
+use crate::{Model, Residuals, Stages};
 use pwrfgs_core::{
-    Cache, GaussianCloud, Image, ImagePlane, ObservationRequest, Parameters, PixelSubset, Predict, Query, Real,
-    Receiver, StageTimes, Task,
+    Cache, Call, GaussianCloud, Image, ImagePlane, Parameters, PixelSubset, Predict, Query, Real, Receiver, StageTimes,
+    Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -250,22 +250,15 @@ impl<'a> Member<'a> {
     /// Predicts the values of the links of one call, as contiguous observations.
     fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let stages = &self.model.stages;
-        self.with_request(queries, |parameters, request| {
-            stages.method.predict(&stages.setup, parameters, request, &self.ready)
-        })
+        self.call(queries, |call| stages.method.predict(call, &self.ready))
     }
 
-    /// Calls the method with the links of one call.
-    fn with_request<T>(
-        &self,
-        queries: &[Query<'_>],
-        run: impl FnOnce(&Parameters<'_>, &ObservationRequest<'_>) -> T,
-    ) -> T {
-        let Model { stages, weights, .. } = self.model;
-        let inputs = stages.method.traits().inputs;
-        let inputs = stages.setup.inputs(inputs, queries.iter().copied());
+    /// Runs the method on some links.
+    fn call<T>(&self, queries: &[Query<'_>], run: impl FnOnce(&Call<'_>) -> T) -> T {
+        let Model { stages: Stages { method, setup }, weights, .. } = self.model;
+        let links = &setup.inputs(method.traits().inputs, queries.iter().copied());
         let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights };
-        run(&parameters, &inputs.request(PixelSubset::All))
+        run(&Call { setup, parameters, links, pixels: &PixelSubset::All })
     }
 }
 

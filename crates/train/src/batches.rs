@@ -1,14 +1,16 @@
 //! `Batches`: the transmitters of each step and the observations of their links.
 
-use crate::graph::{Batch, BatchPixels};
+use crate::graph::Batch;
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
 use pwrfgs_core::{
-    Dataset, Error, ImagePlane, Link, LinkInputs, Needs, Real, Result, StepContext, Task, rng, stretch::stretch,
+    Dataset, Error, ImagePlane, Link, LinkInputs, Needs, PixelSubset, Real, Result, StepContext, Task, rng,
+    stretch::stretch,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Training set: every transmitter once per epoch with all its links, in a new random order per epoch.
 #[derive(Debug)]
@@ -53,15 +55,15 @@ impl Batches {
         let mut jitter = rng::stream(seed, "jitter", step);
         let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
         let random = &mut rng::stream(seed, "rays", step);
-        let places = match settings.rays {
-            Rays::All => BatchPixels::All,
-            Rays::Same(count) => BatchPixels::Same(rays(count, stages.numbers(), random)),
+        let pixels = match settings.rays {
+            Rays::All => PixelSubset::All,
+            Rays::Same(count) => PixelSubset::Same(rays(count, stages.numbers(), random)),
             Rays::Each(count) => {
                 let mut links: Vec<usize> =
                     (0..count).map(|_| self.train[rng::below(random, self.train.len())]).collect();
                 links.sort_unstable();
-                let places = BatchPixels::Own(rays(count, stages.numbers(), random));
-                return observed(&links, data, stages, places, &mut moved);
+                let pixels = PixelSubset::Each(rays(count, stages.numbers(), random));
+                return observed(&links, data, stages, pixels, &mut moved);
             }
         };
         let mut transmitters = Vec::with_capacity(settings.batch);
@@ -74,7 +76,7 @@ impl Batches {
             }
             transmitters.push(self.order.1[(drawn % n) as usize]);
         }
-        observed(&self.links_of(&transmitters), data, stages, places, &mut moved)
+        observed(&self.links_of(&transmitters), data, stages, pixels, &mut moved)
     }
 
     /// Returns the links of some transmitters.
@@ -97,14 +99,14 @@ impl Batches {
             sample.peek()?;
             let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
             let stages = stages_of(parts.next()?);
-            let batch = observed(&self.links_of(&some), data, &stages, BatchPixels::All, &mut |x| x);
+            let batch = observed(&self.links_of(&some), data, &stages, PixelSubset::All, &mut |x| x);
             Some(batch.map(|batch| (stages, batch)))
         })
     }
 }
 
 /// Draws `count` uniform indices below `numbers`.
-fn rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Vec<usize> {
+fn rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Arc<[usize]> {
     (0..count).map(|_| rng::below(random, numbers)).collect()
 }
 
@@ -113,11 +115,11 @@ fn observed(
     links: &[usize],
     data: &Dataset,
     stages: &Stages,
-    places: BatchPixels,
+    pixels: PixelSubset,
     moved: &mut dyn FnMut(Real) -> Real,
 ) -> Result<Batch> {
     let mut inputs = LinkInputs { width: stages.method.traits().inputs, ..LinkInputs::default() };
-    let (mut before, own) = (None, matches!(places, BatchPixels::Own(_)));
+    let (mut before, each) = (None, matches!(pixels, PixelSubset::Each(_)));
     let (carriers, mut last) = (stages.carriers(), None);
     for &i in links {
         let (query, transmitter) = (data.query(i), data.links[i].transmitter);
@@ -125,7 +127,7 @@ fn observed(
         if !query.features.is_empty() {
             inputs.values.extend_from_slice(query.features); // one per link
             inputs.carriers.extend(carrier);
-        } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) || carrier != last {
+        } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !each) || carrier != last {
             inputs.values.extend(data.scene.origin.local(query.tx).map(&mut *moved));
             inputs.orientations.extend(query.orientation);
             inputs.carriers.extend(carrier);
@@ -135,15 +137,15 @@ fn observed(
         let transmitter = inputs.values.len() / inputs.width.max(1) - 1;
         inputs.links.push(Link { transmitter, receiver: query.receiver });
     }
-    let of_link = places.pixels().of_link(stages.numbers());
+    let of_link = pixels.of_link(stages.numbers());
     let sampling = stages.plane.sampling;
     let stretches = sampling.stride > 1 && stages.method.traits().stretches;
     let mut truths = vec![0.0; links.len() * of_link];
     let of_links = truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
-    of_links.for_each(|(k, (truth, &i))| match (&places, data.observations.spectra()) {
-        (BatchPixels::Same(places), Some(spectra)) => spectra.sampled_at(i, sampling, places, truth),
-        (BatchPixels::Own(places), Some(spectra)) => {
-            spectra.sampled_at(i, sampling, &places[k..=k], truth);
+    of_links.for_each(|(k, (truth, &i))| match (&pixels, data.observations.spectra()) {
+        (PixelSubset::Same(indices), Some(spectra)) => spectra.sampled_at(i, sampling, indices, truth),
+        (PixelSubset::Each(indices), Some(spectra)) => {
+            spectra.sampled_at(i, sampling, &indices[k..=k], truth);
         }
         _ => {
             data.observations.sampled(i, sampling, truth);
@@ -153,7 +155,7 @@ fn observed(
         }
     });
     data.observations.check()?;
-    Ok(Batch { inputs, places, truths })
+    Ok(Batch { inputs, pixels, truths })
 }
 
 /// Number of transmitters that a pass holds in memory at once.

@@ -15,8 +15,8 @@ use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op, values};
 use pwrfgs_core::{
-    CloudStats, Error, Gate, GaussianCloud, LinkInputs, MethodTraits, MethodVjp, ObservationRequest, Parameters,
-    PixelSubset, Pruner, Real, Result, StepContext,
+    Call, CloudStats, Error, Gate, GaussianCloud, LinkInputs, MeasurementSetup, MethodTraits, MethodVjp, Parameters,
+    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -29,50 +29,27 @@ pub struct Batch {
     /// Links between transmitters of the batch and receivers, grouped by transmitter, with the network inputs.
     pub inputs: LinkInputs,
     /// Selected values of the observations.
-    pub places: BatchPixels,
+    pub pixels: PixelSubset,
     /// Observations `[L, numbers]`: spectra in [0, 1], powers in dBm, channels.
     pub truths: Vec<Real>,
-}
-
-/// Values of each observation used in a step: [`PixelSubset`] that owns its data.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum BatchPixels {
-    /// All values.
-    #[default]
-    All,
-    /// The same values for every link.
-    Same(Vec<usize>),
-    /// One value per link.
-    Own(Vec<usize>),
-}
-
-impl BatchPixels {
-    /// Borrows the selection for a method.
-    pub fn pixels(&self) -> PixelSubset<'_> {
-        match self {
-            Self::All => PixelSubset::All,
-            Self::Same(places) => PixelSubset::Same(places),
-            Self::Own(places) => PixelSubset::Own(places),
-        }
-    }
 }
 
 impl Batch {
     /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
     fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
-        let BatchPixels::Own(places) = &self.places else { return None };
-        let parts = self.inputs.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
-        let part = |((links, places), truths): ((&[_], &[usize]), &[Real])| Self {
+        let PixelSubset::Each(pixels) = &self.pixels else { return None };
+        let parts = self.inputs.links.chunks(most).zip(pixels.chunks(most)).zip(self.truths.chunks(most));
+        let part = |((links, pixels), truths): ((&[_], &[usize]), &[Real])| Self {
             inputs: LinkInputs { links: links.to_vec(), ..self.inputs.clone() },
-            places: BatchPixels::Own(places.to_vec()),
+            pixels: PixelSubset::Each(pixels.into()),
             truths: truths.to_vec(),
         };
-        (places.len() > most).then(|| parts.map(part))
+        (pixels.len() > most).then(|| parts.map(part))
     }
 
-    /// Borrows the links for a method.
-    pub(crate) fn request(&self) -> ObservationRequest<'_> {
-        self.inputs.request(self.places.pixels())
+    /// Returns the call of a method for these links.
+    pub(crate) fn call<'a>(&'a self, setup: &'a MeasurementSetup, parameters: Parameters<'a>) -> Call<'a> {
+        Call { setup, parameters, links: &self.inputs, pixels: &self.pixels }
     }
 }
 
@@ -155,7 +132,7 @@ pub fn loss_and_gradients(
     context: &StepContext,
 ) -> Result<LossAndGradients> {
     let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
-    let pixels = batch.places.pixels().of_link(stages.numbers());
+    let pixels = batch.pixels.of_link(stages.numbers());
     let at_once = stages.method.cost(&stages.setup, batch.inputs.links.len(), pixels).links_at_once;
     let Some(parts) = batch.parts(at_once) else { return of(batch) };
     let mut sum = LossAndGradients {
@@ -293,12 +270,12 @@ impl Graph {
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
         let (weights, d_weights, stats) =
             (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
-        let mut observed = stages.method.forward(&stages.setup, &open.parameters(&weights), &batch.request(), &None);
+        let mut observed = stages.method.forward(&batch.call(&stages.setup, open.parameters(&weights)), &None);
         let numbers = std::mem::take(&mut observed.numbers);
         let vjp = move |d: Vec<Vec<Real>>| {
-            let parameters = open.parameters(&weights);
-            let mut sums = MethodVjp::zeros(&parameters);
-            stages.method.vjp(&stages.setup, &parameters, &batch.request(), observed, &d[0], &mut sums);
+            let call = batch.call(&stages.setup, open.parameters(&weights));
+            let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
+            stages.method.vjp(&call, observed, &d[0], &mut sums);
             *d_weights.borrow_mut() = sums.weights;
             let mut stats = stats.borrow_mut();
             for ((_, all), (_, own)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
@@ -316,8 +293,8 @@ impl Graph {
     /// Runs the loss as an op.
     fn loss(&self, observed: Trace, objective: &dyn Objective) -> TraceScalar {
         let plane = &self.stages.plane;
-        let size = match self.batch.places {
-            BatchPixels::All => (plane.width, plane.height),
+        let size = match self.batch.pixels {
+            PixelSubset::All => (plane.width, plane.height),
             _ => (self.batch.truths.len(), 1),
         };
         let (value, d_observed) = objective.evaluate(&observed.as_vec(), &self.batch.truths, size);
@@ -337,15 +314,15 @@ mod tests {
     #[test]
     fn batch_parts_cover_batch_in_order() {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
-        let places = BatchPixels::Own((0..20).map(|k| 7 * k % 11).collect());
+        let pixels = PixelSubset::Each((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
         let inputs = LinkInputs { values: vec![1.0; 21], width: 3, links, ..LinkInputs::default() };
-        let batch = Batch { inputs, places, truths };
-        assert!(batch.parts(20).is_none() && Batch { places: BatchPixels::All, ..batch.clone() }.parts(7).is_none());
+        let batch = Batch { inputs, pixels, truths };
+        assert!(batch.parts(20).is_none() && Batch { pixels: PixelSubset::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
         assert_eq!(parts.iter().map(|part| part.inputs.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
-        let own = |part: &Batch| match &part.places {
-            BatchPixels::Own(places) => places.clone(),
+        let own = |part: &Batch| match &part.pixels {
+            PixelSubset::Each(pixels) => pixels.to_vec(),
             _ => Vec::new(),
         };
         assert_eq!(parts.iter().flat_map(own).collect::<Vec<_>>(), own(&batch));

@@ -21,7 +21,7 @@ mod trainer;
 mod warnings;
 
 pub use estimate::{TimeEstimate, TimedSteps, network_bytes};
-pub use graph::{Batch, BatchPixels, LossAndGradients, loss_and_gradients};
+pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use plan::{TrainingPlan, check_available};
 pub use settings::{Densify, Loss, Optimizer, PixelLoss, Rays, Schedule, Training};

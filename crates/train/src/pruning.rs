@@ -188,7 +188,7 @@ pub(crate) fn survey(
         let (stages, batch) = batch?;
         if draws {
             let Stages { method, setup } = &stages;
-            sums.add(&rows, &method.survey(setup, &parameters, &batch.request(), &batch.truths, needs));
+            sums.add(&rows, &method.survey(&batch.call(setup, parameters), &batch.truths, needs));
         }
         if most.is_some() {
             surveyed.push((stages, batch));
@@ -240,7 +240,7 @@ fn loss_of(scene: &PassContext<'_>, p: &Parameters<'_>, some: &[usize], batches:
     let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
     let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
         let size = (setup.plane.width, setup.plane.height);
-        let numbers = method.forward(setup, &parameters, &batch.request(), &None).numbers;
+        let numbers = method.forward(&batch.call(setup, parameters), &None).numbers;
         scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.inputs.links.len() as Real
     };
     let links: usize = batches.iter().map(|(_, batch)| batch.inputs.links.len()).sum();

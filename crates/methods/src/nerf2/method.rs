@@ -6,8 +6,8 @@ use crate::nerf2::path::PropagationLaw;
 use crate::nerf2::walk::{RayWalk, SharedActivations, Sums, TrunkActivations};
 use crate::nerf2::{Nerf2, RayBundle};
 use pwrfgs_core::{
-    Appearance, Cache, Cost, ForwardOutput, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp,
-    ObservationRequest, Parameters, PixelSubset, Real, SPEED_OF_LIGHT, StageTimes, Task, cached,
+    Appearance, Cache, Call, Cost, ForwardOutput, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp,
+    Parameters, PixelSubset, Real, SPEED_OF_LIGHT, StageTimes, Task, cached,
 };
 use pwrfgs_networks::dense::add_in_order;
 use pwrfgs_networks::linear::{LayoutBuilder, laid_out, planned, sum_groups};
@@ -51,7 +51,7 @@ impl Nerf2 {
         &self,
         setup: &MeasurementSetup,
         (network, weights): (&'a Nerf2Network, &'a [Real]),
-        (receiver, pixels): (usize, &PixelSubset<'_>),
+        (receiver, pixels): (usize, &PixelSubset),
         emission: &'a [Real],
     ) -> RayWalk<'a> {
         RayWalk {
@@ -66,26 +66,26 @@ impl Nerf2 {
     /// Groups the requested links by receiver.
     fn groups<'a>(
         &self,
-        setup: &MeasurementSetup,
+        call: &Call<'_>,
         network: (&'a Nerf2Network, &'a [Real]),
-        request: &ObservationRequest<'_>,
         emission: &'a [Real],
     ) -> Vec<RayGroup<'a>> {
+        let Call { setup, links: inputs, .. } = *call;
         let of = |receiver: usize| {
-            let links = request.links.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
+            let links = inputs.links.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
             let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.transmitter)).collect();
             if links.is_empty() {
                 return None;
             }
-            Some(match request.pixels {
-                PixelSubset::Own(places) => {
-                    let own: Vec<usize> = links.iter().map(|(k, _)| places[*k]).collect();
-                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Own(&own)), emission);
+            Some(match call.pixels {
+                PixelSubset::Each(places) => {
+                    let own = links.iter().map(|(k, _)| places[*k]).collect();
+                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Each(own)), emission);
                     RayGroup { receiver, walk, links: GroupLinks::Own(links) }
                 }
                 pixels => RayGroup {
                     receiver,
-                    walk: self.walk(setup, network, (receiver, &pixels), emission),
+                    walk: self.walk(setup, network, (receiver, pixels), emission),
                     links: GroupLinks::All(links),
                 },
             })
@@ -117,13 +117,13 @@ impl Nerf2 {
 
     /// Collects the sums of chunks, in order, `[L, pixels or bands]`.
     fn gather(
-        setup: &MeasurementSetup,
-        request: &ObservationRequest<'_>,
+        call: &Call<'_>,
         groups: &[RayGroup<'_>],
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
-        let of_link = if setup.task.has_pixels { request.pixels.of_link(setup.numbers()) } else { bands(setup) };
-        let mut totals = vec![[0.0; 2]; request.links.len() * of_link];
+        let setup = call.setup;
+        let of_link = if setup.task.has_pixels { call.pixels.of_link(setup.numbers()) } else { bands(setup) };
+        let mut totals = vec![[0.0; 2]; call.links.links.len() * of_link];
         for (group, rays, passes) in chunks {
             let bands = bands(setup);
             for (pass, sums) in passes.into_iter().enumerate() {
@@ -205,16 +205,11 @@ impl Method for Nerf2 {
         Ok(planned(|plan| self.network(setup, plan)).1.layout())
     }
 
-    fn forward(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        _: &Cache,
-    ) -> ForwardOutput {
+    fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
+        let Call { setup, parameters: p, links, .. } = *call;
         let network = laid_out(p.weights, |plan| self.network(setup, plan));
-        let emission = network.emission(p.weights, &request.conditions, self.unit_m);
-        let groups = self.groups(setup, (&network, p.weights), request, &emission);
+        let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
+        let groups = self.groups(call, (&network, p.weights), &emission);
         let mut room = KEPT;
         let mut items = Vec::new();
         for (g, group) in groups.iter().enumerate() {
@@ -237,26 +232,19 @@ impl Method for Nerf2 {
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
         let (chunks, sums): (Vec<Chunk>, Vec<Passes>) = results.into_iter().unzip();
         let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
-        let totals = Self::gather(setup, request, &groups, sums);
+        let totals = Self::gather(call, &groups, sums);
         let numbers = Self::observations(setup, &totals);
         ForwardOutput { numbers, cache: Some(Arc::new(Nerf2Cache { chunks, totals })) }
     }
 
-    fn vjp(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        observed: ForwardOutput,
-        d: &[Real],
-        sums: &mut MethodVjp,
-    ) {
+    fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let Nerf2Cache { chunks, totals } = cached(&observed.cache);
         let network = laid_out(p.weights, |plan| self.network(setup, plan));
-        let emission = network.emission(p.weights, &request.conditions, self.unit_m);
-        let groups = self.groups(setup, (&network, p.weights), request, &emission);
+        let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
+        let groups = self.groups(call, (&network, p.weights), &emission);
         let d_totals = Self::observations_vjp(setup, totals, d);
-        let of_link = totals.len() / request.links.len().max(1);
+        let of_link = totals.len() / links.links.len().max(1);
         let parts = sum_groups(chunks, &mut sums.weights, |chunks, weights| {
             let mut into = Sums { weights, emission: vec![0.0; emission.len()] };
             let mut scratch = GroupScratch::default();
@@ -270,7 +258,13 @@ impl Method for Nerf2 {
         let mut d_emission = vec![0.0; emission.len()];
         add_in_order(&mut d_emission, &parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
-        network.emission_vjp(p.weights, &request.conditions, self.unit_m, &d_emission, (d_weights, d_positions));
+        network.emission_vjp(
+            p.weights,
+            &links.conditions(),
+            self.unit_m,
+            &d_emission,
+            (d_weights, d_positions.as_deref_mut()),
+        );
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
@@ -293,19 +287,13 @@ impl Method for Nerf2 {
         Some(Arc::new(ready))
     }
 
-    fn predict(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> (Vec<Real>, StageTimes) {
+    fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
+        let Call { setup, parameters: p, links, pixels } = *call;
         let start = Instant::now();
         let network = laid_out(p.weights, |plan| self.network(setup, plan));
-        let emission = network.emission(p.weights, &request.conditions, self.unit_m);
-        let groups = self.groups(setup, (&network, p.weights), request, &emission);
-        let ready: Option<&Ready> =
-            (prepared.is_some() && request.pixels == PixelSubset::All).then(|| cached(prepared));
+        let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
+        let groups = self.groups(call, (&network, p.weights), &emission);
+        let ready: Option<&Ready> = (prepared.is_some() && *pixels == PixelSubset::All).then(|| cached(prepared));
         let chunks = |g: usize| groups[g].walk.chunks().enumerate().map(move |(c, rays)| (g, c, rays));
         let items: Vec<_> = (0..groups.len()).flat_map(chunks).collect();
         let one = |scratch: &mut GroupScratch, (g, c, rays): (usize, usize, Range<usize>)| {
@@ -314,7 +302,7 @@ impl Method for Nerf2 {
             (g, rays, sums)
         };
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
-        let totals = Self::gather(setup, request, &groups, results.into_iter());
+        let totals = Self::gather(call, &groups, results.into_iter());
         let numbers = Self::observations(setup, &totals);
         let total = start.elapsed().as_secs_f64();
         (numbers, StageTimes { network: total, total, ..StageTimes::default() })

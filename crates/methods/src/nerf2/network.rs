@@ -108,15 +108,13 @@ impl Nerf2Network {
         conditions: &Conditions<'_>,
         unit: Real,
         d_emission: &[Real],
-        (d_weights, d_positions): (&mut [Real], &mut [[Real; 3]]),
+        (d_weights, d_positions): (&mut [Real], Option<&mut [[Real; 3]]>),
     ) {
         let (read, batch) = (self.read(conditions, unit), conditions.len());
         let d = Matrix::new(d_emission, batch, self.width());
         let d_w = self.signal[0].weight_mut(d_weights).columns(self.of_transmitter());
         product(d_w, StoreMode::Add, d.t(), Matrix::new(&read, batch, self.emission_inputs));
-        if d_positions.is_empty() {
-            return;
-        }
+        let Some(d_positions) = d_positions else { return };
         let mut d_read = vec![0.0; read.len()];
         let w = self.signal[0].weight(weights).columns(self.of_transmitter());
         product(MatrixMut::new(&mut d_read, batch, self.emission_inputs), StoreMode::Set, d, w);

@@ -126,7 +126,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 group.back(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
-        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, &mut []));
+        network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, None));
         d_weights
     };
     let found = back(true);

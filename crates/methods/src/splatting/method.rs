@@ -6,9 +6,9 @@ use super::{BlendedSignals, Geometry, ReceiverView, Splatting, check_kind, check
 use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Activated, Appearance, Cache, Conditions, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud,
-    Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, ObservationRequest, Parameters, PassStatistics,
-    Real, StageTimes, WeightSpec, cached, sigmoid,
+    Activated, Appearance, Cache, Call, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud, Layout,
+    LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, Parameters, PassStatistics, Real, StageTimes,
+    WeightSpec, cached, sigmoid,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -59,11 +59,11 @@ impl Splatting {
         view: &ReceiverView,
         laws: PathLossLaws<'_>,
         group: &ReceiverGroup,
-        request: &ObservationRequest<'_>,
+        links: &LinkInputs,
         blended: &[Real],
     ) -> Vec<Real> {
         match laws.of(group.receiver) {
-            Some(law) => received::forward(&view.plane, law, &group.distances(&view.pose, request), blended),
+            Some(law) => received::forward(&view.plane, law, &group.distances(&view.pose, links), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
     }
@@ -93,39 +93,33 @@ impl Splatting {
     }
 
     /// Observes the links. In training, it keeps the state for the backward pass, and clamps blended signals as released.
-    fn observe(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-        is_training: bool,
-    ) -> (ForwardOutput, StageTimes) {
+    fn observe(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
         let of_network = ready.map_or(&None, |ready| &ready.deformation);
-        let (deltas, kept) = self.terms(setup, p, request.conditions, of_network, is_training);
+        let (deltas, kept) = self.terms(call, of_network, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let (views, laws, numbers) = (self.views(setup), self.parts(setup, p.weights).1, setup.numbers());
         let one = |group: ReceiverGroup| {
             let start = Instant::now();
-            let view = Self::view(&views, &group, request.conditions);
+            let view = Self::view(&views, &group, links.conditions());
             let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.receiver));
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
-            let drawing = self.draw(&view, p, &terms, batch, shared_geometry);
+            let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
             let blended = &drawing.render.pixels;
             let blended = if is_training { self.shown(blended) } else { Cow::Borrowed(blended.as_slice()) };
-            let own = self.read_out(&view, laws, &group, request, &blended);
+            let own = self.read_out(&view, laws, &group, links, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
             (own, seconds, is_training.then(|| (view.into_owned(), drawing)), group)
         };
-        let groups = ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves()));
+        let groups = ReceiverGroup::all(&links.links, views.len(), self.shares_geometry(links.conditions().moves()));
         let is_alone = groups.len() == 1; // its links are in order
         let drawn: Vec<_> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
         let (mut all, mut drawings) = (Vec::new(), Vec::new());
-        all.resize(if is_alone { 0 } else { request.links.len() * numbers }, 0.0);
+        all.resize(if is_alone { 0 } else { links.links.len() * numbers }, 0.0);
         for (own, [projection, sort, blending], drawing, group) in drawn {
             times.projection += projection;
             times.sort += sort;
@@ -156,16 +150,10 @@ impl Splatting {
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(setup)?)
     }
 
-    pub(super) fn terms(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        conditions: Conditions<'_>,
-        prepared: &Cache,
-        is_training: bool,
-    ) -> (Deltas, Cache) {
+    pub(super) fn terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let (network, pose) = (self.parts(setup, p.weights).0, setup.pose());
-        let inputs = DeformationInputs::new(network, &p.cloud.means, conditions, &pose);
+        let inputs = DeformationInputs::new(network, &p.cloud.means, links.conditions(), &pose);
         groups::terms(&*self.deformation, &inputs, prepared, is_training)
     }
 }
@@ -226,25 +214,12 @@ impl Method for Splatting {
         open.into_iter().filter(drawn).collect()
     }
 
-    fn forward(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> ForwardOutput {
-        self.observe(setup, p, request, prepared, true).0
+    fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput {
+        self.observe(call, prepared, true).0
     }
 
-    fn vjp(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        observed: ForwardOutput,
-        d: &[Real],
-        sums: &mut MethodVjp,
-    ) {
+    fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
+        let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);
         let (numbers, n) = (setup.numbers(), p.cloud.len());
         let (network, laws) = self.parts(setup, p.weights);
@@ -255,40 +230,32 @@ impl Method for Splatting {
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
-            let distances = group.distances(&view.pose, request);
+            let distances = group.distances(&view.pose, links);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            let is_requested = !sums.positions.is_empty();
-            if let (Some([_, exponent]), true) = (laws.of(group.receiver), is_requested) {
+            if let (Some([_, exponent]), Some(d_positions)) = (laws.of(group.receiver), &mut sums.positions) {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(&view.pose, request, d_distances, &mut sums.positions);
+                group.distances_vjp(&view.pose, links, d_distances, d_positions);
             }
             let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
-                self.draw_vjp(view, drawing, p, terms, &d_blended, own)
+                self.draw_vjp(view, drawing, &p, terms, &d_blended, own)
             });
             // Links of a moving receiver have a geometry each.
-            if is_requested && request.conditions.moves() {
+            if let (Some(positions), true) = (&mut sums.positions, links.conditions().moves()) {
                 let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                (0..3).for_each(|k| sums.positions[group.row()][k] += d_position[k] as Real);
-                if let Some(sum) = sums.orientations.get_mut(group.row()) {
-                    (0..4).for_each(|k| sum[k] += d_orientation[k]);
+                (0..3).for_each(|k| positions[group.row()][k] += d_position[k] as Real);
+                if let Some(orientations) = &mut sums.orientations {
+                    (0..4).for_each(|k| orientations[group.row()][k] += d_orientation[k]);
                 }
             }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
-        let (means, txs) = (&p.cloud.means, request.conditions);
+        let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
         groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 
-    fn survey(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        truths: &[Real],
-        needs: &Needs,
-    ) -> PassStatistics {
-        self.run_survey(&SurveyRequest { setup, p, request, truths, needs })
+    fn survey(&self, call: &Call<'_>, truths: &[Real], needs: &Needs) -> PassStatistics {
+        self.run_survey(&SurveyRequest { call, truths, needs })
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
@@ -304,14 +271,8 @@ impl Method for Splatting {
         }))
     }
 
-    fn predict(
-        &self,
-        setup: &MeasurementSetup,
-        p: &Parameters<'_>,
-        request: &ObservationRequest<'_>,
-        prepared: &Cache,
-    ) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(setup, p, request, prepared, false);
+    fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
+        let (observed, times) = self.observe(call, prepared, false);
         (observed.numbers, times)
     }
 

@@ -3,10 +3,7 @@
 use super::{BlendedSignals, Geometry, ReceiverView, Splatting};
 use crate::Calibration;
 use crate::groups::ReceiverGroup;
-use pwrfgs_core::{
-    Deltas, MeasurementSetup, Needs, ObservationRequest, Parameters, PassStatistics, Real, SplatStats, Splats,
-    Statistic, SurveyInputs,
-};
+use pwrfgs_core::{Call, Deltas, Needs, Parameters, PassStatistics, Real, SplatStats, Splats, Statistic, SurveyInputs};
 use std::sync::Arc;
 
 /// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
@@ -14,9 +11,7 @@ type Jacobian = [[Real; 6]; 5];
 
 /// Arguments of [`pwrfgs_core::Method::survey`].
 pub(super) struct SurveyRequest<'a> {
-    pub(super) setup: &'a MeasurementSetup,
-    pub(super) p: &'a Parameters<'a>,
-    pub(super) request: &'a ObservationRequest<'a>,
+    pub(super) call: &'a Call<'a>,
     pub(super) truths: &'a [Real],
     pub(super) needs: &'a Needs,
 }
@@ -29,16 +24,17 @@ impl SurveyRequest<'_> {
 
 impl Splatting {
     pub(super) fn run_survey(&self, question: &SurveyRequest<'_>) -> PassStatistics {
-        let SurveyRequest { setup, p, request, needs, .. } = *question;
+        let SurveyRequest { call, needs, .. } = *question;
+        let Call { setup, parameters: p, links, .. } = call;
         let (views, n) = (self.views(setup), p.cloud.len());
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
         let blind = is_static && !question.any(reads_signals);
-        let deltas = if blind { Deltas::default() } else { self.terms(setup, p, request.conditions, &None, false).0 };
+        let deltas = if blind { Deltas::default() } else { self.terms(call, &None, false).0 };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
-        for group in ReceiverGroup::all(request.links, views.len(), self.shares_geometry(request.conditions.moves())) {
-            let view = &*Self::view(&views, &group, request.conditions);
+        for group in ReceiverGroup::all(&links.links, views.len(), self.shares_geometry(links.conditions().moves())) {
+            let view = &*Self::view(&views, &group, links.conditions());
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !question.any(per_link) {
@@ -64,13 +60,13 @@ impl Splatting {
         link: &ReceiverGroup,
         blended: &[Real],
     ) -> Vec<Real> {
-        let SurveyRequest { setup, p, request, .. } = *question;
+        let Call { setup, parameters: p, links, .. } = question.call;
         if setup.task.has_pixels && self.calibration == Calibration::Physical {
             return self.readout.slopes(blended, view.plane.width * view.plane.height);
         }
         let [offset, exponent] = &mut [0.0; 2];
         let d_law = self.parts(setup, p.weights).1.of(link.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(&view.pose, request), blended, &vec![1.0; setup.numbers()])
+        self.read_out_vjp(view, d_law, &link.distances(&view.pose, links), blended, &vec![1.0; setup.numbers()])
     }
 
     /// Evaluates all links of a geometry, whose weights are equal; only `signals` `[N, links · channels]` differ.
@@ -112,11 +108,11 @@ impl Splatting {
         drawing: &BlendedSignals,
         jacobians: &[Jacobian],
     ) -> PassStatistics {
-        let SurveyRequest { setup, p, request, truths, needs } = *question;
+        let SurveyRequest { call: Call { setup, parameters: p, links, .. }, truths, needs } = *question;
         let BlendedSignals { geometry, signals, render, .. } = drawing;
         let (splats, channels) = (&geometry.splats, self.readout.channels());
         let truth = &truths[link.first() * setup.numbers()..][..setup.numbers()];
-        let made = self.read_out(view, self.parts(setup, p.weights).1, link, request, &self.shown(&render.pixels));
+        let made = self.read_out(view, self.parts(setup, p.weights).1, link, links, &self.shown(&render.pixels));
         let slopes = self.slopes(question, view, link, &render.pixels);
         let asks = |what: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(what);
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();

@@ -2,7 +2,7 @@
 //! processes, mean and method.
 
 use super::{Member, Prepared, mean};
-use pwrfgs_core::{ForwardOutput, Image, MethodVjp, Query, Real};
+use pwrfgs_core::{Call, ForwardOutput, Image, MethodVjp, Query, Real, WantedInputs};
 
 impl Prepared<'_> {
     /// Returns whether [`Self::predict_vjp`] has a derivative: every model differentiates positions.
@@ -71,24 +71,20 @@ fn clamp_vjp(clamped: bool, values: &[Real], d: &mut [Real]) {
 
 impl Member<'_> {
     fn forward(&self, query: Query<'_>) -> ForwardOutput {
-        let stages = &self.model.stages;
-        let run =
-            || self.with_request(&[query], |p, request| stages.method.forward(&stages.setup, p, request, &self.ready));
-        self.enter(run)
+        let method = &self.model.stages.method;
+        self.enter(|| self.call(&[query], |call| method.forward(call, &self.ready)))
     }
 
     /// Returns the derivatives by position and orientation, given the cotangents of the observation.
     fn vjp(&self, query: Query<'_>, observed: ForwardOutput, d: &[Real]) -> ([f64; 3], [f64; 4]) {
-        let stages = &self.model.stages;
-        let run = || {
-            self.with_request(&[query], |p, request| {
-                let turns = stages.method.traits().differentiates_orientations;
-                let (positions, orientations) = (vec![[0.0; 3]], vec![[0.0; 4]; usize::from(turns)]);
-                let mut sums = MethodVjp { positions, orientations, ..MethodVjp::zeros(p) };
-                stages.method.vjp(&stages.setup, p, request, observed, d, &mut sums);
-                (sums.positions[0].map(|d| d as f64), sums.orientations.first().copied().unwrap_or_default())
-            })
+        let method = &self.model.stages.method;
+        let orientations = method.traits().differentiates_orientations;
+        let run = |call: &Call<'_>| {
+            let mut sums = MethodVjp::zeros(call, WantedInputs { positions: true, orientations });
+            method.vjp(call, observed, d, &mut sums);
+            let position = sums.positions.expect("wanted")[0].map(|d| d as f64);
+            (position, sums.orientations.map_or([0.0; 4], |all| all[0]))
         };
-        self.enter(run)
+        self.enter(|| self.call(&[query], run))
     }
 }

@@ -5,8 +5,8 @@ use crate::predictor::Predictor;
 use crate::side::{LoadedData, ServerState, ViewPane};
 use hyper::StatusCode;
 use pwrfgs_core::{
-    Appearance, Image, LinkSet, MethodTraits, Needs, ObservationRequest as Request, Origin, Parameters, PixelSubset,
-    Query, Real, Statistic, neighbours,
+    Appearance, Call, Image, LinkSet, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic,
+    neighbours,
 };
 use pwrfgs_experiment::folder::{CURVE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
@@ -122,12 +122,12 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     if !blends {
         return strengths.iter().zip(&primitives.opacities).map(|(s, o)| s * o).collect();
     }
-    let inputs = stages.setup.inputs(inputs, std::iter::once(Query::at(tx, receiver)));
-    let request = Request { conditions: inputs.conditions(), links: &inputs.links, pixels: PixelSubset::All };
+    let links = &stages.setup.inputs(inputs, std::iter::once(Query::at(tx, receiver)));
     let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };
     let truth = vec![0.0; stages.setup.numbers()];
     let needs = Needs::of(&[Statistic::Weight], 0);
-    let statistics = stages.method.survey(&stages.setup, &parameters, &request, &truth, &needs);
+    let call = Call { setup: &stages.setup, parameters, links, pixels: &PixelSubset::All };
+    let statistics = stages.method.survey(&call, &truth, &needs);
     strengths.iter().zip(&statistics.weight).map(|(s, w)| s * w).collect()
 }
 
