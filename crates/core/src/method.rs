@@ -80,11 +80,15 @@ impl MeasurementSetup {
     }
 
     /// Returns the inputs of these links, of width `width`. Consecutive equal transmitters are merged.
+    ///
+    /// # Panics
+    /// If there is no receiver of the index of a query.
     pub fn inputs<'q>(&self, width: usize, queries: impl Iterator<Item = Query<'q>>) -> LinkInputs {
         let (mut all, of_receivers) = (LinkInputs { width, ..LinkInputs::default() }, self.carriers());
         let mut last = None;
         for query in queries {
-            let receiver = query.receiver.min(self.receivers.len() - 1);
+            let receiver = query.receiver;
+            assert!(receiver < self.receivers.len(), "receiver {receiver} of {}", self.receivers.len());
             let carrier = of_receivers.get(receiver);
             let input = (query.tx, query.features, query.orientation, carrier);
             if last != Some(input) {
@@ -412,5 +416,17 @@ pub struct Cost {
 impl Default for Cost {
     fn default() -> Self {
         Self { per_gaussian: 0, per_term: 0, pixels: 0, bytes: 0, links_at_once: usize::MAX }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    #[should_panic(expected = "receiver 1 of 1")]
+    fn receiver_out_of_range_is_not_replaced_by_another() {
+        let setup = MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, ImagePlane::plain(1, 1));
+        setup.inputs(3, std::iter::once(Query::at([0.0; 3], 1)));
     }
 }
