@@ -38,6 +38,8 @@ fn inspects_simulated_office_as_folder_and_as_pipeline() {
         assert!(message.contains(words), "`{words}` is not in {message}");
     }
     assert_eq!(timed(&message), ["8", "1"], "{message}");
+    let message = stdout(&succeed(here, &["check", "small.ron", "--set", "training.densify.max_gaussians=20"]));
+    assert!(!message.contains("; more if densification"), "the limit is in the estimate: {message}");
     let target = ["--set", "pruners=[RandomReference()]", "--set", "training.target_count=3"];
     let message = stdout(&succeed(here, &[&["check", "small.ron"][..], &target].concat()));
     assert_eq!(timed(&message), ["8", "3"], "{message}");

@@ -228,3 +228,13 @@ fn validation_in_the_step_of_an_opacity_reset_precedes_it() {
     assert_eq!(reset[..2], never[..2], "steps 10 and 20");
     assert_ne!(reset[2], never[2], "step 30 follows the reset");
 }
+
+#[test]
+fn run_whose_masks_leave_one_gaussian_names_lambda_and_scale() {
+    let folder = folder();
+    let run = |pruner: &str| stderr(&succeed(folder.path(), &["run", "p.ron", "--set", pruner, "--out", &pruner[9..]]));
+    let message = run("pruners=[LearnableMask(lambda: 1000, learning_rate: 0.3)]");
+    let words = "masks closed all but one of 8 Gaussians: λ decides a share of the start";
+    assert!(message.contains(words) && message.contains("larger --scale"), "{message}");
+    assert!(!run("pruners=[RandomReference()]").contains("all but one"));
+}

@@ -11,7 +11,7 @@ use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::text::{aligned, duration, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline, staged, warn_of_findings};
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::train::{Rays, TimeEstimate};
+use pwrfgs::train::{Rays, TimeEstimate, Training};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
 use pwrfgs_core::{DataSource, Dataset, Error, Plugin, Result, recognise};
 use std::path::{Path, PathBuf};
@@ -86,13 +86,18 @@ fn text(p: &Preview) -> String {
         ),
         ("phases", names(phases.into_iter().flatten().collect())),
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.step_bytes))),
-        ("time", time(&p.time, t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps))),
+        ("time", time(&p.time, is_unlimited(t))),
         ("machine", machine(p)),
     ];
     let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
     rows.extend(p.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
+}
+
+/// Whether densification may add Gaussians beyond those of the estimate.
+fn is_unlimited(t: &Training) -> bool {
+    t.densify.max_gaussians == 0 && t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps)
 }
 
 /// Expected training time with its range, and the timed steps.
