@@ -31,10 +31,9 @@ fn main() {
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();
     let links: Vec<Link> = (0..RAYS).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
     let some = |count: usize| LinkInputs {
-        width: 3,
         values: conditions[..3 * count].to_vec(),
         links: links[..count].to_vec(),
-        ..LinkInputs::default()
+        ..LinkInputs::of(3, &setup)
     };
     let [all, one, five] = [RAYS, 1, 5].map(some);
     let call = |links| Call { setup: &setup, parameters, links, pixels: &PixelSubset::All };

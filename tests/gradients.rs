@@ -109,8 +109,12 @@ impl Step {
         let Stages { method, setup } = &*self.stages;
         let (cloud, weights) = (&self.cloud, &self.weights);
         let parameters = Parameters { cloud, gate: None, existence: None, weights };
-        let links = &LinkInputs { values: conditions.to_vec(), ..self.batch.inputs.clone() };
-        let call = Call { setup, parameters, links, pixels: &PixelSubset::All };
+        let mut links = LinkInputs { values: conditions.to_vec(), ..self.batch.inputs.clone() };
+        if setup.moves {
+            let poses = links.receivers.iter_mut().map(|state| &mut state.pose);
+            poses.zip(conditions.as_chunks().0).for_each(|(pose, at)| pose.position = at.map(f64::from));
+        }
+        let call = Call { setup, parameters, links: &links, pixels: &PixelSubset::All };
         let observed = method.forward(&call, &None);
         let numbers = observed.numbers.clone();
         let mut sums = MethodVjp::zeros(&call, WantedInputs { positions: !alone, orientations: false });
@@ -231,7 +235,7 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
     let numbers = LINKS.len() * stages.setup.numbers();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
-    let inputs = LinkInputs { values: conditions, width, links: LINKS.to_vec(), ..LinkInputs::default() };
+    let inputs = LinkInputs { values: conditions, links: LINKS.to_vec(), ..LinkInputs::of(width, &stages.setup) };
     step.batch = Batch { inputs, truths, ..Batch::default() };
     step.stages = Arc::new(stages);
     step.objective = objective;
@@ -283,9 +287,14 @@ fn spectra_at_moving_receiver_differentiate() {
     let poses = receivers().into_iter().map(|receiver| receiver.pose).chain([Pose::IDENTITY]);
     let mut stages = (*step.stages).clone();
     stages.setup = MeasurementSetup { receivers: receivers()[..1].to_vec(), moves: true, ..stages.setup };
-    step.batch.inputs.values = poses.clone().flat_map(|pose| pose.position.map(|v| v as Real)).collect();
-    step.batch.inputs.orientations = poses.map(|pose| pose.orientation).collect();
-    step.batch.inputs.links = vec![link(0, 0), link(1, 0), link(2, 0)];
+    let mut inputs = LinkInputs::of(3, &stages.setup);
+    for pose in poses {
+        let position = pose.position.map(|v| v as Real);
+        inputs.values.extend(position);
+        inputs.moved_to(&stages.setup, position, Some(pose.orientation));
+        inputs.link(&stages.setup, 0);
+    }
+    step.batch.inputs = inputs;
     step.batch.truths.truncate(3 * stages.setup.numbers());
     step.stages = Arc::new(stages);
     step.check("spectra at a moving receiver", None);

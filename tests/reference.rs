@@ -125,7 +125,7 @@ impl Start {
             opacity_logits: reference.array("in_opacity_logit"),
             extra: mask.map(column).into_iter().collect(),
         };
-        let batch = batch_at(&reference.rows("in_tx"), reference.array("in_gt"));
+        let batch = batch_at(&reference.rows("in_tx"), reference.array("in_gt"), &stages);
         Self { stages: Arc::new(stages), cloud, weights, batch, pruners }
     }
 

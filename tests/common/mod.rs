@@ -84,13 +84,13 @@ pub(crate) fn batch(count: usize, stages: &Stages) -> Batch {
     let random = &mut rng::stream(7, "test batch", 0);
     let pixels = stages.plane.width * stages.plane.height;
     let txs: Vec<[Real; 3]> = (0..count).map(|_| [(); 3].map(|()| rng::normal(random))).collect();
-    batch_at(&txs, (0..count * pixels).map(|_| rng::uniform(random)).collect())
+    batch_at(&txs, (0..count * pixels).map(|_| rng::uniform(random)).collect(), stages)
 }
 
 /// Transmitters at `txs` that the first receiver receives.
-pub(crate) fn batch_at(txs: &[[Real; 3]], truths: Vec<Real>) -> Batch {
+pub(crate) fn batch_at(txs: &[[Real; 3]], truths: Vec<Real>, stages: &Stages) -> Batch {
     let links = (0..txs.len()).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-    let inputs = LinkInputs { values: txs.as_flattened().to_vec(), width: 3, links, ..LinkInputs::default() };
+    let inputs = LinkInputs { values: txs.as_flattened().to_vec(), links, ..LinkInputs::of(3, &stages.setup) };
     Batch { inputs, truths, ..Batch::default() }
 }
 

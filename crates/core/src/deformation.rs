@@ -192,13 +192,11 @@ impl Deltas {
 }
 
 /// Network input per transmitter, `[B, width]`: its position in metres from the origin, or the features that replace
-/// it. For a moving receiver: its positions, and its orientations beside them. For data with several carriers: the carrier
-/// beside each row.
+/// it. For a moving receiver: its position. For data with several carriers: the carrier beside each row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions<'a> {
     width: usize,
     values: &'a [Real],
-    orientations: &'a [[f64; 4]],
     carriers: &'a [Real],
 }
 
@@ -206,13 +204,7 @@ impl<'a> Conditions<'a> {
     /// Creates rows of `width` numbers; an incomplete last row is left out.
     pub fn new(width: usize, values: &'a [Real]) -> Self {
         let whole = values.len() - values.len() % width.max(1);
-        Self { width, values: &values[..whole], orientations: &[], carriers: &[] }
-    }
-
-    /// Returns the positions of a moving receiver with its orientations `[B,4]`; unchanged if there are none.
-    #[must_use]
-    pub fn turned(self, orientations: &'a [[f64; 4]]) -> Self {
-        Self { orientations, ..self }
+        Self { width, values: &values[..whole], carriers: &[] }
     }
 
     /// Returns the inputs with the carrier of each row `[B]`, from -1 to 1 ([`MeasurementSetup::carriers`](crate::MeasurementSetup::carriers));
@@ -225,17 +217,6 @@ impl<'a> Conditions<'a> {
     /// Returns the carrier of row `b`, from -1 to 1; 0 if the data have one carrier.
     pub fn carrier(&self, b: usize) -> Real {
         self.carriers.get(b).copied().unwrap_or(0.0)
-    }
-
-    /// Returns the pose of the moving receiver in row `b`, relative to the origin; `None` for a fixed receiver.
-    pub fn pose(&self, b: usize) -> Option<Pose> {
-        let (position, orientation) = (self.positions().get(b)?, *self.orientations.get(b)?);
-        Some(Pose { position: position.map(f64::from), orientation })
-    }
-
-    /// Returns whether the receiver moves.
-    pub fn moves(&self) -> bool {
-        !self.orientations.is_empty()
     }
 
     /// Returns the number of transmitters B.
@@ -261,9 +242,8 @@ impl<'a> Conditions<'a> {
     /// Returns a range of the transmitters.
     pub fn rows(&self, range: Range<usize>) -> Self {
         let values = &self.values[range.start * self.width..range.end * self.width];
-        let orientations = self.orientations.get(range.clone()).unwrap_or_default();
         let carriers = self.carriers.get(range).unwrap_or_default();
-        Self { width: self.width, values, orientations, carriers }
+        Self { width: self.width, values, carriers }
     }
 
     /// Returns the positions `[B,3]`; empty if the inputs are features. A deformation that requests positions by

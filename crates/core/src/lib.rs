@@ -55,7 +55,7 @@ pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightGroup, WeightSpec};
 pub use method::{
     Activated, Appearance, Call, Cost, ForwardOutput, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp,
-    Parameters, PixelSubset, WantedInputs,
+    Parameters, PixelSubset, ReceiverState, WantedInputs,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};

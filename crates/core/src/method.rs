@@ -84,50 +84,80 @@ impl MeasurementSetup {
     /// # Panics
     /// If there is no receiver of the index of a query.
     pub fn inputs<'q>(&self, width: usize, queries: impl Iterator<Item = Query<'q>>) -> LinkInputs {
-        let (mut all, of_receivers) = (LinkInputs { width, ..LinkInputs::default() }, self.carriers());
-        let mut last = None;
+        let (mut all, carriers, mut last) = (LinkInputs::of(width, self), self.carriers(), None);
         for query in queries {
             let receiver = query.receiver;
             assert!(receiver < self.receivers.len(), "receiver {receiver} of {}", self.receivers.len());
-            let carrier = of_receivers.get(receiver);
+            let carrier = carriers.get(receiver);
             let input = (query.tx, query.features, query.orientation, carrier);
             if last != Some(input) {
-                if self.moves {
-                    all.orientations.push(query.orientation.unwrap_or(self.pose().orientation));
-                }
                 all.carriers.extend(carrier);
                 if query.features.is_empty() {
-                    all.values.extend(self.origin.local(query.tx));
+                    let position = self.origin.local(query.tx);
+                    all.values.extend(position);
+                    all.moved_to(self, position, query.orientation);
                 } else {
                     all.values.extend_from_slice(query.features);
                 }
             }
-            all.links.push(Link { transmitter: all.values.len() / width.max(1) - 1, receiver });
+            all.link(self, receiver);
             last = Some(input);
         }
         all
     }
 }
 
-/// Links with the network inputs of their transmitters, from [`MeasurementSetup::inputs`].
+/// Links with the network inputs of their transmitters and the poses of their receivers, from
+/// [`MeasurementSetup::inputs`].
 #[derive(Clone, Debug, Default)]
 pub struct LinkInputs {
     /// Number of inputs per transmitter.
     pub width: usize,
     /// Network inputs `[T, width]`.
     pub values: Vec<Real>,
-    /// Orientations `[T,4]` of a moving receiver; otherwise empty.
-    pub orientations: Vec<[f64; 4]>,
     /// Carriers `[T]` ([`MeasurementSetup::carriers`]); empty for one carrier.
     pub carriers: Vec<Real>,
-    /// Links as rows of `values` and receivers of the setup.
+    /// Receivers: all of the setup, or a moving one at one pose after another.
+    pub receivers: Vec<ReceiverState>,
+    /// Links as rows of `values` and of `receivers`.
     pub links: Vec<Link>,
 }
 
+/// A receiver at a pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReceiverState {
+    /// Index of the receiver in the setup.
+    pub receiver: usize,
+    /// Its pose, relative to the origin.
+    pub pose: Pose,
+}
+
 impl LinkInputs {
+    /// Creates the inputs of no links, at the fixed receivers of `setup`.
+    pub fn of(width: usize, setup: &MeasurementSetup) -> Self {
+        let fixed = setup.receivers.iter().enumerate().filter(|_| !setup.moves);
+        let receivers = fixed.map(|(receiver, own)| ReceiverState { receiver, pose: own.pose }).collect();
+        Self { width, receivers, ..Self::default() }
+    }
+
+    /// Moves the receiver of `setup`, if it moves, to `position` and `orientation`, for the next links.
+    pub fn moved_to(&mut self, setup: &MeasurementSetup, position: [Real; 3], orientation: Option<[f64; 4]>) {
+        if setup.moves {
+            let orientation = orientation.unwrap_or(setup.pose().orientation);
+            let pose = Pose { position: position.map(f64::from), orientation };
+            self.receivers.push(ReceiverState { receiver: 0, pose });
+        }
+    }
+
+    /// Adds the link of the last transmitter with a receiver of `setup`, or with the last pose of a moving one.
+    pub fn link(&mut self, setup: &MeasurementSetup, receiver: usize) {
+        let receiver = if setup.moves { self.receivers.len() - 1 } else { receiver };
+        self.links.push(Link { transmitter: self.values.len() / self.width.max(1) - 1, receiver });
+    }
+
     /// Borrows the network inputs.
     pub fn conditions(&self) -> Conditions<'_> {
-        Conditions::new(self.width, &self.values).turned(&self.orientations).at_carriers(&self.carriers)
+        Conditions::new(self.width, &self.values).at_carriers(&self.carriers)
     }
 }
 
@@ -207,22 +237,22 @@ pub struct MethodVjp {
     /// Derivative with respect to the positions in the [links](Call::links) `[T, 3]`; `None` unless wanted. The position
     /// of a moving receiver also changes the geometry, which this includes.
     pub positions: Option<Vec<[Real; 3]>>,
-    /// Derivative with respect to the orientations of a moving receiver in the links `[T, 4]`; `None` unless wanted.
+    /// Derivative with respect to the orientations of the [receivers](LinkInputs::receivers) `[R, 4]`; `None` unless wanted.
     pub orientations: Option<Vec<[f64; 4]>>,
 }
 
 impl MethodVjp {
     /// Creates zeros for the parameters of `call`, and for those derivatives by its inputs that are `wanted`.
     pub fn zeros(call: &Call<'_>, wanted: WantedInputs) -> Self {
-        let (n, rows) = (call.parameters.cloud.len(), call.links.conditions().len());
+        let (n, links) = (call.parameters.cloud.len(), call.links);
         Self {
             cloud: call.parameters.cloud.zeros_like(),
             gate: vec![0.0; n],
             existence: vec![0.0; n],
             weights: vec![0.0; call.parameters.weights.len()],
             stats: CloudStats::zeros(n),
-            positions: wanted.positions.then(|| vec![[0.0; 3]; rows]),
-            orientations: wanted.orientations.then(|| vec![[0.0; 4]; rows]),
+            positions: wanted.positions.then(|| vec![[0.0; 3]; links.conditions().len()]),
+            orientations: wanted.orientations.then(|| vec![[0.0; 4]; links.receivers.len()]),
         }
     }
 }
@@ -232,7 +262,7 @@ impl MethodVjp {
 pub struct WantedInputs {
     /// Positions, from a method that [differentiates](MethodTraits::differentiates_positions) them.
     pub positions: bool,
-    /// Orientations of a moving receiver, from a method that [differentiates](MethodTraits::differentiates_orientations)
+    /// Orientations of the receivers, from a method that [differentiates](MethodTraits::differentiates_orientations)
     /// them; together with the positions.
     pub orientations: bool,
 }

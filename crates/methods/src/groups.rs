@@ -3,16 +3,18 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, Link,
-    LinkInputs, MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Pose, Real, Vec3,
+    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, LinkInputs,
+    MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// Links of one receiver.
+/// Links of one receiver at one pose.
 #[derive(Debug)]
 pub(crate) struct ReceiverGroup {
-    pub(crate) receiver: usize,
+    pub(crate) state: ReceiverState,
+    /// Index into [`LinkInputs::receivers`].
+    pub(crate) row: usize,
     /// Indices into the list of links.
     pub(crate) links: Vec<usize>,
     /// Rows of their transmitters.
@@ -21,13 +23,14 @@ pub(crate) struct ReceiverGroup {
 
 impl ReceiverGroup {
     /// Groups all links by receiver; one group per link if links do not `share` a geometry.
-    pub(crate) fn all(links: &[Link], receivers: usize, share: bool) -> Vec<Self> {
+    pub(crate) fn all(LinkInputs { receivers, links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
-        for receiver in 0..receivers {
-            let own: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == receiver).collect();
+        for (row, state) in receivers.iter().enumerate() {
+            let own: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
             let together = if share { own.len().max(1) } else { 1 };
             groups.extend(own.chunks(together).map(|part| Self {
-                receiver,
+                state: *state,
+                row,
                 links: part.to_vec(),
                 rows: part.iter().map(|&i| links[i].transmitter).collect(),
             }));
@@ -37,13 +40,13 @@ impl ReceiverGroup {
 
     /// Returns its links, each as a separate group.
     pub(crate) fn alone(&self) -> impl Iterator<Item = Self> + '_ {
-        let one =
-            |(link, row): (&usize, &usize)| Self { receiver: self.receiver, links: vec![*link], rows: vec![*row] };
+        let (state, row) = (self.state, self.row);
+        let one = move |(link, tx): (&usize, &usize)| Self { state, row, links: vec![*link], rows: vec![*tx] };
         self.links.iter().zip(&self.rows).map(one)
     }
 
     /// Returns the row of its first transmitter.
-    pub(crate) fn row(&self) -> usize {
+    pub(crate) fn transmitter(&self) -> usize {
         self.rows[0]
     }
 
@@ -53,23 +56,23 @@ impl ReceiverGroup {
     }
 
     /// Returns the distance from receiver to transmitter per link, metres; empty if positions are unknown.
-    pub(crate) fn distances(&self, pose: &Pose, links: &LinkInputs) -> Vec<Real> {
+    pub(crate) fn distances(&self, links: &LinkInputs) -> Vec<Real> {
+        let receiver = self.state.pose.origin();
         let txs = links.conditions().positions();
-        let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - pose.origin()).length());
+        let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - receiver).length());
         self.rows.iter().filter_map(distance).collect()
     }
 
     /// Adds to the cotangents of the positions, given those of [`Self::distances`].
     pub(crate) fn distances_vjp(
         &self,
-        pose: &Pose,
         links: &LinkInputs,
         d: impl Iterator<Item = Real>,
         d_positions: &mut [[Real; 3]],
     ) {
         let txs = links.conditions().positions();
         for (row, d) in self.rows.iter().zip(d) {
-            let way = Vec3::from_array(txs[*row]) - pose.origin();
+            let way = Vec3::from_array(txs[*row]) - self.state.pose.origin();
             let d_way = way.normalize_or_zero() * d;
             d_positions[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
         }

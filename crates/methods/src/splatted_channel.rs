@@ -13,8 +13,8 @@ use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
     Activated, Appearance, Cache, Call, Cost, Dataset, Deformation, DeformationInputs, Deltas, ForwardOutput,
-    GaussianCloud, JsonSchema, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters, Plugin, Real,
-    StageTimes, Task, WeightSpec, cached, consts, evenly,
+    GaussianCloud, JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters,
+    Plugin, Real, ReceiverState, StageTimes, Task, WeightSpec, cached, consts, evenly,
 };
 use pwrfgs_networks::Mlp;
 use serde::{Deserialize, Serialize};
@@ -93,12 +93,12 @@ impl SplattedChannel {
         let network = start.elapsed().as_secs_f64();
         let mut numbers = vec![0.0; links.links.len() * setup.numbers()];
         let mut received = Vec::new();
-        for group in ReceiverGroup::all(&links.links, setup.receivers.len(), true) {
-            let fresh = || Arc::new(Waves::new(setup, group.receiver, p.cloud, p.gate));
-            let waves = ready.map_or_else(fresh, |ready| Arc::clone(&ready.waves[group.receiver]));
+        for group in ReceiverGroup::all(links, true) {
+            let fresh = || Arc::new(Waves::new(setup, group.state, p.cloud, p.gate));
+            let waves = ready.and_then(|ready| ready.waves.get(group.state.receiver).cloned()).unwrap_or_else(fresh);
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
             let signals = self.activation().signals(p.cloud, &terms, batch);
-            let (mut own, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.receiver));
+            let (mut own, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.state.receiver));
             own.iter_mut().for_each(|v| *v *= level);
             group.scatter(&own, setup.numbers(), &mut numbers);
             received.extend(is_training.then_some((group, waves, signals)));
@@ -191,12 +191,12 @@ impl Method for SplattedChannel {
         let (network, offsets) = parts(setup, p.weights);
         for (group, waves, signals) in received {
             let links = group.links.len();
-            let level = level(offsets, group.receiver);
+            let level = level(offsets, group.state.receiver);
             let d: Vec<Real> = group.gather(d, setup.numbers()).iter().map(|d| level * d).collect();
             let along: Real = waves.sum(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
-            sums.weights[network.len() + group.receiver] += consts::LN_10 * along;
+            sums.weights[network.len() + group.state.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
-            Waves::vjp(setup, group.receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
+            Waves::vjp(setup, group.state, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
             group.terms_vjp(deltas, n, &mut own, |terms, batch, own| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, own);
             });
@@ -213,8 +213,8 @@ impl Method for SplattedChannel {
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let deformation = self.deformation.prepare(parts(setup, p.weights).0, &p.cloud.means, &setup.pose());
-        let waves = |receiver| Arc::new(Waves::new(setup, receiver, p.cloud, p.gate));
-        let waves = (0..setup.receivers.len()).map(waves).collect();
+        let waves = |state: &ReceiverState| Arc::new(Waves::new(setup, *state, p.cloud, p.gate));
+        let waves = LinkInputs::of(0, setup).receivers.iter().map(waves).collect();
         Some(Arc::new(Ready { deformation, waves }))
     }
 

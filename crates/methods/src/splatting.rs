@@ -10,17 +10,15 @@ mod method;
 mod received;
 mod survey;
 
-use crate::groups::ReceiverGroup;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, Deltas, Elevation, ImagePlane, JsonSchema, MeasurementSetup, Parameters, Pose,
-    Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task,
+    Cache, Deformation, Deltas, Elevation, ImagePlane, JsonSchema, MeasurementSetup, Parameters, Pose, Primitives,
+    Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task,
 };
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
@@ -170,18 +168,6 @@ impl Splatting {
     pub fn views(&self, setup: &MeasurementSetup) -> Vec<ReceiverView> {
         let plane = self.sky(setup);
         setup.receivers.iter().map(|receiver| ReceiverView { pose: receiver.pose, plane: plane.clone() }).collect()
-    }
-
-    /// Returns the view of a group of links: that of the moving receiver, or of its own receiver.
-    fn view<'v>(views: &'v [ReceiverView], group: &ReceiverGroup, conditions: Conditions<'_>) -> Cow<'v, ReceiverView> {
-        let own = &views[group.receiver];
-        let moved = |pose| Cow::Owned(ReceiverView { pose, plane: own.plane.clone() });
-        conditions.pose(group.row()).map_or(Cow::Borrowed(own), moved)
-    }
-
-    /// Returns whether the links of a receiver share a projection.
-    fn shares_geometry(&self, moves: bool) -> bool {
-        !moves && !self.deformation.traits().varies_geometry
     }
 
     /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view.

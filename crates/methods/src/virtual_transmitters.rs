@@ -76,14 +76,14 @@ pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
 }
 
 /// Returns the links of each carrier, each with the positions of the moving node.
-fn groups(setup: &MeasurementSetup, links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
+fn groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
     let position = |i: &usize| txs.get(links.links[*i].transmitter).copied();
     let with_positions = |group: ReceiverGroup| {
         let own = group.links.iter().filter_map(position).collect();
         (group, own)
     };
-    ReceiverGroup::all(&links.links, setup.receivers.len(), true).into_iter().map(with_positions).collect()
+    ReceiverGroup::all(links, true).into_iter().map(with_positions).collect()
 }
 
 #[typetag::serde]
@@ -117,8 +117,8 @@ impl Method for VirtualTransmitters {
         let Call { setup, parameters: p, links, .. } = *call;
         let antennas = array(&setup.receivers[0]);
         let mut numbers = vec![0.0; links.links.len() * setup.numbers()];
-        for (group, positions) in groups(setup, links) {
-            let frequencies = setup.frequencies_of(group.receiver);
+        for (group, positions) in groups(links) {
+            let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
             let own = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
             group.scatter(&own, setup.numbers(), &mut numbers);
@@ -129,8 +129,8 @@ impl Method for VirtualTransmitters {
     fn vjp(&self, call: &Call<'_>, _: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
         let antennas = array(&setup.receivers[0]);
-        for (group, positions) in groups(setup, links) {
-            let frequencies = setup.frequencies_of(group.receiver);
+        for (group, positions) in groups(links) {
+            let frequencies = setup.frequencies_of(group.state.receiver);
             let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.

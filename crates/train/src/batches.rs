@@ -4,8 +4,7 @@ use crate::graph::Batch;
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
 use pwrfgs_core::{
-    Dataset, Error, ImagePlane, Link, LinkInputs, Needs, PixelSubset, Real, Result, StepContext, Task, rng,
-    stretch::stretch,
+    Dataset, Error, ImagePlane, LinkInputs, Needs, PixelSubset, Real, Result, StepContext, Task, rng, stretch::stretch,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -118,7 +117,7 @@ fn observed(
     pixels: PixelSubset,
     moved: &mut dyn FnMut(Real) -> Real,
 ) -> Result<Batch> {
-    let mut inputs = LinkInputs { width: stages.method.traits().inputs, ..LinkInputs::default() };
+    let mut inputs = LinkInputs::of(stages.method.traits().inputs, &stages.setup);
     let (mut before, each) = (None, matches!(pixels, PixelSubset::Each(_)));
     let (carriers, mut last) = (stages.carriers(), None);
     for &i in links {
@@ -128,14 +127,14 @@ fn observed(
             inputs.values.extend_from_slice(query.features); // one per link
             inputs.carriers.extend(carrier);
         } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !each) || carrier != last {
-            inputs.values.extend(data.scene.origin.local(query.tx).map(&mut *moved));
-            inputs.orientations.extend(query.orientation);
+            let position = data.scene.origin.local(query.tx).map(&mut *moved);
+            inputs.values.extend(position);
+            inputs.moved_to(&stages.setup, position, query.orientation);
             inputs.carriers.extend(carrier);
         }
         last = carrier;
         before = Some((transmitter, i));
-        let transmitter = inputs.values.len() / inputs.width.max(1) - 1;
-        inputs.links.push(Link { transmitter, receiver: query.receiver });
+        inputs.link(&stages.setup, query.receiver);
     }
     let of_link = pixels.of_link(stages.numbers());
     let sampling = stages.plane.sampling;

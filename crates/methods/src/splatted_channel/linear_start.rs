@@ -7,7 +7,7 @@
 
 use super::waves::Waves;
 use super::{SplattedChannel, offsets_mut, parts};
-use pwrfgs_core::{Cholesky, Conditions, Dataset, GaussianCloud, LinearPart, MeasurementSetup, Real};
+use pwrfgs_core::{Cholesky, Conditions, Dataset, GaussianCloud, LinearPart, MeasurementSetup, Real, ReceiverState};
 use rayon::prelude::*;
 
 /// Weight of both ridge penalties, relative to the mean of the diagonal.
@@ -32,7 +32,7 @@ impl SplattedChannel {
         let conditions = Conditions::new(self.deformation.traits().inputs, &all);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
         let (Some(linear), [_]) = (linear, setup.receivers.as_slice()) else { return false };
-        let waves = Waves::new(setup, 0, cloud, None);
+        let waves = Waves::new(setup, ReceiverState { receiver: 0, pose: setup.pose() }, cloud, None);
         let Some(all) = data.observations.channels() else { return false };
         let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();
         let Some(map) = ridge(&linear, &channels) else { return false };

@@ -4,7 +4,7 @@
 //! the gate m. Gaussians are points here, without projection or occlusion. The transmitter affects only the signals s,
 //! so that the waves W `[2AF, N]` are computed once for all links of a receiver.
 
-use pwrfgs_core::{GaussianCloud, MeasurementSetup, Real, Receiver, SPEED_OF_LIGHT, gain_at};
+use pwrfgs_core::{GaussianCloud, MeasurementSetup, Real, ReceiverState, SPEED_OF_LIGHT, gain_at};
 use rayon::prelude::*;
 
 /// Smallest distance between a Gaussian and an antenna in the model, metres.
@@ -21,9 +21,12 @@ pub(super) struct Waves {
 }
 
 /// Returns the antenna positions, metres from the origin.
-fn antennas(receiver: &Receiver) -> Vec<[f64; 3]> {
-    let place = |r: &[f64; 3]| std::array::from_fn(|k| receiver.pose.position[k] + r[k]);
-    receiver.array().iter().map(place).collect()
+fn antennas(setup: &MeasurementSetup, ReceiverState { receiver, pose }: ReceiverState) -> Vec<[f64; 3]> {
+    let place = |antenna: &[f64; 3]| {
+        let way = pose.turned(*antenna);
+        std::array::from_fn(|k| pose.position[k] + way[k])
+    };
+    setup.receivers[receiver].antennas.iter().map(place).collect()
 }
 
 /// Returns the vector from antenna to Gaussian, and its length of at least [`NEAREST_M`].
@@ -33,9 +36,14 @@ fn way(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
 }
 
 impl Waves {
-    pub(super) fn new(setup: &MeasurementSetup, receiver: usize, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Self {
-        let (n, frequencies) = (cloud.len(), setup.frequencies_of(receiver));
-        let (columns, antennas) = (frequencies.len(), antennas(&setup.receivers[receiver]));
+    pub(super) fn new(
+        setup: &MeasurementSetup,
+        state: ReceiverState,
+        cloud: &GaussianCloud,
+        gate: Option<&[Real]>,
+    ) -> Self {
+        let (n, frequencies) = (cloud.len(), setup.frequencies_of(state.receiver));
+        let (columns, antennas) = (frequencies.len(), antennas(setup, state));
         let mut both = vec![[0.0; 2]; antennas.len() * columns * n];
         both.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(row, out)| {
             let (antenna, hz) = (&antennas[row / columns], frequencies[row % columns]);
@@ -126,14 +134,14 @@ impl Waves {
     /// Adds to the cotangents of means and gate, given those of the waves.
     pub(super) fn vjp(
         setup: &MeasurementSetup,
-        receiver: usize,
+        state: ReceiverState,
         cloud: &GaussianCloud,
         gate: Option<&[Real]>,
         d_waves: &[[Real; 2]],
         (d_means, d_gate): (&mut [[Real; 3]], &mut [Real]),
     ) {
-        let (n, frequencies) = (cloud.len(), setup.frequencies_of(receiver));
-        let (columns, antennas) = (frequencies.len(), antennas(&setup.receivers[receiver]));
+        let (n, frequencies) = (cloud.len(), setup.frequencies_of(state.receiver));
+        let (columns, antennas) = (frequencies.len(), antennas(setup, state));
         d_means.par_iter_mut().zip(d_gate).enumerate().for_each(|(i, (d_mean, d_gate))| {
             let open = gate.map_or(1.0, |gate| gate[i] as f64);
             for (row, d) in d_waves.chunks_exact(n).enumerate() {

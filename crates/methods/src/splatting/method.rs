@@ -62,8 +62,8 @@ impl Splatting {
         links: &LinkInputs,
         blended: &[Real],
     ) -> Vec<Real> {
-        match laws.of(group.receiver) {
-            Some(law) => received::forward(&view.plane, law, &group.distances(&view.pose, links), blended),
+        match laws.of(group.state.receiver) {
+            Some(law) => received::forward(&view.plane, law, &group.distances(links), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
     }
@@ -100,11 +100,11 @@ impl Splatting {
         let of_network = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = self.terms(call, of_network, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-        let (views, laws, numbers) = (self.views(setup), self.parts(setup, p.weights).1, setup.numbers());
+        let (sky, laws, numbers) = (self.sky(setup), self.parts(setup, p.weights).1, setup.numbers());
         let one = |group: ReceiverGroup| {
             let start = Instant::now();
-            let view = Self::view(&views, &group, links.conditions());
-            let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.receiver));
+            let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
+            let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
             let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
             let blended = &drawing.render.pixels;
@@ -112,9 +112,9 @@ impl Splatting {
             let own = self.read_out(&view, laws, &group, links, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-            (own, seconds, is_training.then(|| (view.into_owned(), drawing)), group)
+            (own, seconds, is_training.then(|| (view, drawing)), group)
         };
-        let groups = ReceiverGroup::all(&links.links, views.len(), self.shares_geometry(links.conditions().moves()));
+        let groups = ReceiverGroup::all(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
         let drawn: Vec<_> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
@@ -229,22 +229,24 @@ impl Method for Splatting {
         let rows: Vec<usize> = (0..n).collect();
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
-            let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
-            let distances = group.distances(&view.pose, links);
+            let d_law = d_offsets
+                .get_mut(group.state.receiver)
+                .zip(d_exponents.get_mut(group.state.receiver))
+                .map(|(a, b)| [a, b]);
+            let distances = group.distances(links);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            if let (Some([_, exponent]), Some(d_positions)) = (laws.of(group.receiver), &mut sums.positions) {
+            if let (Some([_, exponent]), Some(d_positions)) = (laws.of(group.state.receiver), &mut sums.positions) {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(&view.pose, links, d_distances, d_positions);
+                group.distances_vjp(links, d_distances, d_positions);
             }
             let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, &p, terms, &d_blended, own)
             });
-            // Links of a moving receiver have a geometry each.
-            if let (Some(positions), true) = (&mut sums.positions, links.conditions().moves()) {
+            if let (Some(positions), true) = (&mut sums.positions, setup.moves) {
                 let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                (0..3).for_each(|k| positions[group.row()][k] += d_position[k] as Real);
+                (0..3).for_each(|k| positions[group.transmitter()][k] += d_position[k] as Real);
                 if let Some(orientations) = &mut sums.orientations {
-                    (0..4).for_each(|k| orientations[group.row()][k] += d_orientation[k]);
+                    (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
                 }
             }
             sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
@@ -263,7 +265,7 @@ impl Method for Splatting {
         let shared_geometry = |view: &ReceiverView| Arc::new(self.geometry(view, p, &Deltas::default(), 0));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &setup.pose()),
-            shared_geometry: if self.shares_geometry(setup.moves) {
+            shared_geometry: if !setup.moves && !self.deformation.traits().varies_geometry {
                 self.views(setup).iter().map(shared_geometry).collect()
             } else {
                 Vec::new()

@@ -26,15 +26,15 @@ impl Splatting {
     pub(super) fn run_survey(&self, question: &SurveyRequest<'_>) -> PassStatistics {
         let SurveyRequest { call, needs, .. } = *question;
         let Call { setup, parameters: p, links, .. } = call;
-        let (views, n) = (self.views(setup), p.cloud.len());
+        let (sky, n) = (self.sky(setup), p.cloud.len());
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
         let blind = is_static && !question.any(reads_signals);
         let deltas = if blind { Deltas::default() } else { self.terms(call, &None, false).0 };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
-        for group in ReceiverGroup::all(&links.links, views.len(), self.shares_geometry(links.conditions().moves())) {
-            let view = &*Self::view(&views, &group, links.conditions());
+        for group in ReceiverGroup::all(links, is_static) {
+            let view = &ReceiverView { pose: group.state.pose, plane: sky.clone() };
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !question.any(per_link) {
@@ -65,8 +65,8 @@ impl Splatting {
             return self.readout.slopes(blended, view.plane.width * view.plane.height);
         }
         let [offset, exponent] = &mut [0.0; 2];
-        let d_law = self.parts(setup, p.weights).1.of(link.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(&view.pose, links), blended, &vec![1.0; setup.numbers()])
+        let d_law = self.parts(setup, p.weights).1.of(link.state.receiver).map(|_| [offset, exponent]);
+        self.read_out_vjp(view, d_law, &link.distances(links), blended, &vec![1.0; setup.numbers()])
     }
 
     /// Evaluates all links of a geometry, whose weights are equal; only `signals` `[N, links · channels]` differ.
