@@ -8,14 +8,17 @@ use crate::{
 /// Selects the Gaussians to keep. A pruner is immutable: its state is in columns that it requests; state of the whole
 /// pipeline is a column with equal values.
 ///
-/// Only [`Pruner::keep`] is required. A learned strategy adds columns, a gate and a penalty, written forward-only on
-/// the tape of the step. Worked example: `pwrfgs_prune::LearnableMask`.
+/// All functions have defaults. A learned strategy adds columns, a gate and a penalty, written forward-only on the tape
+/// of the step. Worked example: `pwrfgs_prune::LearnableMask`.
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Pruner: crate::plugin::PluginObject {
     /// Returns `true` for each Gaussian to keep, `[N]`. Called at the prune steps of algorithm 1; with several pruners,
-    /// a Gaussian is kept if all keep it.
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool>;
+    /// a Gaussian is kept if all keep it. By default, keeps the Gaussians with an open gate ([`Gate::open`]), and all without
+    /// a gate.
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open)
+    }
 
     /// Returns the statistics for [`CloudStats::requested`] at a prune step, computed by a pass over training transmitters;
     /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
