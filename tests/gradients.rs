@@ -28,9 +28,6 @@ struct Factor {}
 
 #[typetag::serde]
 impl Pruner for Factor {
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        vec![true; cloud.len()]
-    }
     fn traits(&self) -> PrunerTraits {
         PrunerTraits { columns: vec![ColumnSpec::learned("factor", 1.0, 0.01)], ..PrunerTraits::default() }
     }

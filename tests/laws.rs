@@ -1,8 +1,7 @@
 //! Laws that every built-in plugin of a kind obeys; that all parse and survive their own text is in `registry.rs`.
 
-use crate::common::{MOMENT, built_in, cloud, plugin, stages, with_column};
+use crate::common::{built_in, cloud, plugin, stages};
 use pwrfgs::core::plugin::PluginKind;
-use pwrfgs::core::tape::values;
 use pwrfgs::core::{DeformationInputs, rng};
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::prelude::*;
@@ -62,28 +61,6 @@ fn splits_are_deterministic_disjoint_and_sorted() {
         all.dedup();
         assert!(all.len() == count && all.iter().all(|&i| i < data.len()), "{name}");
         assert_eq!(part(1), Partition { train, validation, test }, "{name}");
-    }
-}
-
-#[test]
-fn pruners_return_mask_and_score_per_gaussian() {
-    for (name, pruner) in all::<dyn Pruner>() {
-        for n in [0, 1, 9] {
-            let mut cloud = cloud(n, 3);
-            for spec in pruner.traits().columns {
-                assert_eq!(spec.width, 1, "{name}: this test makes columns of one number");
-                cloud = with_column(cloud, spec.name, vec![spec.init; n]);
-            }
-            let stats = CloudStats::zeros(n);
-            let keep = pruner.keep(&cloud, &stats, &MOMENT);
-            assert_eq!(keep.len(), n, "{name}");
-            assert_eq!(keep, pruner.keep(&cloud, &stats, &MOMENT), "{name}");
-            assert_eq!(pruner.score(&cloud, &stats, &MOMENT).len(), n, "{name}");
-            let traced = TracedCloud::new(&cloud);
-            if let Some(gate) = pruner.gate(&traced, &MOMENT).map(Gate::factor) {
-                assert!(values(&gate).len() == n && finite(&values(&gate)), "{name}");
-            }
-        }
     }
 }
 

@@ -1,7 +1,7 @@
-//! Every pruning strategy: the exact number it is asked for, the same bytes after a stop, and what defines its score.
+//! Trainings with every pruner: exact target, bit-identical resume. Laws of scores: `crates/prune/src/laws.rs`.
 
-use crate::common::{built_in, cloud, pipeline, plugin, with_column};
-use pwrfgs::core::{best, rng};
+use crate::common::{built_in, pipeline, plugin};
+use pwrfgs::core::rng;
 use pwrfgs::prelude::*;
 use std::path::Path;
 
@@ -120,88 +120,6 @@ fn prune_rounds_remove_equal_fractions() {
     let (_, _, counts) = train(&targeted("RandomReference()", 5));
     // Five prune steps from 40 to 5: 8^(1/5) each.
     assert_eq!([4, 8, 12, 16, 20].map(|step: usize| counts[step - 1]), [26, 17, 11, 7, 5]);
-}
-
-/// Statistics as a pass would give them, one column for all, and what a score makes of them.
-fn scores(pruner: &Plugin<dyn Pruner>, cloud: &GaussianCloud, column: &[Real]) -> Vec<Real> {
-    let fisher = column.iter().map(|v| {
-        let mut own = [0.0; 21];
-        let mut place = 0;
-        for i in 0..6 {
-            own[place] = v + 0.1;
-            place += 6 - i;
-        }
-        own
-    });
-    let requested = PassStatistics {
-        links: 1,
-        weight: column.to_vec(),
-        largest_weight: column.to_vec(),
-        weight_per_area: column.to_vec(),
-        signal_mean: column.to_vec(),
-        signal_max: column.to_vec(),
-        error: column.to_vec(),
-        high_error: column.iter().map(|v| 1.0 - v).collect(),
-        top: column.iter().map(|v| *v > 0.5).collect(),
-        sensitivity: column.to_vec(),
-        fisher: fisher.collect(),
-        elimination: column.to_vec(),
-    };
-    pruner.score(cloud, &CloudStats { requested, ..CloudStats::zeros(cloud.len()) }, &context())
-}
-
-fn context() -> StepContext {
-    StepContext { round: 1, rounds: 3, ..StepContext::new(12, Phase::Prune, 3) }
-}
-
-#[test]
-fn deterministic_pruners_ignore_order_of_gaussians() {
-    let n = 23;
-    let column: Vec<Real> = (0..n).map(|i| ((i * 7 + 3) % n) as Real / n as Real).collect();
-    let mut order: Vec<usize> = (0..n).collect();
-    rng::shuffle(&mut rng::stream(2, "order", 0), &mut order);
-    let turned: Vec<Real> = order.iter().map(|&i| column[i]).collect();
-    for (name, text) in all().into_iter().filter(|(name, _)| !["RandomReference", "MiniSplatting"].contains(name)) {
-        let pruner: Plugin<dyn Pruner> = plugin(&text);
-        let mut cloud = cloud(n, 3);
-        for spec in pruner.traits().columns {
-            cloud = with_column(cloud, spec.name, column.iter().map(|v| spec.init * (0.5 + v)).collect());
-        }
-        let straight = scores(&pruner, &cloud, &column);
-        let shuffled = scores(&pruner, &cloud.select(&order), &turned);
-        for (k, &i) in order.iter().enumerate() {
-            assert!((shuffled[k] - straight[i]).abs() <= 1e-4 * straight[i].abs().max(1.0), "{name}, row {i}");
-        }
-    }
-}
-
-#[test]
-fn unrelated_gaussians_are_removed_first() {
-    let by_pictures = [
-        "GreedyElimination",
-        "LightGaussian",
-        "MiniSplatting",
-        "Pup3dgs",
-        "RadSplat",
-        "SafeguardGs",
-        "SignalContribution",
-        "SpeedySplat",
-    ];
-    for name in by_pictures {
-        let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}()"));
-        let column = [0.4, 0.0, 0.7, 0.9, 0.0, 0.2];
-        let kept = best(4, &scores(&pruner, &cloud(6, 1), &column), |_| true);
-        assert_eq!(kept, [true, false, true, true, false, true], "{name}");
-    }
-}
-
-#[test]
-fn equal_scores_keep_order() {
-    for (name, settings) in [("OpacityThreshold", ""), ("TopK", ""), ("SignalContribution", "shares: [0.5]")] {
-        let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}({settings})"));
-        let same = cloud(1, 1).select(&[0, 0, 0, 0]);
-        assert_eq!(best(2, &scores(&pruner, &same, &[0.3; 4]), |_| true), [true, true, false, false], "{name}");
-    }
 }
 
 #[test]

@@ -223,9 +223,6 @@ struct There {}
 
 #[typetag::serde]
 impl Pruner for There {
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        vec![true; cloud.len()]
-    }
     fn traits(&self) -> PrunerTraits {
         PrunerTraits { columns: vec![ColumnSpec::learned("there", 1.0, 0.01)], ..PrunerTraits::default() }
     }

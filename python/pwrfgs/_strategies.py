@@ -30,7 +30,7 @@ class Strategy:
 
 
 class Pruner(Strategy):
-    """Base class of pruners. Only ``keep`` is required.
+    """Base class of pruners. ``keep`` or ``gate`` is required.
 
     An object is recorded by its class and the arguments of ``__init__``, which must be attributes of the same name (as in
     a dataclass). It is recreated from these when a run is resumed. State must be kept in columns; other state is lost.
@@ -38,7 +38,7 @@ class Pruner(Strategy):
 
     def keep(self, cloud: Cloud, stats: Stats, context: StepContext) -> Array:
         """Mask of the Gaussians to keep, [N] bool; called at every prune step. A Gaussian is kept if all pruners keep it. If
-        none would remain, the one with the highest ``score`` is kept, with a warning."""
+        none would remain, the one with the highest ``score`` is kept, with a warning. Default: factor of ``gate`` not 0."""
         raise NotImplementedError
 
     def columns(self) -> Sequence[Column]:
@@ -63,8 +63,8 @@ class Pruner(Strategy):
 
         Factors range from 0 (omitted in this step) to 1. Factor i depends only on value i of a column, and the derivative is
         that of factor i with respect to value i. A third entry "existence" applies the factor to the blending weight alone.
-        After ``prune_until`` the gate and its column are removed, and the factor of the remaining Gaussians is 1. Let ``keep``
-        remove Gaussians with a closed gate; values between 0 and 1 jump to 1, which later steps must compensate.
+        After ``prune_until`` the gate and its column are removed, and the factor of the remaining Gaussians is 1. Values
+        between 0 and 1 jump to 1, which later steps must compensate.
 
         Check your derivative with a finite difference before training::
 
@@ -163,8 +163,15 @@ FIELDS = {
     "pruners": "Pruner", "initializer": "Initializer", "split": "Split", "baselines": "Baseline", "metrics": "Metric",
     "deformation": "Deformation",
 }  # fmt: skip
-REQUIRED = {"Deformation": "forward", "Pruner": "keep", "Initializer": "initialize", "Split": "split", "Baseline": "predict", "Metric": "evaluate"}
-FIT_MAY_GIVE_IT = "Baseline"
+# A class of a kind implements at least one of these methods.
+REQUIRED = {
+    "Deformation": ["forward"],
+    "Pruner": ["keep", "gate"],
+    "Initializer": ["initialize"],
+    "Split": ["split"],
+    "Baseline": ["predict", "fit"],
+    "Metric": ["evaluate"],
+}
 
 
 def digest(cls: type) -> str:
@@ -254,10 +261,11 @@ def described(value: Any) -> str:
     cls = type(value)
     if isinstance(value, type):
         raise InputError(f"{value.__qualname__} is a class; give an object of it, such as {value.__qualname__}()")
-    if not any(callable(getattr(value, method, None)) for method in REQUIRED.values()) and not hasattr(value, "fit"):
+    required = sum(REQUIRED.values(), [])
+    if not any(callable(getattr(value, method, None)) for method in required):
         raise InputError(
             f"{value!r} is not a valid pipeline value; give a number, a string, a list, a plugin such as "
-            "pwrfgs.LightGaussian(), or an object with one of the methods " + ", ".join(REQUIRED.values())
+            "pwrfgs.LightGaussian(), or an object with one of the methods " + ", ".join(required)
         )
     if "<locals>" in cls.__qualname__:
         raise InputError(f"{cls.__qualname__} is defined inside a function and cannot be imported; move it to module level")
@@ -307,10 +315,9 @@ def check(pipeline: Any) -> None:
 def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
     """Create the object recorded in a pipeline."""
     cls = found(module, name, source)
-    required, has = REQUIRED[kind], methods(kind, cls)
     # Before it is called: a file may name anything that can be imported.
-    if required not in has and not (kind == FIT_MAY_GIVE_IT and "fit" in has):
-        raise InputError(f"`{name}` does not implement `{required}`, so it is not a {kind}")
+    if methods(kind, cls).isdisjoint(REQUIRED[kind]):
+        raise InputError(f"`{name}` does not implement `{'` or `'.join(REQUIRED[kind])}`, so it is not a {kind}")
     return cls(**json.loads(settings or "{}"))
 
 

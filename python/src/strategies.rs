@@ -58,7 +58,7 @@ pub(crate) fn forget() {
 #[derive(Debug)]
 struct Object {
     own: Py<PyAny>,
-    /// Methods that its class implements in addition to the required ones: others are not called.
+    /// Methods that its class implements: others are not called.
     has: BTreeSet<String>,
     /// Columns that a pruner requests.
     columns: Vec<ColumnSpec>,

@@ -26,8 +26,8 @@ class Thin(pwrfgs.Pruner):
 
 
 @dataclass
-class Mask(pwrfgs.Pruner):
-    """The paper's mask by hand: gate, penalty and their derivatives."""
+class Gated(pwrfgs.Pruner):
+    """The paper's mask by hand: gate, penalty and their derivatives. The gate decides which Gaussians are kept."""
 
     lam: float = 0.3
     rate: float = 0.3
@@ -48,11 +48,16 @@ class Mask(pwrfgs.Pruner):
     def update(self, cloud, stats, context):
         cloud.columns["age"] += 1
 
-    def needs(self, cloud, context):
-        return ["weight", "largest_weight"]
-
     def score(self, cloud, stats, context):
         return cloud["logit"]
+
+
+@dataclass
+class Mask(Gated):
+    """The same with a decision of its own."""
+
+    def needs(self, cloud, context):
+        return ["weight", "largest_weight"]
 
     def keep(self, cloud, stats, context):
         assert stats.requested["weight"].shape == (len(cloud),) and "elimination" not in stats.requested
@@ -130,6 +135,13 @@ def test_a_mask_by_hand_is_the_papers(tmp_path):
     existence.pruners = [Mask(existence=True)]
     trainer = pwrfgs.Trainer(existence)
     assert all(np.isfinite(trainer.step()["loss"]) for _ in range(5))
+
+
+def test_a_gate_without_keep_decides_as_the_mask(tmp_path):
+    pipeline = pwrfgs.Pipeline(SMALL).set({"pruners": []})
+    one, other = (pwrfgs.run(pipeline, pruners=[mask], out=tmp_path / type(mask).__name__, progress=False) for mask in (Mask(rate=0.2), Gated(rate=0.2)))
+    assert 1 < one.model.n < one.curve["gaussians"][0]
+    assert np.array_equal(one.curve["gaussians"], other.curve["gaussians"]) and np.array_equal(one.model.gaussians().means, other.model.gaussians().means)
 
 
 def test_stopped_and_resumed_it_ends_in_the_same_files(tmp_path):
@@ -284,7 +296,7 @@ def test_a_file_that_names_another_program_does_not_start_it(tmp_path):
     settings = json.dumps({"args": ["touch", str(tmp_path / "touched")]})
     named = f'Python(module: "subprocess", class: "Popen", settings: {json.dumps(settings)})'
     text = SMALL.replace("OpacityThreshold(epsilon: 0.02)", named)
-    with pytest.raises(pwrfgs.InputError, match="`Popen` does not implement `keep`, so it is not a Pruner"):
+    with pytest.raises(pwrfgs.InputError, match="`Popen` does not implement `keep` or `gate`, so it is not a Pruner"):
         pwrfgs.run(pwrfgs.Pipeline(text), out=tmp_path / "r", progress=False)
     assert not (tmp_path / "touched").exists() and not (tmp_path / "r").exists()
 

@@ -59,7 +59,7 @@ pub use method::{
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
-pub use pruner::{Budget, ColumnSpec, MaskFall, MaskRate, Pruner, PrunerTraits, best};
+pub use pruner::{Budget, ColumnSpec, Pruner, PrunerTraits, best};
 pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use scene::{

@@ -8,14 +8,17 @@ use crate::{
 /// Selects the Gaussians to keep. A pruner is immutable: its state is in columns that it requests; state of the whole
 /// pipeline is a column with equal values.
 ///
-/// Only [`Pruner::keep`] is required. A learned strategy adds columns, a gate and a penalty, written forward-only on
-/// the tape of the step. Worked example: `pwrfgs_prune::LearnableMask`.
+/// All functions have defaults. A learned strategy adds columns, a gate and a penalty, written forward-only on the tape
+/// of the step. Worked example: `pwrfgs_prune::LearnableMask`.
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Pruner: crate::plugin::PluginObject {
     /// Returns `true` for each Gaussian to keep, `[N]`. Called at the prune steps of algorithm 1; with several pruners,
-    /// a Gaussian is kept if all keep it.
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool>;
+    /// a Gaussian is kept if all keep it. By default, keeps the Gaussians with an open gate ([`Gate::open`]), and all without
+    /// a gate.
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open)
+    }
 
     /// Returns the statistics for [`CloudStats::requested`] at a prune step, computed by a pass over training transmitters;
     /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
@@ -62,6 +65,18 @@ pub trait Pruner: crate::plugin::PluginObject {
         None
     }
 
+    /// Returns this pruner for a training of `scale` times the steps, below 1, with a learning rate at which masks close
+    /// in fewer steps; `None` if no setting depends on the number of steps.
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        None
+    }
+
+    /// Returns the number of training steps until the mask of an unneeded Gaussian closes, with Adam moments of these
+    /// `decays`; `None` if it is unknown.
+    fn steps_to_close(&self, decays: [Real; 2]) -> Option<u64> {
+        None
+    }
+
     /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
@@ -78,73 +93,15 @@ pub struct PrunerTraits {
     pub budget: Option<Budget>,
     /// Whether it may add Gaussians until that number is reached.
     pub grows: bool,
-    /// Setting that a shorter training increases; `None` if no setting depends on the length.
-    pub mask_rate: Option<MaskRate>,
-    /// Closing of the mask of an unneeded Gaussian; `None` without such masks.
-    pub mask_fall: Option<MaskFall>,
     /// Reason why it cannot run, with the next step: for example, a pruner in another language needs a program that
     /// runs it.
     pub unavailable: Option<String>,
 }
 
-/// Learning rate of masks among the settings of a pruner. A training of `scale` times the steps, below 1, divides it by
-/// `scale`, so that masks fall equally far in fewer steps.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MaskRate {
-    /// Name of the setting.
-    pub field: &'static str,
-    /// Value of the setting.
-    pub value: Real,
-    /// Maximum value in a shorter training: faster masks close because of noise.
-    pub most: Real,
-}
-
-impl MaskRate {
-    /// Creates the setting `learning_rate` for masks with Adam.
-    pub fn adam(value: Real) -> Self {
-        Self { field: "learning_rate", value, most: value.max(0.1) }
-    }
-
-    /// Returns the value in a training of `scale` times the steps.
-    pub fn shortened(&self, scale: f64) -> Real {
-        ((f64::from(self.value) / scale) as Real).min(self.most)
-    }
-}
-
-/// Mask logit m with a penalty on σ(m) only: its gradient is σ(m)·(1 − σ(m)) times a positive factor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MaskFall {
-    /// Initial value of m.
-    pub from: Real,
-    /// Value of σ(m) at which the mask closes.
-    pub to: Real,
-    /// Learning rate.
-    pub rate: Real,
-    /// Positive factor if m moves by its gradient; `None` with Adam, whose steps do not depend on it.
-    pub pressure: Option<Real>,
-}
-
-/// Maximum number of counted steps until a mask closes.
-const MOST_STEPS: u64 = 1_000_000;
-
-impl MaskFall {
-    /// Returns the number of training steps until the mask closes, by the update of the optimiser in double precision;
-    /// `decays` are those of Adam's moments.
-    pub fn steps(&self, decays: [Real; 2]) -> u64 {
-        let [beta1, beta2] = decays.map(f64::from);
-        let [rate, threshold] = [self.rate, self.to].map(f64::from);
-        let (mut m, mut first, mut second) = (f64::from(self.from), 0.0, 0.0);
-        let mut step = |k: u64| {
-            let open = 1.0 / (1.0 + (-m).exp());
-            let slope = open * (1.0 - open);
-            first = beta1 * first + (1.0 - beta1) * slope;
-            second = beta2 * second + (1.0 - beta2) * slope * slope;
-            let unbias = |beta: f64| 1.0 - beta.powf(k as f64);
-            let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
-            m -= rate * self.pressure.map_or(adam, |pressure| f64::from(pressure) * slope);
-            1.0 / (1.0 + (-m).exp()) < threshold
-        };
-        (1..MOST_STEPS).find(|k| step(*k)).unwrap_or(MOST_STEPS)
+impl PrunerTraits {
+    /// Returns the learning rate of the masks, the learned columns; `None` without such a column.
+    pub fn mask_rate(&self) -> Option<Real> {
+        self.columns.iter().find_map(|column| column.learning_rate)
     }
 }
 
@@ -160,22 +117,6 @@ pub enum Budget {
     PrunerManaged,
     /// [`Pruner::keep`] leaves at most this number at each prune step; fewer are allowed.
     UpperBound,
-}
-
-impl Budget {
-    /// Returns the Gaussians to keep for a `target`, from the votes of all pruners (`agreed`) and the `scores` of the
-    /// pruner with the target: the best, ties by index. Gaussians that a pruner rejected rank after all others.
-    pub fn settle(self, target: usize, agreed: &[bool], scores: &[Real], context: &StepContext) -> Vec<bool> {
-        let open = agreed.iter().filter(|own| **own).count();
-        let count = match self {
-            Self::PrunerManaged => return vec![true; agreed.len()],
-            Self::UpperBound => return agreed.to_vec(),
-            Self::Gradual => context.quota(agreed.len(), target),
-            Self::FinalStep if context.round > 0 && context.round == context.rounds => target,
-            Self::FinalStep => open.max(target),
-        };
-        best(count, scores, |i| agreed[i])
-    }
 }
 
 /// Returns `true` for the `count` best by `scores`, `preferred` ones first; ties by index. NaN ranks last.

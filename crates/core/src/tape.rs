@@ -157,6 +157,11 @@ impl Gate {
             Self::Whole(factor) | Self::Existence(factor) => factor,
         }
     }
+
+    /// Returns whether the gate of each Gaussian is open: its factor is not 0.
+    pub fn open(self) -> Vec<bool> {
+        values(&self.factor()).into_iter().map(|factor| factor != 0.0).collect()
+    }
 }
 
 impl From<Trace> for Gate {

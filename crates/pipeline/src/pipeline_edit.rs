@@ -7,8 +7,8 @@ use crate::place::{SettingPlace, TextEdit, paths, quoted};
 use crate::read::{Misfit, TypeHint};
 use crate::ron_tree::RonTree;
 use pwrfgs_core::docs::{DocKind, Docs};
-use pwrfgs_core::plugin::{Checked, ron_options, to_ron, try_to_ron};
-use pwrfgs_core::{Dataset, Error, MaskRate, Partition, Result};
+use pwrfgs_core::plugin::{Checked, Plugin, ron_options, try_to_ron};
+use pwrfgs_core::{Dataset, Error, Partition, Pruner, Result};
 use pwrfgs_train::{Trainer, TrainingPlan};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -227,16 +227,13 @@ impl Pipeline {
         }
         let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
         let (scale, mut resolved) = (self.training.scale, Self { training, ..self.clone() });
-        let rates = self.pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().mask_rate?)));
-        let rates: Vec<(usize, MaskRate)> = rates.filter(|_| scale < 1.0).collect();
-        if rates.is_empty() {
-            return Ok(resolved);
+        if scale < 1.0 {
+            let shortened =
+                |pruner: &Plugin<dyn Pruner>| pruner.shortened(scale).map_or_else(|| pruner.clone(), Plugin::from);
+            resolved.pruners = self.pruners.iter().map(shortened).collect();
+            // Rounding may leave no step for a phase.
+            resolved.check().map_err(|(_, message)| Error::Config(message))?;
         }
-        let change = |(k, rate): (usize, MaskRate)| {
-            Change::new(&format!("pruners.{k}.{}", rate.field), &to_ron(&rate.shortened(scale)))
-        };
-        let changes: Vec<Change> = rates.into_iter().map(change).collect();
-        resolved.change(&changes)?;
         Ok(resolved)
     }
 }

@@ -146,7 +146,7 @@ impl Pipeline {
     }
 
     /// Checks between plugins: the field and its problem.
-    fn check(&self) -> Result<(), (&'static str, String)> {
+    pub(crate) fn check(&self) -> Result<(), (&'static str, String)> {
         let pruners = || self.as_plan().check().err().map(|what| ("pruners", what));
         if let Some((field, what)) = other_kinds(self).or_else(pruners).or_else(|| unable(self)) {
             return Err((field, format!("{field}: {what}")));

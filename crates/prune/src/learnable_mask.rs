@@ -2,13 +2,13 @@
 //! (10)–(13)).
 //!
 //! This file is the worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the
-//! tape of the step, and a decision. dfdx differentiates; the file contains no derivative by hand.
+//! tape of the step. dfdx differentiates; the file contains no derivative by hand.
 
-use crate::rounds::{check_rate, check_weight, learned};
+use crate::rounds::{check_rate, check_weight, learned, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskFall, MaskRate, Phase, Pruner, PrunerTraits,
-    Real, StepContext, sigmoid,
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext,
+    sigmoid,
     tape::{TraceScalar, TracedCloud, values},
 };
 use serde::{Deserialize, Serialize};
@@ -17,6 +17,9 @@ use serde::{Deserialize, Serialize};
 const PAPER: [(f64, f64); 4] = [(0.01, 2_613.0), (0.02, 157.0), (0.03, 24.0), (0.04, 8.0)];
 /// Approximate number of points of the paper's cloud.
 const PAPER_START: f64 = 190_000.0;
+
+/// Maximum number of counted steps until a mask closes.
+const MOST_STEPS: u64 = 1_000_000;
 
 /// Column of mask logits m.
 const COLUMN: &str = "mask_logits";
@@ -96,27 +99,12 @@ impl Default for LearnableMask {
 #[typetag::serde]
 impl Pruner for LearnableMask {
     fn traits(&self) -> PrunerTraits {
-        let &Self { initial_logit: from, threshold: to, learning_rate: rate, lambda, adam, .. } = self;
-        let mut mask_rate = MaskRate::adam(rate);
-        if !adam {
-            // Without Adam a mask moves by its gradient, whose magnitude is unknown here.
-            mask_rate.most = 10.0 * rate;
-        }
-        let pressure = if adam { None } else { Some(lambda) };
+        let column = ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate);
         PrunerTraits {
-            columns: vec![ColumnSpec { adam, ..ColumnSpec::learned(COLUMN, from, rate) }],
+            columns: vec![ColumnSpec { adam: self.adam, ..column }],
             budget: Some(Budget::Gradual),
-            mask_rate: Some(mask_rate),
-            mask_fall: (lambda > 0.0).then_some(MaskFall { from, to, rate, pressure }),
             ..PrunerTraits::default()
         }
-    }
-
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        // Uses the same formula as the sigmoid of the tape, so that the kept Gaussians are exactly those that were
-        // drawn.
-        let open = |m: &Real| 1.0 / (1.0 + (-m).exp()) >= self.threshold;
-        cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(open).collect())
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
@@ -155,6 +143,15 @@ impl Pruner for LearnableMask {
         ))
     }
 
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        let learning_rate = shortened_rate(self.learning_rate, self.adam, scale);
+        Some(Box::new(Self { learning_rate, ..self.clone() }))
+    }
+
+    fn steps_to_close(&self, decays: [Real; 2]) -> Option<u64> {
+        (self.lambda > 0.0).then(|| self.steps_of_fall(decays.map(f64::from)))
+    }
+
     fn check(&self) -> Result<(), String> {
         let Self { lambda, threshold, initial_logit, learning_rate, .. } = self;
         check_weight("lambda", *lambda)?;
@@ -191,6 +188,24 @@ impl LearnableMask {
         let (n, quota) = (masks.len(), context.next_quota(masks.len()));
         let open = masks.iter().filter(|mask| **mask >= self.threshold).count();
         open.saturating_sub(quota) as Real / (n - quota).max(1) as Real
+    }
+
+    /// Returns the number of steps in which the penalty alone closes a mask, by the update of the optimiser in double
+    /// precision.
+    fn steps_of_fall(&self, [beta1, beta2]: [f64; 2]) -> u64 {
+        let [rate, threshold, lambda] = [self.learning_rate, self.threshold, self.lambda].map(f64::from);
+        let (mut m, mut first, mut second) = (f64::from(self.initial_logit), 0.0, 0.0);
+        let mut closes = |step: &u64| {
+            let mask = 1.0 / (1.0 + (-m).exp());
+            let slope = mask * (1.0 - mask);
+            first = beta1 * first + (1.0 - beta1) * slope;
+            second = beta2 * second + (1.0 - beta2) * slope * slope;
+            let unbias = |beta: f64| 1.0 - beta.powf(*step as f64);
+            let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
+            m -= rate * if self.adam { adam } else { lambda * slope };
+            1.0 / (1.0 + (-m).exp()) < threshold
+        };
+        (1..MOST_STEPS).find(|step| closes(step)).unwrap_or(MOST_STEPS)
     }
 }
 
@@ -242,14 +257,14 @@ mod tests {
     }
 
     #[test]
-    fn kept_gaussians_equal_drawn_gaussians() {
+    fn keeps_masks_of_at_least_threshold_to_last_bit() {
         let mask = LearnableMask::default();
         let edge = (0.01 as Real / 0.99).ln();
         let logits: Vec<Real> = (-500..500).map(|i| edge + i as Real * edge.abs() * Real::EPSILON).collect();
         let cloud = masked(&logits);
         let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &context(Phase::Prune));
-        let gate = mask.gate(&TracedCloud::new(&cloud), &context(Phase::Prune)).unwrap().factor().as_vec();
-        assert_eq!(gate, kept.iter().map(|k| Real::from(u8::from(*k))).collect::<Vec<_>>());
+        let expected: Vec<bool> = logits.iter().map(|m| 1.0 / (1.0 + (-m).exp()) >= mask.threshold).collect();
+        assert_eq!(kept, expected);
         assert!(kept.contains(&true) && kept.contains(&false));
         assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &context(Phase::Prune)), logits);
     }
@@ -283,7 +298,7 @@ mod tests {
         // simulation.
         let steps = |rate, adam| {
             let mask = LearnableMask { learning_rate: rate, adam, ..LearnableMask::default() };
-            mask.traits().mask_fall.map(|fall| fall.steps([0.9, 0.999]))
+            mask.steps_to_close([0.9, 0.999])
         };
         assert_eq!([steps(0.01, true), steps(0.02, true)], [Some(1_410), Some(730)]);
         // dm/dt = −rate·lambda·σ(1−σ), so that t = (eᵐ − e⁻ᵐ + 2m)/(rate·lambda) between the end points.
@@ -291,14 +306,14 @@ mod tests {
         let expected = (integral(1.0) - integral((0.01_f64 / 0.99).ln())) / (5.0 * 0.01);
         let found = steps(5.0, false).unwrap() as f64;
         assert!((found / expected - 1.0).abs() < 0.01, "{found} against {expected}");
-        assert_eq!(LearnableMask { lambda: 0.0, ..LearnableMask::default() }.traits().mask_fall, None);
+        assert_eq!(LearnableMask { lambda: 0.0, ..LearnableMask::default() }.steps_to_close([0.9, 0.999]), None);
     }
 
     #[test]
     fn shorter_training_scales_mask_rate_within_limits() {
         let of = |text: &str, scale| {
             let pruner = pwrfgs_core::Plugin::<dyn Pruner>::parse(text).unwrap();
-            pruner.traits().mask_rate.unwrap().shortened(scale)
+            pruner.shortened(scale).unwrap().traits().mask_rate().unwrap()
         };
         let near = |a: Real, b: Real| assert!((a - b).abs() < 1e-6, "{a} against {b}");
         for name in ["LearnableMask", "MaskGaussian", "Lp3dgs"] {

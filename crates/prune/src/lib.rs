@@ -69,34 +69,11 @@ mod fixture {
 }
 
 #[cfg(test)]
+mod laws;
+
+#[cfg(test)]
 mod tests {
-    use crate::fixture::{cloud, context, with_column};
-    use pwrfgs_core::{CloudStats, Phase, Plugin, Pruner, Real};
-
-    #[test]
-    fn pruners_keep_initial_cloud() {
-        for name in ["LearnableMask", "OpacityThreshold", "TopK"] {
-            let plugin = Plugin::<dyn Pruner>::parse(&format!("{name}()")).unwrap();
-            for n in [0, 1, 7] {
-                let mut cloud = cloud(&vec![0.0; n]);
-                for column in plugin.traits().columns {
-                    cloud = with_column(cloud, &column, &vec![column.init; n * column.width]);
-                }
-                let stats = CloudStats::zeros(n);
-                assert_eq!(plugin.keep(&cloud, &stats, &context(Phase::Prune)), vec![true; n], "{name}: a fresh cloud");
-                assert_eq!(plugin.score(&cloud, &stats, &context(Phase::Prune)).len(), n);
-            }
-        }
-    }
-
-    #[test]
-    fn nan_statistics_do_not_panic() {
-        let cloud = cloud(&[Real::NAN, 0.0, Real::INFINITY, Real::NEG_INFINITY]);
-        for text in ["LearnableMask()", "OpacityThreshold()", "TopK()", "TopK(score: OpacityVolume)"] {
-            let plugin = Plugin::<dyn Pruner>::parse(text).unwrap();
-            assert_eq!(plugin.keep(&cloud, &CloudStats::zeros(4), &context(Phase::Prune)).len(), 4);
-        }
-    }
+    use pwrfgs_core::{Plugin, Pruner};
 
     #[test]
     fn rejects_values_out_of_range() {

@@ -1,10 +1,10 @@
 //! Learned mask on top of an importance score.
 
-use crate::rounds::{check_rate, check_weight, logistic_noise, quantile};
+use crate::rounds::{check_rate, check_weight, logistic_noise, quantile, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudEdit, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Needs, Phase, Pruner,
-    PrunerTraits, Real, RowOrigin, Statistic, StepContext, rng,
+    Budget, CloudEdit, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Needs, Phase, Pruner, PrunerTraits,
+    Real, RowOrigin, Statistic, StepContext, rng,
     tape::{Trace, TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
@@ -60,7 +60,6 @@ impl Pruner for Lp3dgs {
                 ColumnSpec::state(IMPORTANCE, 0.0),
             ],
             budget: Some(Budget::FinalStep),
-            mask_rate: Some(MaskRate::adam(self.learning_rate)),
             ..PrunerTraits::default()
         }
     }
@@ -106,6 +105,11 @@ impl Pruner for Lp3dgs {
             (Some(m), Some(s)) => m.values.iter().zip(&s.values).map(|(m, s)| m + s).collect(),
             _ => cloud.opacity_logits.clone(),
         }
+    }
+
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        let learning_rate = shortened_rate(self.learning_rate, true, scale);
+        Some(Box::new(Self { learning_rate, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {

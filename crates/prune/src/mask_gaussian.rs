@@ -1,10 +1,10 @@
 //! Pruner with one Bernoulli sample per Gaussian and step; masked Gaussians still learn.
 
-use crate::rounds::{check_rate, check_weight, learned, logistic_noise};
+use crate::rounds::{check_rate, check_weight, learned, logistic_noise, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Phase, Pruner, PrunerTraits, Real,
-    StepContext, rng,
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext,
+    rng,
     tape::{Trace, TraceScalar, TracedCloud},
 };
 use serde::{Deserialize, Serialize};
@@ -56,7 +56,6 @@ impl Pruner for MaskGaussian {
         PrunerTraits {
             columns: vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)],
             budget: Some(Budget::FinalStep),
-            mask_rate: Some(MaskRate::adam(self.learning_rate)),
             ..PrunerTraits::default()
         }
     }
@@ -83,6 +82,11 @@ impl Pruner for MaskGaussian {
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
         learned(cloud, COLUMN)
+    }
+
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        let learning_rate = shortened_rate(self.learning_rate, true, scale);
+        Some(Box::new(Self { learning_rate, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {

@@ -58,10 +58,6 @@ impl Pruner for Mcmc {
         PrunerTraits { budget: Some(Budget::Gradual), grows: true, ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        vec![true; cloud.len()]
-    }
-
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         (context.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
             let opacity = cloud.opacities().mean::<Rank0, _>() * self.opacity_weight;

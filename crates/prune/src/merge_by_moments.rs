@@ -41,10 +41,6 @@ impl Pruner for MergeByMoments {
         PrunerTraits { budget: Some(Budget::PrunerManaged), ..PrunerTraits::default() }
     }
 
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        vec![true; cloud.len()]
-    }
-
     fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
         let n = cloud.len();
         let by_share = || n - share_of(n, share_at(&self.shares, context)).floor() as usize;

@@ -56,6 +56,13 @@ pub(crate) fn learned(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
     cloud.extra(column).map_or_else(|| cloud.opacity_logits.clone(), |column| column.values.clone())
 }
 
+/// Returns the learning rate at which masks fall equally far in a training of `scale` times the steps. It is limited,
+/// because noise closes faster masks. Without Adam, a mask moves by its gradient, whose magnitude is unknown here.
+pub(crate) fn shortened_rate(rate: Real, adam: bool, scale: f64) -> Real {
+    let most = if adam { rate.max(0.1) } else { 10.0 * rate };
+    ((f64::from(rate) / scale) as Real).min(most)
+}
+
 /// Returns the quantile `q` of `values`; −∞ if `values` is empty.
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();

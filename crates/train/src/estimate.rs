@@ -152,7 +152,7 @@ impl Trainer<'_> {
         let [before, until] = [t.densify_until, t.prune_until].map(|step| step.min(t.steps));
         let grows = t.densify.every > 0 && t.densify.from < before && self.stages.method.traits().blends;
         let full = if grows { n.max(t.densify.max_gaussians) } else { n };
-        let masks = pruners.iter().filter_map(|pruner| pruner.traits().mask_fall).map(|fall| fall.steps(BETAS)).min();
+        let masks = pruners.iter().filter_map(|pruner| pruner.steps_to_close(BETAS)).min();
         let (from, kept) = match (self.goal, masks) {
             _ if n < 2 || until == before || pruners.is_empty() => (until, [1.0; 3]),
             (Some(goal), _) => (before, [goal.target.min(full) as f64 / full as f64; 3]),

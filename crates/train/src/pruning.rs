@@ -9,7 +9,7 @@ use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, Needs, Parameters, PassStatistics, Phase, Pruner, Real, Result, RowOrigin,
-    Statistic, StepContext,
+    Statistic, StepContext, best,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -49,20 +49,21 @@ fn votes(
         let own = pruner.keep(cloud, stats, &context);
         assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
         rules.push((format!("`{}`", name_of(pruner)), removed_by(&own)));
-        if pruner.traits().mask_rate.is_some() {
+        if pruner.traits().mask_rate().is_some() {
             open.iter_mut().zip(&own).for_each(|(all, own)| *all &= *own);
         }
         keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
     }
     let closed = removed_by(&open);
-    let settles = |goal: &PruneTarget| match goal.budget {
-        Budget::Gradual | Budget::PrunerManaged => context.round > 0,
-        Budget::FinalStep => true,
-        Budget::UpperBound => false,
+    let Some(goal) = goal.filter(PruneTarget::is_exact) else { return Votes { keep, rules, closed } };
+    let count = match goal.budget {
+        Budget::Gradual => context.quota(keep.len(), goal.target),
+        Budget::FinalStep if context.round == context.rounds => goal.target,
+        Budget::FinalStep => (keep.len() - removed_by(&keep)).max(goal.target),
+        Budget::PrunerManaged | Budget::UpperBound => keep.len(),
     };
-    let Some(goal) = goal.filter(settles) else { return Votes { keep, rules, closed } };
-    let scores = pruners[goal.pruner].score(cloud, &known[goal.pruner], context);
-    let kept = goal.budget.settle(goal.target, &keep, &scores, context);
+    // Gaussians that a pruner rejects rank after all others.
+    let kept = best(count, &pruners[goal.pruner].score(cloud, &known[goal.pruner], context), |i| keep[i]);
     let rules = vec![(format!("the target of {}", goal.target), removed_by(&kept))];
     Votes { keep: kept, rules, closed }
 }

@@ -48,7 +48,7 @@ impl Trainer<'_> {
     /// Warns about a mask that cannot fall from its initial value to its threshold before pruning ends.
     fn slow_mask(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
-        let (needed, until) = (pruner.traits().mask_fall?.steps(BETAS), training.prune_until);
+        let (needed, until) = (pruner.steps_to_close(BETAS)?, training.prune_until);
         (needed > until && self.goal.is_none_or(|goal| goal.pruner != k)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
@@ -107,12 +107,12 @@ impl Trainer<'_> {
     /// before the first prune step, and if a target decides their number.
     pub fn idle_masks(&self) -> Option<String> {
         let is_free = |k: &usize| self.goal.is_none_or(|goal| goal.pruner != *k);
-        let is_mask = |k: &usize| self.plan.pruners[*k].traits().mask_rate.is_some();
+        let is_mask = |k: &usize| self.plan.pruners[*k].traits().mask_rate().is_some();
         let pruner = &self.plan.pruners[(0..self.plan.pruners.len()).find(|k| is_mask(k) && is_free(k))?];
         let (closed, before) = self.masks.filter(|(closed, before)| 10 * closed < *before)?;
         Some(format!(
-            "masks closed {closed} of {before} Gaussians, less than a tenth; raise λ (`lambda`) of `{}`, or \
-             training.prune_until",
+            "masks closed {closed} of {before} Gaussians, less than a tenth; raise λ, the penalty weight of \
+             `{}`, or training.prune_until",
             name_of(pruner)
         ))
     }
@@ -120,8 +120,7 @@ impl Trainer<'_> {
     /// Returns a sentence if learned masks without a target have closed all Gaussians but one.
     pub fn lone_gaussian(&self) -> Option<String> {
         let (_, before) = self.masks.filter(|_| self.cloud.len() == 1 && self.goal.is_none() && !self.wants_one())?;
-        let mut rates = self.plan.pruners.iter().filter_map(|pruner| pruner.traits().mask_rate);
-        let rate = rates.next().map_or(0.0, |rate| rate.value);
+        let rate = self.plan.pruners.iter().find_map(|pruner| pruner.traits().mask_rate()).unwrap_or_default();
         (before > 1).then(|| {
             format!(
                 "masks closed all but one of {before} Gaussians: λ decides a share of the start, which also falls with the \

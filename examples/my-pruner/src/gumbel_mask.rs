@@ -48,10 +48,6 @@ impl Default for GumbelMask {
 
 #[typetag::serde]
 impl Pruner for GumbelMask {
-    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(|m| *m >= 0.0).collect())
-    }
-
     fn traits(&self) -> PrunerTraits {
         let columns = vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)];
         PrunerTraits { columns, ..PrunerTraits::default() }

@@ -103,6 +103,9 @@ impl Pruner for Strategy {
     named_python!();
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
+        if !self.object.has("keep") {
+            return self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open);
+        }
         self.with(|py, own| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
             let keep = own.call_method1("keep", arguments)?;
