@@ -97,11 +97,11 @@ fn rejects_checkpoint_of_other_version() {
     let (data, partition) = data_of(&pipeline);
     let mut file = Tensors::from_bytes(&pipeline.trainer(&data, &partition).unwrap().checkpoint()).unwrap();
     let (_, note) = file.note.split_once("\"note\":").unwrap();
-    file.note = note.strip_suffix('}').unwrap().replace("\"version\":7", "\"version\":4");
+    file.note = note.strip_suffix('}').unwrap().replace("\"version\":8", "\"version\":4");
     file.note = format!("{{\"digest\":\"{}\",\"note\":{}}}", file.digest(), file.note);
     let refused =
         Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, &file.to_bytes()).unwrap_err().to_string();
-    assert!(refused.contains("of version 4, expected 7; remove it"), "{refused}");
+    assert!(refused.contains("of version 4, expected 8; remove it"), "{refused}");
 }
 
 #[test]
