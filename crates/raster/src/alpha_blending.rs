@@ -1,6 +1,8 @@
 //! `AlphaBlending`: the rasterizer of the paper, eqs. (7) and (8).
 
-use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
+use crate::blend::{
+    ALPHA_MIN, Backward, CONIC, EXISTENCE, Forward, GEOMETRY, MEAN, OPACITY, PIXELS, TILE, Tile, WEIGHT,
+};
 use crate::canvas::{gather, patches};
 use crate::survey::SurveyTile;
 use crate::tiles::{Support, TileLists};
@@ -59,14 +61,14 @@ impl Rasterizer for AlphaBlending {
         let tiles = patches(&mut pixels, plane).into_par_iter().zip(patches(&mut transmittance, plane));
         tiles.enumerate().for_each_init(
             || vec![0.0; channels * PIXELS],
-            |scratch, (t, (mut signal, mut left))| {
+            |scratch, (t, (mut signal, mut transmittance))| {
                 let tile = tile(lists, t, splats, signals, channels, plane);
                 if tile.list.is_empty() {
                     return; // zeros and ones already
                 }
-                let light = widest(Forward { tile: &tile, out: scratch });
+                let remaining = widest(Forward { tile: &tile, out: scratch });
                 signal.put(scratch);
-                left.put(light.left().as_flattened());
+                transmittance.put(remaining.remaining().as_flattened());
             },
         );
         Render { pixels, transmittance, cache: prepared.clone() }
@@ -88,8 +90,8 @@ impl Rasterizer for AlphaBlending {
         let mut rest = parts.as_mut_slice();
         let mut slices = Vec::with_capacity(lists.len());
         for t in 0..lists.len() {
-            let (own, tail) = rest.split_at_mut(lists.of(t).0.len() * stride);
-            slices.push(own);
+            let (slice, tail) = rest.split_at_mut(lists.of(t).0.len() * stride);
+            slices.push(slice);
             rest = tail;
         }
         slices.into_par_iter().enumerate().for_each_init(
@@ -104,9 +106,9 @@ impl Rasterizer for AlphaBlending {
                 widest(Backward { tile: &tile, pixels, d_pixels: d, d_signal, out });
             },
         );
-        let mut found = sum_over_tiles(lists, splats.len(), channels, &parts);
-        found.splats.existence.truncate(splats.existence.len());
-        found
+        let mut vjp = sum_over_tiles(lists, splats.len(), channels, &parts);
+        vjp.splats.existence.truncate(splats.existence.len());
+        vjp
     }
 
     fn blends(&self) -> bool {
@@ -122,15 +124,15 @@ impl Rasterizer for AlphaBlending {
     ) -> Vec<SplatStats> {
         let lists: &TileLists = cached(&render.cache);
         let channels = render.pixels.len() / (plane.width * plane.height);
-        let look = |t: usize| {
+        let survey_tile = |t: usize| {
             let tile = tile(lists, t, splats, &[], channels, plane);
             widest(SurveyTile { tile: &tile, picture: &render.pixels, survey })
         };
-        let found: Vec<Vec<SplatStats>> = (0..lists.len()).into_par_iter().map(look).collect();
+        let tiles: Vec<Vec<SplatStats>> = (0..lists.len()).into_par_iter().map(survey_tile).collect();
         // Sums in tile order do not depend on the assignment of tiles to threads.
         let mut sums = vec![SplatStats::default(); splats.len()];
-        for (t, found) in found.iter().enumerate() {
-            lists.of(t).0.iter().zip(found).for_each(|(&i, own)| sums[i as usize].add(own));
+        for (t, stats) in tiles.iter().enumerate() {
+            lists.of(t).0.iter().zip(stats).for_each(|(&i, stats)| sums[i as usize].add(stats));
         }
         sums
     }
@@ -192,11 +194,11 @@ fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) 
     rows.enumerate().with_min_len(256).for_each(|(i, ((((mean, conic), (opacity, existence)), signal), weight))| {
         for &slot in &slots[first[i]..first[i + 1]] {
             let part = &parts[slot as usize * stride..][..stride];
-            mean.iter_mut().zip(&part[..2]).for_each(|(sum, d)| *sum += d);
-            conic.iter_mut().zip(&part[2..5]).for_each(|(sum, d)| *sum += d);
-            *opacity += part[5];
-            *weight += part[6];
-            *existence += part[7];
+            mean.iter_mut().zip(&part[MEAN..CONIC]).for_each(|(sum, d)| *sum += d);
+            conic.iter_mut().zip(&part[CONIC..OPACITY]).for_each(|(sum, d)| *sum += d);
+            *opacity += part[OPACITY];
+            *weight += part[WEIGHT];
+            *existence += part[EXISTENCE];
             signal.iter_mut().zip(&part[GEOMETRY..]).for_each(|(sum, d)| *sum += d);
         }
     });

@@ -137,10 +137,10 @@ impl Rasterizer for ArrayResponse {
             if splats.radii[i] == 0.0 {
                 return;
             }
-            let own = &signals[i * channels..(i + 1) * channels];
+            let signal = &signals[i * channels..(i + 1) * channels];
             let wave = &waves[i * elements..(i + 1) * elements];
             let mut d_wave = vec![[0.0; 2]; elements];
-            *opacity = superpose_vjp(splats.opacities[i], own, wave, &d_field, d_signals, &mut d_wave);
+            *opacity = superpose_vjp(splats.opacities[i], signal, wave, &d_field, d_signals, &mut d_wave);
             (*mean, *conic, *depth) = antennas.wave_vjp(splats, i, wave, &d_wave);
             let strength: Real = wave.iter().map(|[re, im]| re.hypot(*im)).sum();
             *weight = splats.opacities[i] * strength / elements as Real * (plane.width * plane.height) as Real;
@@ -199,20 +199,20 @@ impl ArrayResponse {
 
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
-        let known = TABLES.read().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, beams)) = known.iter().find(|(known, _)| *known == grid) {
+        let tables = TABLES.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, beams)) = tables.iter().find(|(stored, _)| *stored == grid) {
             return Arc::clone(beams);
         }
-        drop(known);
+        drop(tables);
         let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
-        let mut known = TABLES.write().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, same)) = known.iter().find(|(known, _)| *known == grid) {
+        let mut tables = TABLES.write().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, same)) = tables.iter().find(|(stored, _)| *stored == grid) {
             return Arc::clone(same); // another thread was faster; all threads share its table
         }
-        known.insert(0, (grid, Arc::clone(&beams)));
+        tables.insert(0, (grid, Arc::clone(&beams)));
         let size = |(rows, columns, _, plane): &Grid| rows * columns * plane.width * plane.height;
         let mut room = KEPT * self.rows * self.columns * plane.width * plane.height * plane.sampling.stride.pow(2);
-        known.retain(|(grid, _)| {
+        tables.retain(|(grid, _)| {
             let fits = size(grid) <= room;
             room -= if fits { size(grid) } else { room };
             fits

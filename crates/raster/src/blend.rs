@@ -17,7 +17,13 @@ pub(crate) const ALPHA_MAX: Real = 0.99;
 pub(crate) const ALPHA_MIN: Real = 1.0 / 255.0;
 /// A pixel is opaque before T falls below this value.
 pub(crate) const T_MIN: Real = 1e-4;
-/// Cotangents of the geometry of a splat in one tile: mean (2), conic (3), opacity, its summed weight, and existence.
+/// Index of the cotangents of a splat in one tile: of its mean (2), conic (3), opacity, and existence; its summed weight.
+pub(crate) const MEAN: usize = 0;
+pub(crate) const CONIC: usize = 2;
+pub(crate) const OPACITY: usize = 5;
+pub(crate) const WEIGHT: usize = 6;
+pub(crate) const EXISTENCE: usize = 7;
+/// Number of these values; one per channel follows.
 pub(crate) const GEOMETRY: usize = 8;
 
 pub(crate) type PixelRow = [Real; TILE];
@@ -44,11 +50,11 @@ pub(crate) struct Tile<'a> {
 pub(crate) struct Transmittance {
     signed: [PixelRow; TILE],
     /// Rows with a pixel that is not final.
-    alive: [bool; TILE],
+    is_live: [bool; TILE],
 }
 
 /// Values of one splat along the lanes of a row.
-pub(crate) struct Brush {
+pub(crate) struct SplatRow {
     /// Column offsets mean − pixel, nearest image.
     dx: PixelRow,
     /// −½ A dx².
@@ -65,17 +71,17 @@ pub(crate) struct Brush {
 impl Tile<'_> {
     #[inline(always)]
     pub(crate) fn start(&self) -> Transmittance {
-        let mut t = Transmittance { signed: [[-1.0; TILE]; TILE], alive: [false; TILE] };
+        let mut t = Transmittance { signed: [[-1.0; TILE]; TILE], is_live: [false; TILE] };
         let columns = (self.plane.width - self.corner.0).min(TILE);
         for row in 0..(self.plane.height - self.corner.1).min(TILE) {
             t.signed[row][..columns].fill(1.0);
-            t.alive[row] = true;
+            t.is_live[row] = true;
         }
         t
     }
 
     #[inline(always)]
-    pub(crate) fn brush(&self, i: usize) -> Brush {
+    pub(crate) fn splat_row(&self, i: usize) -> SplatRow {
         let [x, y] = self.splats.means2d[i];
         let [a, b, c] = self.splats.conics[i];
         let width = self.plane.width as Real;
@@ -85,7 +91,7 @@ impl Tile<'_> {
         });
         let across = lanes(|lane| -0.5 * a * dx[lane] * dx[lane]);
         let existence = self.splats.existence.get(i).copied().unwrap_or(1.0);
-        Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i], existence }
+        SplatRow { dx, across, a, b, c, y, opacity: self.splats.opacities[i], existence }
     }
 
     /// Blends signals `[channels][PIXELS]` into `out` (zeroed here), and returns the remaining transmittance.
@@ -96,14 +102,14 @@ impl Tile<'_> {
         let mut t = self.start();
         for (&i, &[first, end]) in self.list.iter().zip(self.rows) {
             let i = i as usize;
-            let brush = self.brush(i);
+            let splat = self.splat_row(i);
             let signal = &self.signals[i * self.channels..(i + 1) * self.channels];
             for row in first as usize..end as usize {
-                if !t.alive[row] {
+                if !t.is_live[row] {
                     continue;
                 }
-                let (_, raw) = brush.alpha((self.corner.1 + row) as Real);
-                let weight = t.pass(row, &brush.veiled(raw));
+                let (_, raw) = splat.alpha((self.corner.1 + row) as Real);
+                let weight = t.blend(row, &splat.with_existence(raw));
                 for (c, s) in signal.iter().enumerate() {
                     Real::add_scaled(simd, &mut out[c * TILE + row], *s, &weight);
                 }
@@ -124,56 +130,56 @@ impl Tile<'_> {
         out: &mut [Real],
     ) {
         let (pixels, d_pixels) = (pixels.as_chunks::<TILE>().0, d_pixels.as_chunks::<TILE>().0);
-        let mut behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of the splats behind⟩
+        let mut q_behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of the splats behind⟩
         for k in 0..pixels.len() {
-            Real::add_product(simd, &mut behind[k % TILE], &pixels[k], &d_pixels[k]);
+            Real::add_product(simd, &mut q_behind[k % TILE], &pixels[k], &d_pixels[k]);
         }
         let mut t = self.start();
         let stride = GEOMETRY + self.channels;
         for ((&i, &[first, end]), out) in self.list.iter().zip(self.rows).zip(out.chunks_exact_mut(stride)) {
             let i = i as usize;
-            let brush = self.brush(i);
+            let splat = self.splat_row(i);
             let signal = &self.signals[i * self.channels..(i + 1) * self.channels];
             let mut d = [[0.0; TILE]; GEOMETRY];
             d_signal.fill([0.0; TILE]);
             for row in first as usize..end as usize {
-                if !t.alive[row] {
+                if !t.is_live[row] {
                     continue;
                 }
-                let (gauss, raw) = brush.alpha((self.corner.1 + row) as Real);
-                let alpha = brush.veiled(raw);
+                let (gauss, raw) = splat.alpha((self.corner.1 + row) as Real);
+                let alpha = splat.with_existence(raw);
                 let before = t.signed[row];
-                let weight = t.pass(row, &alpha);
-                let counts = if brush.existence == 1.0 { weight } else { t.open(row, &raw) };
+                let weight = t.blend(row, &alpha);
+                let drawn = if splat.existence == 1.0 { weight } else { t.live_lanes(row, &raw) };
                 let mut q = [0.0; TILE];
                 for (c, s) in signal.iter().enumerate() {
                     let g = &d_pixels[c * TILE + row];
                     Real::add_scaled(simd, &mut q, *s, g);
                     Real::add_product(simd, &mut d_signal[c], &weight, g);
                 }
-                let dy = brush.y - (self.corner.1 + row) as Real;
+                let dy = splat.y - (self.corner.1 + row) as Real;
                 let (mut d_alpha, mut d_power) = ([0.0; TILE], [0.0; TILE]);
                 for lane in 0..TILE {
-                    behind[row][lane] -= weight[lane] * q[lane];
-                    let through = before[lane] * q[lane] - behind[row][lane] / (1.0 - alpha[lane]);
-                    d_alpha[lane] = if counts[lane] > 0.0 { through } else { 0.0 };
-                    d_power[lane] = d_alpha[lane] * brush.opacity * gauss[lane];
+                    q_behind[row][lane] -= weight[lane] * q[lane];
+                    let through = before[lane] * q[lane] - q_behind[row][lane] / (1.0 - alpha[lane]);
+                    d_alpha[lane] = if drawn[lane] > 0.0 { through } else { 0.0 };
+                    d_power[lane] = d_alpha[lane] * splat.opacity * gauss[lane];
                 }
-                if brush.existence != 1.0 {
-                    Real::add_product(simd, &mut d[7], &d_alpha, &raw);
-                    d_alpha = lanes(|lane| d_alpha[lane] * brush.existence);
-                    d_power = lanes(|lane| d_power[lane] * brush.existence);
+                if splat.existence != 1.0 {
+                    Real::add_product(simd, &mut d[EXISTENCE], &d_alpha, &raw);
+                    d_alpha = lanes(|lane| d_alpha[lane] * splat.existence);
+                    d_power = lanes(|lane| d_power[lane] * splat.existence);
                 } else if self.splats.existence.len() > i {
-                    Real::add_product(simd, &mut d[7], &d_alpha, &raw);
+                    Real::add_product(simd, &mut d[EXISTENCE], &d_alpha, &raw);
                 }
-                let Brush { dx, a, b, c, .. } = &brush;
-                Real::add_product(simd, &mut d[0], &d_power, &lanes(|lane| -(a * dx[lane] + b * dy)));
-                Real::add_product(simd, &mut d[1], &d_power, &lanes(|lane| -(c * dy + b * dx[lane])));
-                Real::add_product(simd, &mut d[2], &d_power, &lanes(|lane| -0.5 * dx[lane] * dx[lane]));
-                Real::add_product(simd, &mut d[3], &d_power, &lanes(|lane| -dx[lane] * dy));
-                Real::add_scaled(simd, &mut d[4], -0.5 * dy * dy, &d_power);
-                Real::add_product(simd, &mut d[5], &d_alpha, &gauss);
-                Real::add_scaled(simd, &mut d[6], 1.0, &weight);
+                let SplatRow { dx, a, b, c, .. } = &splat;
+                Real::add_product(simd, &mut d[MEAN], &d_power, &lanes(|lane| -(a * dx[lane] + b * dy)));
+                Real::add_product(simd, &mut d[MEAN + 1], &d_power, &lanes(|lane| -(c * dy + b * dx[lane])));
+                Real::add_product(simd, &mut d[CONIC], &d_power, &lanes(|lane| -0.5 * dx[lane] * dx[lane]));
+                Real::add_product(simd, &mut d[CONIC + 1], &d_power, &lanes(|lane| -dx[lane] * dy));
+                Real::add_scaled(simd, &mut d[CONIC + 2], -0.5 * dy * dy, &d_power);
+                Real::add_product(simd, &mut d[OPACITY], &d_alpha, &gauss);
+                Real::add_scaled(simd, &mut d[WEIGHT], 1.0, &weight);
             }
             for (k, out) in out.iter_mut().enumerate() {
                 let row = if k < GEOMETRY { &d[k] } else { &d_signal[k - GEOMETRY] };
@@ -215,10 +221,10 @@ impl pulp::WithSimd for Backward<'_, '_> {
     }
 }
 
-impl Brush {
+impl SplatRow {
     /// Returns γ with the existence factor.
     #[inline(always)]
-    pub(crate) fn veiled(&self, alpha: PixelRow) -> PixelRow {
+    pub(crate) fn with_existence(&self, alpha: PixelRow) -> PixelRow {
         if self.existence == 1.0 { alpha } else { lanes(|lane| alpha[lane] * self.existence) }
     }
 
@@ -248,31 +254,31 @@ impl Brush {
 }
 
 impl Transmittance {
-    /// Returns the blending weights γ·T of a row; the transmitted light remains for the next splat.
+    /// Returns the blending weights γ·T of a row; the rest is transmitted to the next splat.
     ///
     /// Uses one loop per quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
-    pub(crate) fn pass(&mut self, row: usize, alpha: &PixelRow) -> PixelRow {
-        let light = self.signed[row];
-        let taken = lanes(|lane| alpha[lane] * light[lane]);
-        let next = lanes(|lane| light[lane] * (1.0 - alpha[lane]));
-        let signed = lanes(|lane| if next[lane] >= T_MIN { next[lane] } else { -light[lane].abs() });
-        self.alive[row] = signed.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
+    pub(crate) fn blend(&mut self, row: usize, alpha: &PixelRow) -> PixelRow {
+        let before = self.signed[row];
+        let taken = lanes(|lane| alpha[lane] * before[lane]);
+        let next = lanes(|lane| before[lane] * (1.0 - alpha[lane]));
+        let signed = lanes(|lane| if next[lane] >= T_MIN { next[lane] } else { -before[lane].abs() });
+        self.is_live[row] = signed.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
         self.signed[row] = signed;
         lanes(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
     }
 
-    /// Returns the lanes in which the splat just passed is drawn for any existence factor: `alpha`, and 0 in opaque
+    /// Returns the lanes in which the splat just blended is drawn for any existence factor: `alpha`, and 0 in opaque
     /// pixels.
     #[inline(always)]
-    fn open(&self, row: usize, alpha: &PixelRow) -> PixelRow {
+    fn live_lanes(&self, row: usize, alpha: &PixelRow) -> PixelRow {
         lanes(|lane| if self.signed[row][lane] > 0.0 { alpha[lane] } else { 0.0 })
     }
 
     /// Returns whether a row has a pixel that is not final.
     #[inline(always)]
-    pub(crate) fn is_open(&self, row: usize) -> bool {
-        self.alive[row]
+    pub(crate) fn is_live(&self, row: usize) -> bool {
+        self.is_live[row]
     }
 
     /// Returns the transmittance of a row, negative in final pixels.
@@ -282,7 +288,7 @@ impl Transmittance {
     }
 
     /// Returns the final transmittance.
-    pub(crate) fn left(mut self) -> [PixelRow; TILE] {
+    pub(crate) fn remaining(mut self) -> [PixelRow; TILE] {
         self.signed.as_flattened_mut().iter_mut().for_each(|t| *t = t.abs());
         self.signed
     }
@@ -290,10 +296,10 @@ impl Transmittance {
 
 /// Returns one number per lane.
 #[inline(always)]
-fn lanes(of: impl Fn(usize) -> Real) -> PixelRow {
+fn lanes(value: impl Fn(usize) -> Real) -> PixelRow {
     let mut row = [0.0; TILE];
     for lane in 0..TILE {
-        row[lane] = of(lane);
+        row[lane] = value(lane);
     }
     row
 }

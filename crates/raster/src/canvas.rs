@@ -108,19 +108,19 @@ mod tests {
                     scope.spawn(move || patch.put(&tile(t)));
                 }
             });
-            for (i, found) in pictures.iter().enumerate() {
+            for (i, pixel) in pictures.iter().enumerate() {
                 let (c, x, y) = (i / (width * height), i % width, i / width % height);
                 let t = y / TILE * across + x / TILE;
                 let expected = 1000 * t + c * PIXELS + y % TILE * TILE + x % TILE;
-                assert_eq!(*found, expected as Real, "channel {c}, column {x}, row {y}");
+                assert_eq!(*pixel, expected as Real, "channel {c}, column {x}, row {y}");
             }
             for t in 0..across * height.div_ceil(TILE) {
                 let (x, y) = (t % across * TILE, t / across * TILE);
                 let mut read = vec![7.0; channels * PIXELS];
                 gather(&pictures, &plane, (x, y), &mut read);
-                for (i, (found, written)) in read.iter().zip(tile(t)).enumerate() {
+                for (i, (pixel, written)) in read.iter().zip(tile(t)).enumerate() {
                     let inside = x + i % TILE < width && y + i / TILE % TILE < height;
-                    assert_eq!(*found, if inside { written } else { 0.0 });
+                    assert_eq!(*pixel, if inside { written } else { 0.0 });
                 }
             }
         }

@@ -106,8 +106,8 @@ impl Lens {
     /// Returns the slopes x/z and y/z of `v`, and the same limited at the margin.
     #[inline]
     fn slopes(&self, v: Vec3) -> [[Real; 2]; 2] {
-        let ([low, high], own) = (self.slopes, [v.x / v.z, v.y / v.z]);
-        [own, [0, 1].map(|k| own[k].max(low[k]).min(high[k]))]
+        let ([low, high], slope) = (self.slopes, [v.x / v.z, v.y / v.z]);
+        [slope, [0, 1].map(|k| slope[k].max(low[k]).min(high[k]))]
     }
 
     /// Returns the rows of the derivative of the pixel at depth `z` and these slopes.
@@ -125,8 +125,8 @@ impl CameraModel for Lens {
 
     #[inline]
     fn pixel(&self, v: Vec3) -> [Real; 2] {
-        let [own, _] = self.slopes(v);
-        [0, 1].map(|k| self.focal[k] * own[k] + self.centre[k])
+        let [slope, _] = self.slopes(v);
+        [0, 1].map(|k| self.focal[k] * slope[k] + self.centre[k])
     }
 
     #[inline]
@@ -142,15 +142,15 @@ impl CameraModel for Lens {
 
     #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
-        let [own, limited] = self.slopes(v);
+        let [slope, limited] = self.slopes(v);
         let mut out = Vec3::ZERO;
         for (k, along) in [d[0].x, d[1].y].into_iter().enumerate() {
             // f/z · (along − s d.z), with s constant outside the limits.
             let over = self.focal[k] / (v.z * v.z);
             out.z -= over * (along - limited[k] * d[k].z);
-            if own[k] == limited[k] {
+            if slope[k] == limited[k] {
                 out[k] -= over * d[k].z;
-                out.z += over * own[k] * d[k].z;
+                out.z += over * slope[k] * d[k].z;
             }
         }
         out

@@ -19,31 +19,31 @@ pub(crate) struct SurveyTile<'a, 'b> {
 /// Inputs of the derivative with respect to splat strength in a tile: `[channels][PIXELS]`, and the sum behind the
 /// current splat.
 struct Slopes {
-    own: Vec<Real>,
-    behind: Vec<Real>,
+    slopes: Vec<Real>,
+    q_behind: Vec<Real>,
     channels: usize,
 }
 
 impl Slopes {
     fn of(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
-        let (_, slopes) = survey_tile.survey.slopes?;
+        let (_, image) = survey_tile.survey.slopes?;
         let Tile { channels, plane, corner, .. } = *survey_tile.tile;
-        let (mut own, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
-        gather(slopes, plane, corner, &mut own);
+        let (mut slopes, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
+        gather(image, plane, corner, &mut slopes);
         gather(survey_tile.picture, plane, corner, &mut drawn);
-        let mut behind = vec![0.0; PIXELS];
-        for (k, (slope, value)) in own.iter().zip(&drawn).enumerate() {
-            behind[k % PIXELS] += slope * value;
+        let mut q_behind = vec![0.0; PIXELS];
+        for (k, (slope, value)) in slopes.iter().zip(&drawn).enumerate() {
+            q_behind[k % PIXELS] += slope * value;
         }
-        Some(Self { own, behind, channels })
+        Some(Self { slopes, q_behind, channels })
     }
 
-    /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, and passes the splat.
+    /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, and removes the splat from the sum.
     #[inline(always)]
     fn along(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
-        let q: Real = (0..self.channels).map(|c| signal[c] * self.own[c * PIXELS + p]).sum();
-        self.behind[p] -= weight * q;
-        before * q - self.behind[p] / (1.0 - alpha)
+        let q: Real = (0..self.channels).map(|c| signal[c] * self.slopes[c * PIXELS + p]).sum();
+        self.q_behind[p] -= weight * q;
+        before * q - self.q_behind[p] / (1.0 - alpha)
     }
 }
 
@@ -53,57 +53,57 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<SplatStats> {
         let Self { tile, survey, .. } = &self;
-        let mut found = vec![SplatStats::default(); tile.list.len()];
+        let mut all = vec![SplatStats::default(); tile.list.len()];
         let mut slopes = Slopes::of(&self);
         let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
-        let mut light = tile.start();
+        let mut transmittance = tile.start();
         for (k, (&i, &[top, end])) in tile.list.iter().zip(tile.rows).enumerate() {
             let i = i as usize;
-            let brush = tile.brush(i);
-            let own = &mut found[k];
+            let splat = tile.splat_row(i);
+            let stats = &mut all[k];
             for row in top as usize..end as usize {
-                if !light.is_open(row) {
+                if !transmittance.is_live(row) {
                     continue;
                 }
                 let y = tile.corner.1 + row;
-                let (gauss, raw) = brush.alpha(y as Real);
-                let alpha = brush.veiled(raw);
-                let before = light.row(row);
-                let weight = light.pass(row, &alpha);
+                let (gauss, raw) = splat.alpha(y as Real);
+                let alpha = splat.with_existence(raw);
+                let before = transmittance.row(row);
+                let weight = transmittance.blend(row, &alpha);
                 for lane in 0..TILE {
                     let (w, p) = (weight[lane], row * TILE + lane);
                     if w <= 0.0 {
                         continue;
                     }
                     let pixel = y * tile.plane.width + tile.corner.0 + lane;
-                    own.weight += w;
-                    own.largest = own.largest.max(w);
-                    own.pixels += 1.0;
-                    own.error += w * survey.errors.get(pixel).copied().unwrap_or(0.0);
-                    own.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
+                    stats.weight += w;
+                    stats.largest = stats.largest.max(w);
+                    stats.pixels += 1.0;
+                    stats.error += w * survey.errors.get(pixel).copied().unwrap_or(0.0);
+                    stats.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
                     if let Some((count, truth, strengths)) = survey.top {
                         let value = (-(strengths[i] - truth[pixel]).abs()).exp() * w;
-                        place(&mut first[p], count, (value, k));
+                        insert(&mut first[p], count, (value, k));
                     }
                     if let (Some(slopes), Some((signals, _))) = (&mut slopes, survey.slopes) {
                         let signal = &signals[i * slopes.channels..][..slopes.channels];
                         let d = slopes.along(p, signal, (before[lane], alpha[lane], w));
-                        own.sensitivity += (d * alpha[lane]).powi(2);
+                        stats.sensitivity += (d * alpha[lane]).powi(2);
                         if survey.fisher {
-                            let d_power = d * brush.existence * brush.opacity * gauss[lane];
-                            outer(&mut own.fisher, &brush.slopes(lane, y as Real).map(|slope| d_power * slope));
+                            let d_power = d * splat.existence * splat.opacity * gauss[lane];
+                            outer(&mut stats.fisher, &splat.slopes(lane, y as Real).map(|slope| d_power * slope));
                         }
                     }
                 }
             }
         }
-        first.iter().flatten().for_each(|&(_, k)| found[k].top = true);
-        found
+        first.iter().flatten().for_each(|&(_, k)| all[k].top = true);
+        all
     }
 }
 
 /// Keeps the `count` largest values; ties keep the earlier one.
-fn place(first: &mut First, count: usize, entry: (Real, usize)) {
+fn insert(first: &mut First, count: usize, entry: (Real, usize)) {
     let at = first.partition_point(|(value, _)| *value >= entry.0);
     if at < count {
         first.insert(at, entry);

@@ -58,9 +58,9 @@ impl Antennas {
         wavefront: Wavefront,
         plane: &ImagePlane,
     ) -> Self {
-        let place = |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * spacing;
-        let positions =
-            (0..rows * columns).map(|k| Vec3::new(place(k % columns, columns), place(k / columns, rows), 0.0));
+        let coordinate = |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * spacing;
+        let positions = (0..rows * columns)
+            .map(|k| Vec3::new(coordinate(k % columns, columns), coordinate(k / columns, rows), 0.0));
         let (az, el) = plane.angles.expect("the plane was checked: its pixels are directions");
         Self {
             positions: positions.collect(),
@@ -176,10 +176,10 @@ impl Antennas {
         let Some(wavelength) = self.wavelength else { return (TAU * along, p * TAU, 0.0) };
         let r = distance / wavelength;
         let square = p.length_squared();
-        let way = (r * r - 2.0 * r * along + square).max(CLOSEST * CLOSEST).sqrt();
-        // Computes `way - r` without cancellation.
-        let extra = (square - 2.0 * r * along) / (way + r);
-        (-TAU * extra, p * (TAU * r / way), TAU * (extra + along) / (way * wavelength))
+        let distance = (r * r - 2.0 * r * along + square).max(CLOSEST * CLOSEST).sqrt();
+        // Computes `distance - r` without cancellation.
+        let extra = (square - 2.0 * r * along) / (distance + r);
+        (-TAU * extra, p * (TAU * r / distance), TAU * (extra + along) / (distance * wavelength))
     }
 
     /// Returns the exponent by which width attenuates the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
