@@ -80,14 +80,15 @@ fn whole(
 ) -> Result<LossAndGradients> {
     let traced = TracedCloud::new(cloud);
     let gates = Gates::of(&traced, pruners, context);
-    let penalties = pruners.iter().zip(contexts(pruners, context)).filter_map(|(p, own)| p.penalty(&traced, &own));
+    let penalties =
+        pruners.iter().zip(contexts(pruners, context)).filter_map(|(p, context)| p.penalty(&traced, &context));
     let penalty = penalties.reduce(|a, b| a + b);
     let stats = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
     let d_weights = Rc::new(RefCell::new(vec![0.0; weights.len()]));
     let graph = Graph {
         stages: Arc::clone(stages),
         batch: Arc::new(batch.clone()),
-        open: Rc::new(DrawableGaussians::of(stages, cloud, &gates)),
+        drawable: Rc::new(DrawableGaussians::of(stages, cloud, &gates)),
         weights: Arc::clone(weights),
         d_weights: Rc::clone(&d_weights),
         stats: Rc::clone(&stats),
@@ -143,13 +144,13 @@ pub fn loss_and_gradients(
         stats: CloudStats::zeros(cloud.len()),
     };
     for part in parts {
-        let (own, share) = (of(&part)?, part.inputs.links.len() as Real / batch.inputs.links.len() as Real);
+        let (gradients, share) = (of(&part)?, part.inputs.links.len() as Real / batch.inputs.links.len() as Real);
         let add = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
-        sum.loss += share * own.loss;
-        sum.penalty = own.penalty;
-        add(&mut sum.d_weights, &own.d_weights);
-        sum.d_cloud.columns_mut().zip(own.d_cloud.columns()).for_each(|((_, _, sum), (_, _, d))| add(sum, d));
-        sum.stats.add(&own.stats);
+        sum.loss += share * gradients.loss;
+        sum.penalty = gradients.penalty;
+        add(&mut sum.d_weights, &gradients.d_weights);
+        sum.d_cloud.columns_mut().zip(gradients.d_cloud.columns()).for_each(|((_, _, sum), (_, _, d))| add(sum, d));
+        sum.stats.add(&gradients.stats);
     }
     Ok(sum)
 }
@@ -169,8 +170,8 @@ impl Gates {
                 None => factor,
             });
         };
-        let own = pruners.iter().zip(contexts(pruners, context));
-        for gate in own.filter_map(|(pruner, context)| pruner.gate(traced, &context)) {
+        let with_contexts = pruners.iter().zip(contexts(pruners, context));
+        for gate in with_contexts.filter_map(|(pruner, context)| pruner.gate(traced, &context)) {
             match gate {
                 Gate::Whole(factor) => times(&mut gates.whole, factor),
                 Gate::Existence(factor) => times(&mut gates.existence, factor),
@@ -244,7 +245,7 @@ impl DrawableGaussians {
 struct Graph {
     stages: Arc<Stages>,
     batch: Arc<Batch>,
-    open: Rc<DrawableGaussians>,
+    drawable: Rc<DrawableGaussians>,
     /// Weights Θ and their derivative. They are not on the tape, which would copy each of them several times; only the
     /// method reads the former and writes the latter.
     weights: Arc<Vec<Real>>,
@@ -257,8 +258,8 @@ impl Graph {
     fn observe(&self, traced: &TracedCloud, mut gates: Gates) -> Trace {
         // Standard columns and those of the method; columns of pruners act through the gate.
         let MethodTraits { columns, supports_existence_gate, .. } = self.stages.method.traits();
-        let own = columns.into_iter().map(|(name, _)| name);
-        let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(own).collect();
+        let of_method = columns.into_iter().map(|(name, _)| name);
+        let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(of_method).collect();
         let columns = names.iter().map(|name| traced.column(name));
         if !supports_existence_gate && let Some(existence) = gates.existence.take() {
             gates.whole = Some(match gates.whole.take() {
@@ -267,24 +268,24 @@ impl Graph {
             });
         }
         let inputs: Vec<Trace> = columns.chain(gates.whole).chain(gates.existence).collect();
-        let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
+        let (stages, batch, drawable) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.drawable));
         let (weights, d_weights, stats) =
             (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
-        let mut observed = stages.method.forward(&batch.call(&stages.setup, open.parameters(&weights)), &None);
+        let mut observed = stages.method.forward(&batch.call(&stages.setup, drawable.parameters(&weights)), &None);
         let numbers = std::mem::take(&mut observed.numbers);
         let vjp = move |d: Vec<Vec<Real>>| {
-            let call = batch.call(&stages.setup, open.parameters(&weights));
+            let call = batch.call(&stages.setup, drawable.parameters(&weights));
             let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
             stages.method.vjp(&call, observed, &d[0], &mut sums);
             *d_weights.borrow_mut() = sums.weights;
             let mut stats = stats.borrow_mut();
-            for ((_, all), (_, own)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
-                *all = open.scatter(1, own);
+            for ((_, all), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
+                *all = drawable.scatter(1, drawn);
             }
             let of = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
-            let columns = names.iter().filter_map(of).map(|(_, width, values)| open.scatter(width, values));
-            let gate = open.gate.is_some().then(|| open.scatter(1, &sums.gate));
-            let existence = open.existence.is_some().then(|| open.scatter(1, &sums.existence));
+            let columns = names.iter().filter_map(of).map(|(_, width, values)| drawable.scatter(width, values));
+            let gate = drawable.gate.is_some().then(|| drawable.scatter(1, &sums.gate));
+            let existence = drawable.existence.is_some().then(|| drawable.scatter(1, &sums.existence));
             columns.chain(gate).chain(existence).collect()
         };
         op(inputs, vec![numbers], vjp).remove(0)
@@ -321,11 +322,11 @@ mod tests {
         assert!(batch.parts(20).is_none() && Batch { pixels: PixelSubset::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
         assert_eq!(parts.iter().map(|part| part.inputs.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
-        let own = |part: &Batch| match &part.pixels {
+        let pixels = |part: &Batch| match &part.pixels {
             PixelSubset::Each(pixels) => pixels.to_vec(),
             _ => Vec::new(),
         };
-        assert_eq!(parts.iter().flat_map(own).collect::<Vec<_>>(), own(&batch));
+        assert_eq!(parts.iter().flat_map(pixels).collect::<Vec<_>>(), pixels(&batch));
         assert_eq!(parts.iter().flat_map(|part| part.inputs.links.clone()).collect::<Vec<_>>(), batch.inputs.links);
         assert_eq!(parts.iter().flat_map(|part| part.truths.clone()).collect::<Vec<_>>(), batch.truths);
     }

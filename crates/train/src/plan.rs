@@ -43,8 +43,8 @@ impl TrainingPlan {
                 goal.target
             ));
         }
-        if let Some(what) = self.initializer.count().and_then(|n| too_many(self, n)) {
-            return Err(what);
+        if let Some(why) = self.initializer.count().and_then(|n| too_many(self, n)) {
+            return Err(why);
         }
         let MethodTraits { task, blends, .. } = self.method.traits();
         let target = goal.map(|goal| goal.target);
@@ -198,9 +198,9 @@ pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
         Rays::Each(count) => (count, MOST_PAIRS),
     };
     if !stages.setup.task.has_pixels {
-        let what = stages.setup.task.plural;
+        let observations = stages.setup.task.plural;
         return Err(Error::Config(format!(
-            "training.rays selects pixels of spectra, but the data are {what}; remove it"
+            "training.rays selects pixels of spectra, but the data are {observations}; remove it"
         )));
     }
     if count > most {
@@ -214,7 +214,7 @@ const MOST_PAIRS: usize = 1 << 22;
 
 /// Rejects data whose transmitter inputs do not match the method.
 pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
-    let own = stages.deformation().is_none();
+    let without_deformation = stages.deformation().is_none();
     let (wants, has) = (stages.method.traits().inputs, data.features.as_ref().map_or(3, |features| features.width));
     if data.features.is_none() && !data.placed {
         return Err(Error::Config("the data have neither positions nor features of the transmitters".into()));
@@ -227,12 +227,12 @@ pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
     if wants == has {
         return Ok(());
     }
-    let what = |n: usize, features: bool| if features { format!("{n} features") } else { "a position".to_owned() };
+    let inputs = |n: usize, features: bool| if features { format!("{n} features") } else { "a position".to_owned() };
     Err(Error::Config(format!(
         "the method needs {} per transmitter, but the data have {}; {}",
-        what(wants, wants != 3),
-        what(has, data.features.is_some()),
-        match (own, data.features.is_some()) {
+        inputs(wants, wants != 3),
+        inputs(has, data.features.is_some()),
+        match (without_deformation, data.features.is_some()) {
             (true, true) => format!("set it in the method, such as Nerf2(features: {has})"),
             (true, false) => "remove `features` of the method".into(),
             (false, true) => format!("use deformation: Factored(tx_encoding: Features(width: {has}))"),

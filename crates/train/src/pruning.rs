@@ -37,22 +37,22 @@ struct Votes {
 fn votes(
     (pruners, goal): (&[Plugin<dyn Pruner>], Option<PruneTarget>),
     cloud: &GaussianCloud,
-    known: &[CloudStats],
+    stats: &[CloudStats],
     context: &StepContext,
 ) -> Votes {
     let mut rules = RemovalsByRule::new();
     let (mut keep, mut open) = (vec![true; cloud.len()], vec![true; cloud.len()]);
-    for (k, ((pruner, stats), context)) in pruners.iter().zip(known).zip(contexts(pruners, context)).enumerate() {
+    for (k, ((pruner, stats), context)) in pruners.iter().zip(stats).zip(contexts(pruners, context)).enumerate() {
         if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
             continue;
         }
-        let own = pruner.keep(cloud, stats, &context);
-        assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
-        rules.push((format!("`{}`", name_of(pruner)), removed_by(&own)));
+        let votes = pruner.keep(cloud, stats, &context);
+        assert_eq!(votes.len(), keep.len(), "a pruner answers for every Gaussian");
+        rules.push((format!("`{}`", name_of(pruner)), removed_by(&votes)));
         if pruner.traits().mask_rate().is_some() {
-            open.iter_mut().zip(&own).for_each(|(all, own)| *all &= *own);
+            open.iter_mut().zip(&votes).for_each(|(all, vote)| *all &= *vote);
         }
-        keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
+        keep.iter_mut().zip(votes).for_each(|(all, vote)| *all &= vote);
     }
     let closed = removed_by(&open);
     let Some(goal) = goal.filter(PruneTarget::is_exact) else { return Votes { keep, rules, closed } };
@@ -63,7 +63,7 @@ fn votes(
         Budget::PrunerManaged | Budget::UpperBound => keep.len(),
     };
     // Gaussians that a pruner rejects rank after all others.
-    let kept = best(count, &pruners[goal.pruner].score(cloud, &known[goal.pruner], context), |i| keep[i]);
+    let kept = best(count, &pruners[goal.pruner].score(cloud, &stats[goal.pruner], context), |i| keep[i]);
     let rules = vec![(format!("the target of {}", goal.target), removed_by(&kept))];
     Votes { keep: kept, rules, closed }
 }
@@ -90,9 +90,9 @@ impl Trainer<'_> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
-        let known = self.edits(&pruners, context)?;
-        let Votes { mut keep, rules, closed } = votes((&pruners, self.goal), &self.cloud, &known, context);
-        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], context), "pruning");
+        let stats = self.edits(&pruners, context)?;
+        let Votes { mut keep, rules, closed } = votes((&pruners, self.goal), &self.cloud, &stats, context);
+        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &stats[0], context), "pruning");
         self.retain_rows(&keep);
         self.count_masks(closed, keep.len());
         self.report_removal(context.step, (keep.len(), closed), &rules)?;
@@ -107,7 +107,7 @@ impl Trainer<'_> {
 
     /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
     fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
-        let mut known = vec![None; pruners.len()];
+        let mut computed = vec![None; pruners.len()];
         let contexts = contexts(pruners, context);
         for (k, (pruner, context)) in pruners.iter().zip(&contexts).enumerate() {
             let stats = self.stats_for(pruner, context)?;
@@ -119,18 +119,18 @@ impl Trainer<'_> {
                     let (cloud, mut per_gaussian) = self.rows();
                     edit::replace(edit, cloud, &mut per_gaussian);
                     if same {
-                        known[k] = Some(stats);
+                        computed[k] = Some(stats);
                     } else {
-                        known.fill(None);
+                        computed.fill(None);
                     }
                 }
-                None => known[k] = Some(stats),
+                None => computed[k] = Some(stats),
             }
         }
-        let of = |(known, (pruner, context)): (Option<CloudStats>, (_, &StepContext))| {
-            known.map_or_else(|| self.stats_for(pruner, context), Ok)
+        let complete = |(stats, (pruner, context)): (Option<CloudStats>, (_, &StepContext))| {
+            stats.map_or_else(|| self.stats_for(pruner, context), Ok)
         };
-        known.into_iter().zip(pruners.iter().zip(&contexts)).map(of).collect()
+        computed.into_iter().zip(pruners.iter().zip(&contexts)).map(complete).collect()
     }
 
     /// Keeps the rows with `true`.
@@ -147,8 +147,8 @@ impl Trainer<'_> {
             let gate = open_gates(&self.cloud, &self.plan.pruners, context);
             let stages_of = |part: u64| {
                 let mut stages = Stages::clone(&self.stages);
-                let place = (context.step, part);
-                stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), place);
+                let pass = (context.step, part);
+                stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), pass);
                 stages
             };
             let batches = self.batches.sample(&needs, context, self.data, stages_of);

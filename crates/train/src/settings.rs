@@ -337,11 +337,11 @@ impl Optimizer {
 
 impl Densify {
     fn check(&self) -> Result<(), String> {
-        let known = |x: Real| x >= 0.0 && x.is_finite();
-        need(known(self.gradient_threshold), "`gradient_threshold` must not be negative")?;
-        need(known(self.extent_m), "`extent_m` must be 0 (automatic) or a positive length")?;
+        let is_valid = |x: Real| x >= 0.0 && x.is_finite();
+        need(is_valid(self.gradient_threshold), "`gradient_threshold` must not be negative")?;
+        need(is_valid(self.extent_m), "`extent_m` must be 0 (automatic) or a positive length")?;
         need(
-            known(self.clone_below) && known(self.large_above),
+            is_valid(self.clone_below) && is_valid(self.large_above),
             "`clone_below` and `large_above` must not be negative",
         )?;
         need((0.0..1.0).contains(&self.opacity_floor), "`opacity_floor` must lie in [0, 1)")?;

@@ -139,7 +139,7 @@ impl<'a> Trainer<'a> {
     /// for fewer Gaussians than an exact target.
     pub fn set_cloud(&mut self, mut cloud: GaussianCloud) -> Result<()> {
         let (n, is_same) = (cloud.len(), cloud.len() == self.cloud.len());
-        let refuse = |what: String| Err(Error::Config(format!("cloud: {what}")));
+        let refuse = |why: String| Err(Error::Config(format!("cloud: {why}")));
         if n == 0 || !self.stages.method.traits().has_gaussians() {
             return refuse(
                 "0 Gaussians, or a method without Gaussians; give at least one Gaussian to a method with them".into(),
@@ -148,21 +148,21 @@ impl<'a> Trainer<'a> {
         if let Some((name, ..)) = cloud.columns().find(|(_, _, values)| !values.iter().all(|v| v.is_finite())) {
             return refuse(format!("column `{name}` has a number that is not finite; give finite numbers"));
         }
-        if let Some(what) = too_many(&self.plan, n).filter(|_| self.phase(self.done + 1) != Phase::Finetune) {
-            return refuse(what);
+        if let Some(why) = too_many(&self.plan, n).filter(|_| self.phase(self.done + 1) != Phase::Finetune) {
+            return refuse(why);
         }
-        for own in &cloud.extra {
-            if self.cloud.extra(&own.name).is_none_or(|known| known.width != own.width) {
-                return refuse(format!("unknown column `{}` of width {}; leave it out", own.name, own.width));
+        for column in &cloud.extra {
+            if self.cloud.extra(&column.name).is_none_or(|present| present.width != column.width) {
+                return refuse(format!("unknown column `{}` of width {}; leave it out", column.name, column.width));
             }
         }
         let initial = |name: &str| self.specs.iter().find(|spec| spec.name == name).map_or(0.0, |spec| spec.init);
-        let column = |known: &ExtraColumn| match cloud.extra(&known.name) {
-            Some(own) => own.clone(),
-            None if is_same => known.clone(),
-            None => ExtraColumn { values: vec![initial(&known.name); n * known.width], ..known.clone() },
+        let completed = |present: &ExtraColumn| match cloud.extra(&present.name) {
+            Some(column) => column.clone(),
+            None if is_same => present.clone(),
+            None => ExtraColumn { values: vec![initial(&present.name); n * present.width], ..present.clone() },
         };
-        cloud.extra = self.cloud.extra.iter().map(column).collect();
+        cloud.extra = self.cloud.extra.iter().map(completed).collect();
         if !is_same {
             self.adam.cloud = Adam::new(&cloud, &[]).cloud;
             self.stats = CloudStats::zeros(n);
@@ -178,8 +178,8 @@ impl<'a> Trainer<'a> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));
         }
-        if let Some(what) = too_many(&self.plan, cloud.len()) {
-            return Err(Error::Config(format!("pruners: {what}")));
+        if let Some(why) = too_many(&self.plan, cloud.len()) {
+            return Err(Error::Config(format!("pruners: {why}")));
         }
         let Stages { method, setup } = &*self.stages;
         cloud.complete(&method.traits().columns).map_err(Error::Config)?;

@@ -189,18 +189,18 @@ impl Trainer<'_> {
             Some(factors) => Arc::new(times(factors, &self.weights)),
             None => Arc::clone(&self.weights),
         };
-        let mut found =
+        let mut gradients =
             loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &context)?;
         drop(weights); // the optimiser then updates them in place
         if let Some(factors) = &dropout {
-            found.d_weights = times(factors, &found.d_weights);
+            gradients.d_weights = times(factors, &gradients.d_weights);
         }
-        self.stats.add(&found.stats);
+        self.stats.add(&gradients.stats);
         let rates = Rates { training: &self.plan.training, step };
         let weights = Arc::make_mut(&mut self.weights);
-        (self.adam.step_cloud(rates, &self.specs, &mut self.cloud, &found.d_cloud))
-            .and_then(|()| self.adam.step_weights(rates, &self.groups, weights, &found.d_weights))
-            .map_err(|what| Error::NonFinite { what, step })?;
+        (self.adam.step_cloud(rates, &self.specs, &mut self.cloud, &gradients.d_cloud))
+            .and_then(|()| self.adam.step_weights(rates, &self.groups, weights, &gradients.d_weights))
+            .map_err(|column| Error::NonFinite { what: column, step })?;
         for (pruner, context) in pruners.iter().zip(contexts(&pruners, &context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }
@@ -209,7 +209,7 @@ impl Trainer<'_> {
             PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
         });
         self.done = step;
-        let (loss, penalty, gaussians) = (found.loss as f64, found.penalty as f64, self.cloud.len());
+        let (loss, penalty, gaussians) = (gradients.loss as f64, gradients.penalty as f64, self.cloud.len());
         Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })
     }
 
