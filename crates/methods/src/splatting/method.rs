@@ -248,8 +248,7 @@ impl Method for Splatting {
         let (network, laws) = self.parts(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        let mut own = ActivationVjp::zeros(p.cloud, deltas);
-        let rows: Vec<usize> = (0..n).collect();
+        let (mut own, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
@@ -263,6 +262,7 @@ impl Method for Splatting {
             let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, p, terms, &d_blended, own)
             });
+            sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
             // Links of a moving receiver have a geometry each.
             if is_requested && request.conditions.moves() {
                 let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
