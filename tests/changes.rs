@@ -18,15 +18,15 @@ fn base() -> Pipeline {
 fn changed(arguments: &[&str]) -> Vec<String> {
     let mut pipeline = base();
     pipeline.set_all(arguments).unwrap_or_else(|e| panic!("{arguments:?}: {e}"));
-    let before = base().to_ron();
+    let before = base().to_ron().unwrap();
     let before: Vec<&str> = before.lines().collect();
-    pipeline.to_ron().lines().filter(|l| !before.contains(l)).map(|l| l.trim().to_owned()).collect()
+    pipeline.to_ron().unwrap().lines().filter(|l| !before.contains(l)).map(|l| l.trim().to_owned()).collect()
 }
 
 fn refused(arguments: &[&str]) -> String {
     let mut pipeline = base();
     let message = pipeline.set_all(arguments).unwrap_err().to_string();
-    assert_eq!(pipeline.to_ron(), base().to_ron(), "a refused change changes nothing");
+    assert_eq!(pipeline.to_ron().unwrap(), base().to_ron().unwrap(), "a refused change changes nothing");
     for internal in ["Misfit", "Checked"] {
         assert!(!message.contains(internal), "{message}");
     }
@@ -160,9 +160,20 @@ fn change_arguments_never_panic() {
         (0..pick(8)).for_each(|_| argument += pieces[pick(pieces.len())]);
         let mut pipeline = base();
         if pipeline.set(&argument).is_ok() {
-            let text = pipeline.to_ron();
+            let text = pipeline.to_ron().unwrap();
             let again = Pipeline::parse(&text, Path::new("again.ron")).unwrap_or_else(|e| panic!("{argument:?}: {e}"));
-            assert_eq!(again.to_ron(), text, "{argument:?}");
+            assert_eq!(again.to_ron().unwrap(), text, "{argument:?}");
         }
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn refuses_to_write_path_that_is_not_text() {
+    let root = <std::ffi::OsStr as std::os::unix::ffi::OsStrExt>::from_bytes(b"\xff").into();
+    let data: Box<dyn DataSource> = Box::new(pwrfgs_data::Nerf2Spectrum { root, ..Default::default() });
+    let mut pipeline = Pipeline { data: data.into(), ..base() };
+    for refused in [pipeline.to_ron().unwrap_err(), pipeline.set("seed=2").unwrap_err()] {
+        assert!(refused.to_string().contains("this pipeline cannot be written as text: "), "{refused}");
     }
 }

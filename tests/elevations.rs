@@ -1,7 +1,7 @@
 //! Pictures of other elevations than 0 to 90 degrees: a full sphere trains, and nobody reads it as half of one.
 
 use crate::common::pipeline;
-use pwrfgs::experiment::Session;
+use pwrfgs::experiment::{Session, SplitData};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 
@@ -78,7 +78,8 @@ fn rejects_elevations_that_model_cannot_draw() {
     let model = pipeline.trainer(&half, &partition).unwrap().model();
     let (ensemble, mut silent) = (Ensemble::of(model.clone()), NoopObserver);
     let session = &mut Session::new(&mut silent);
-    let message = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &data, &partition, session);
+    let split = SplitData { data, partition };
+    let message = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &split, session);
     let message = message.unwrap_err().to_string();
     assert!(
         message.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),

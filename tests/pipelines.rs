@@ -1,7 +1,7 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
 use pwrfgs::core::ShippedFile;
 use pwrfgs::experiment::sweep::{JOINED, SweepPlan, execute};
-use pwrfgs::experiment::{RunOutcome, Session};
+use pwrfgs::experiment::{RunOutcome, Session, SplitData};
 use pwrfgs::prelude::*;
 use pwrfgs::raytrace::output::OutputLayout;
 use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
@@ -40,7 +40,7 @@ fn program_ships_every_pipeline_experiment_and_scene() {
     assert!(["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"].into_iter().all(named));
     for file in ShippedFile::all(ShippedFile::PIPELINES) {
         let pipeline = Pipeline::parse(&file.text(), Path::new(file.name)).unwrap_or_else(|e| panic!("{e}"));
-        let text = pipeline.to_ron();
+        let text = pipeline.to_ron().unwrap();
         let scene = text.split_once("scene: \"").map(|(_, rest)| rest.split('"').next().unwrap());
         let is_shipped = |scene| ShippedFile::find(ShippedFile::SCENES, Path::new(""), Path::new(scene)).is_some();
         assert!(scene.is_none_or(is_shipped), "{}: {scene:?}", file.name);
@@ -50,9 +50,9 @@ fn program_ships_every_pipeline_experiment_and_scene() {
 #[test]
 fn every_pipeline_round_trips_through_ron() {
     for path in files("pipelines") {
-        let text = read(&path).to_ron();
+        let text = read(&path).to_ron().unwrap();
         let again = Pipeline::parse(&text, &path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        assert_eq!(again.to_ron(), text, "{}", path.display());
+        assert_eq!(again.to_ron().unwrap(), text, "{}", path.display());
         assert_eq!(
             read(&path).name,
             path.file_stem().unwrap().to_string_lossy(),
@@ -215,7 +215,8 @@ fn every_experiment_resolves_and_its_variants_train() {
                 pipeline.set("initializer.count=600").unwrap();
             }
             shrink(&mut pipeline);
-            let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
+            let SplitData { data, partition } =
+                pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
             let mut trainer = match pipeline.trainer(&data, &partition) {
                 Ok(trainer) => trainer,
                 Err(_) if run.folder.contains("point-cloud") => continue, // only this needs a scene
@@ -324,7 +325,7 @@ fn pwrfgs_has_the_constants_of_paper_and_released_code() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines").join(name);
         let mut whole = pipeline.clone();
         changes.iter().for_each(|change| whole.set(change).unwrap_or_else(|e| panic!("{e}")));
-        assert_eq!(read(&file).to_ron(), whole.to_ron(), "{name}");
+        assert_eq!(read(&file).to_ron().unwrap(), whole.to_ron().unwrap(), "{name}");
     };
     let start = [
         "name=\"pwrfgs-small\"",
@@ -341,7 +342,7 @@ fn wrfgs_densifies_at_steps_of_released_code() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));
     pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
     pipeline.set("initializer.count=20").unwrap();
-    let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
+    let SplitData { data, partition } = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
     let trainer = pipeline.trainer(&data, &partition).unwrap();
     let densify = &pipeline.training.densify;
     let is_due = |step: &u64| step.is_multiple_of(densify.every) && *step > densify.from;

@@ -1,4 +1,5 @@
-//! The laws of the tree: dependencies of crates go down, files of a crate form no circle, and a file has at most 300 code lines.
+//! The laws of the tree: dependencies of crates go down, modules of a crate form no circle, and a file has at most 300 code
+//! lines.
 //!
 //! Code lines are lines that are neither blank, nor a comment, nor part of a test.
 
@@ -129,8 +130,11 @@ pub(crate) fn sources() -> Vec<Source> {
     found
 }
 
+/// A path that is used, and the name that it gets.
+type Import = (Vec<String>, String);
+
 /// The paths of a `use` tree.
-fn expand(tree: &str, prefix: &[String], paths: &mut Vec<Vec<String>>) {
+fn expand(tree: &str, prefix: &[String], imports: &mut Vec<Import>) {
     let (mut depth, mut start) = (0, 0);
     let mut branch = |branch: &str| {
         let branch = branch.trim();
@@ -139,12 +143,13 @@ fn expand(tree: &str, prefix: &[String], paths: &mut Vec<Vec<String>>) {
         }
         let names =
             |path: &str| path.split("::").map(|n| n.trim().to_owned()).filter(|n| !n.is_empty()).collect::<Vec<_>>();
-        match branch.split_once('{') {
-            Some((path, rest)) => {
-                expand(rest.strip_suffix('}').unwrap_or(rest), &[prefix, &names(path)].concat(), paths);
-            }
-            None => paths.push([prefix, &names(branch.split(" as ").next().unwrap())].concat()),
+        if let Some((path, rest)) = branch.split_once('{') {
+            return expand(rest.strip_suffix('}').unwrap_or(rest), &[prefix, &names(path)].concat(), imports);
         }
+        let (path, alias) = branch.split_once(" as ").unwrap_or((branch, ""));
+        let path = [prefix, &names(path)].concat();
+        let name = path.iter().rfind(|n| *n != "self").filter(|_| alias.is_empty()).map_or(alias, String::as_str);
+        imports.push((path.clone(), name.trim().to_owned()));
     };
     for (i, c) in tree.char_indices() {
         match c {
@@ -161,7 +166,7 @@ fn expand(tree: &str, prefix: &[String], paths: &mut Vec<Vec<String>>) {
 }
 
 /// The paths of `code` that are used, and those that are exported again.
-fn paths(code: &str) -> [Vec<Vec<String>>; 2] {
+fn imports(code: &str) -> [Vec<Import>; 2] {
     let mut all = [Vec::new(), Vec::new()];
     let is_name = |c: char| c.is_alphanumeric() || c == '_';
     for (at, _) in code.match_indices("use ").filter(|(at, _)| !code[..*at].ends_with(is_name)) {
@@ -174,7 +179,11 @@ fn paths(code: &str) -> [Vec<Vec<String>>; 2] {
     for start in ["crate::", "super::"] {
         for (at, _) in code.match_indices(start).filter(|(at, _)| !code[..*at].ends_with(|c| is_name(c) || c == ':')) {
             let path = code[at..].split(|c: char| !is_name(c) && c != ':').next().unwrap();
-            all[0].push(path.split("::").map(str::to_owned).filter(|n| !n.is_empty()).collect());
+            let path: Vec<String> = path.split("::").map(str::to_owned).filter(|n| !n.is_empty()).collect();
+            let name = path.last().unwrap().clone();
+            if !["crate", "super"].contains(&&*name) {
+                all[0].push((path, name));
+            }
         }
     }
     all
@@ -212,38 +221,39 @@ impl Modules<'_> {
         let files = sources.iter().enumerate().map(|(i, s)| (s.module.clone(), i)).collect();
         let mut modules = Modules { files, exports: BTreeMap::new(), sources };
         for source in sources {
-            for path in &paths(&source.code)[1] {
-                let name = path.iter().rfind(|n| *n != "self").cloned().unwrap_or_default();
+            for (path, name) in &imports(&source.code)[1] {
                 if let Some(target) = modules.absolute(&source.module, path) {
-                    modules.exports.insert((source.module.clone(), name), target);
+                    modules.exports.insert((source.module.clone(), name.clone()), target);
                 }
             }
         }
         modules
     }
 
-    /// Files that use each other, directly or through others.
-    fn circles(&self) -> Vec<Vec<&str>> {
-        let used = |i: usize| -> BTreeSet<usize> {
-            let source = &self.sources[i];
-            let absolute =
-                paths(&source.code)[0].iter().filter_map(|p| self.absolute(&source.module, p)).collect::<Vec<_>>();
-            absolute.iter().filter_map(|p| self.file(p, 0)).filter(|j| *j != i).collect()
+    /// The uses that are part of a circle of the modules in one folder. A module is its file and its folder: a name that it
+    /// exports again is its own, in whichever of its files the name is defined.
+    fn circles(&self) -> Vec<String> {
+        let mut uses = Vec::new();
+        let mut next: BTreeMap<&[String], BTreeSet<&[String]>> = BTreeMap::new();
+        for source in self.sources {
+            let [used, _] = imports(&source.code);
+            let absolute = used.iter().filter_map(|(path, _)| self.absolute(&source.module, path));
+            let files: BTreeSet<usize> = absolute.filter_map(|path| self.file(&path, 0)).collect();
+            for other in files.iter().map(|i| &self.sources[*i]).filter(|other| other.module != source.module) {
+                let shared = source.module.iter().zip(&other.module).take_while(|(a, b)| a == b).count();
+                let [from, to] = [source, other].map(|s| &s.module[..s.module.len().min(shared + 1)]);
+                next.entry(from).or_default().insert(to);
+                uses.push((from, to, format!("{} uses {}", source.name, other.name)));
+            }
+        }
+        let reaches = |from: &[String], to: &[String]| {
+            let (mut seen, mut stack) = (BTreeSet::new(), vec![from]);
+            while let Some(module) = stack.pop() {
+                stack.extend(next.get(module).into_iter().flatten().filter(|other| seen.insert(**other)));
+            }
+            seen.contains(to)
         };
-        let next: Vec<BTreeSet<usize>> = (0..self.sources.len()).map(used).collect();
-        let reached: Vec<BTreeSet<usize>> = (0..next.len())
-            .map(|i| {
-                let (mut seen, mut stack) = (BTreeSet::new(), vec![i]);
-                while let Some(k) = stack.pop() {
-                    stack.extend(next[k].iter().filter(|j| seen.insert(**j)));
-                }
-                seen
-            })
-            .collect();
-        let together = |i: usize, j: usize| i == j || (reached[i].contains(&j) && reached[j].contains(&i));
-        let circle = |i: usize| (0..next.len()).filter(|j| together(i, *j)).collect::<Vec<_>>();
-        let whole: BTreeSet<Vec<usize>> = (0..next.len()).map(circle).filter(|all| all.len() > 1).collect();
-        whole.into_iter().map(|all| all.into_iter().map(|i| self.sources[i].name.as_str()).collect()).collect()
+        uses.iter().filter(|(from, to, _)| reaches(to, from)).map(|(_, _, words)| words.clone()).collect()
     }
 }
 
@@ -256,15 +266,32 @@ fn files_are_within_size_limit() {
 }
 
 #[test]
-fn files_use_each_other_in_one_direction() {
+fn modules_use_each_other_in_one_direction() {
     let mut all = sources();
     all.sort_by(|a, b| a.package.cmp(&b.package));
-    let packages = all.chunk_by(|a, b| a.package == b.package);
-    let circles: Vec<String> = packages
-        .flat_map(|sources| Modules::of(sources).circles().iter().map(|files| files.join("\n  ")).collect::<Vec<_>>())
-        .collect();
-    let what = "these files use each other; move what they share to one of them or below them";
-    assert!(circles.is_empty(), "{what}:\n  {}", circles.join("\n\n  "));
+    let circles: Vec<String> =
+        all.chunk_by(|a, b| a.package == b.package).flat_map(|sources| Modules::of(sources).circles()).collect();
+    let what = "these modules use each other; move what they share to one of them or below them";
+    assert!(circles.is_empty(), "{what}:\n  {}", circles.join("\n  "));
+}
+
+#[test]
+fn finds_circle_through_exported_names() {
+    let source = |path: &str, code: &str| Source {
+        package: "a".into(),
+        module: path.split('/').filter(|n| !n.is_empty()).map(str::to_owned).collect(),
+        name: path.into(),
+        code: code.into(),
+    };
+    let mut sources = vec![
+        source("", "pub use noise::draw as noise_of;\npub use scene::Receiver;"),
+        source("scene", "pub use receiver::Receiver;\nuse crate::noise_of;"),
+        source("scene/receiver", "pub struct Receiver;"),
+        source("noise", "use crate::Receiver;\npub fn draw() {}"),
+    ];
+    assert_eq!(Modules::of(&sources).circles(), ["scene uses noise", "noise uses scene/receiver"]);
+    sources[1].code = "pub use receiver::Receiver;".into();
+    assert!(Modules::of(&sources).circles().is_empty());
 }
 
 #[test]

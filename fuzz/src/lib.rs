@@ -7,13 +7,15 @@
 
 #![allow(clippy::disallowed_methods)] // it reads its own files
 
+mod folder;
 pub mod mutate;
 pub mod targets;
 
+use folder::{copy, files};
 use mutate::mutate;
 use pwrfgs::data::npy_header;
-use pwrfgs::experiment::read_pipeline;
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
+use pwrfgs::experiment::{SplitData, read_pipeline};
 use pwrfgs::model::{compress, file};
 use pwrfgs::prelude::*;
 use pwrfgs_core::{Number, rng};
@@ -182,27 +184,6 @@ pub fn target_of(n: u64) -> usize {
     places().nth((n.wrapping_mul(7_919) % places().count() as u64) as usize).unwrap_or_default()
 }
 
-/// Files in a folder, or the file itself, in order.
-fn files(path: &Path) -> Result<Vec<PathBuf>> {
-    if !path.is_dir() {
-        return Ok(vec![path.into()]);
-    }
-    let mut all: Vec<_> = fs::read_dir(path).map_err(|e| Error::read(path, e))?.flatten().map(|e| e.path()).collect();
-    all.sort();
-    Ok(all.iter().map(|path| files(path)).collect::<Result<Vec<_>>>()?.concat())
-}
-
-/// Copies all files in a folder without their permissions, since a checkout may be read-only.
-fn copy(from: &Path, to: &Path) -> Result<()> {
-    for path in files(from)? {
-        let copied = to.join(path.strip_prefix(from).unwrap_or(&path));
-        let folder = copied.parent().unwrap_or(to);
-        let copy = || fs::create_dir_all(folder).and_then(|()| fs::write(&copied, fs::read(&path)?));
-        copy().map_err(|e| Error::write(&copied, e))?;
-    }
-    Ok(())
-}
-
 /// Contents of a target's file and of its seed files.
 fn seeds(folder: &Path, target: &Target) -> Result<Vec<Vec<u8>>> {
     let all = std::iter::once(&target.file).chain(target.seeds).map(|name| files(&folder.join(name)));
@@ -262,7 +243,7 @@ fn models(folder: &Path) -> Result<()> {
     for (i, settings) in MODELS.iter().enumerate() {
         let mut pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
         settings.iter().try_for_each(|setting| pipeline.set(setting))?;
-        let (data, partition) = pwrfgs::experiment::load(&pipeline, folder, &mut NoopObserver)?;
+        let SplitData { data, partition } = pwrfgs::experiment::load(&pipeline, folder, &mut NoopObserver)?;
         file::write(&path(&format!("{i}.safetensors")), &pipeline.trainer(&data, &partition)?.model())?;
     }
     let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;

@@ -1,6 +1,7 @@
 //! Tested readers with their files; if a reader accepts a file, the next steps of the program are also performed, as
 //! far as they stay small.
 
+use crate::folder::copy;
 use crate::mutate::Form;
 use pwrfgs::data::import::{Import, links};
 use pwrfgs::data::{Predictions, check};
@@ -153,7 +154,7 @@ fn is_small(pipeline: &Pipeline) -> bool {
 
 /// Loads, initialises, trains one step and predicts.
 fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
-    let (data, partition) = experiment::load(pipeline, bench, &mut NoopObserver)?;
+    let experiment::SplitData { data, partition } = experiment::load(pipeline, bench, &mut NoopObserver)?;
     let mut trainer = pipeline.trainer(&data, &partition)?;
     trainer.step()?;
     trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
@@ -215,7 +216,7 @@ fn imported(bench: &Path) -> Result<()> {
 /// Checks predictions for the test set of a pipeline on the bench.
 fn predicted(bench: &Path, name: &str) -> Result<()> {
     let pipeline = read_pipeline(&bench.join(name), &[])?;
-    let (data, partition) = experiment::load(&pipeline, bench, &mut NoopObserver)?;
+    let experiment::SplitData { data, partition } = experiment::load(&pipeline, bench, &mut NoopObserver)?;
     Predictions { root: bench.join("predicted"), ..Predictions::default() }.check_test(&data, &partition.test)
 }
 
@@ -251,7 +252,7 @@ fn model(bench: &Path) -> Result<()> {
 
 fn checkpoint(bench: &Path) -> Result<()> {
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    let (data, partition) = experiment::load(&pipeline, bench, &mut NoopObserver)?;
+    let experiment::SplitData { data, partition } = experiment::load(&pipeline, bench, &mut NoopObserver)?;
     let path = bench.join("half/checkpoint.safetensors");
     let bytes = fs::read(&path).map_err(|e| Error::read(&path, e))?;
     let mut trainer = Trainer::restore(&pipeline.plan()?, &data, &partition, &bytes)?;
@@ -266,7 +267,7 @@ fn checkpoint(bench: &Path) -> Result<()> {
 fn resumed(bench: &Path) -> Result<()> {
     let again = bench.join("again");
     let _ = fs::remove_dir_all(&again);
-    crate::copy(&bench.join("half"), &again)?;
+    copy(&bench.join("half"), &again)?;
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
     experiment::run(&pipeline, bench, &again, &mut Session::new(&mut NoopObserver)).map(drop)
 }

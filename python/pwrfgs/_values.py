@@ -7,7 +7,7 @@ import inspect
 import keyword
 import math
 import os
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Set, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Mapping, Optional, Protocol, Set, Tuple
 
 import numpy as np
 
@@ -15,12 +15,16 @@ from . import _pwrfgs
 from ._errors import InputError
 from ._prose import prose
 
-if TYPE_CHECKING:
-    from ._pipeline import Pipeline
-
-
 # Letters in a line of a docstring.
 WIDTH = 110
+
+
+class Owner(Protocol):
+    """Values by path, such as a pipeline."""
+
+    def get(self, path: str) -> Any: ...
+
+    def set(self, values: Mapping[str, Any]) -> Any: ...
 
 
 def python_name(name: str) -> str:
@@ -45,7 +49,7 @@ class Value:
     _name: Optional[str]
     _fields: Dict[str, Any]
     _items: Tuple[Any, ...]
-    _owner: Optional[Tuple["Pipeline", str]]
+    _owner: Optional[Tuple[Owner, str]]
 
     @classmethod
     def _make(cls, name: Optional[str], fields: Dict[str, Any], items: Tuple[Any, ...] = ()) -> "Value":
@@ -56,7 +60,7 @@ class Value:
         object.__setattr__(value, "_owner", None)
         return value
 
-    def _own(self, pipeline: "Pipeline", path: str) -> None:
+    def _own(self, pipeline: Owner, path: str) -> None:
         object.__setattr__(self, "_owner", (pipeline, path))
         for name, field in self._fields.items():
             own(field, pipeline, f"{path}.{name}" if path else name)
@@ -121,9 +125,9 @@ def unknown(what: str, name: str, fields: Any) -> str:
 class Items(List[Any]):
     """List of a pipeline: changes also apply to the pipeline."""
 
-    _owner: Optional[Tuple["Pipeline", str]] = None
+    _owner: Optional[Tuple[Owner, str]] = None
 
-    def _own(self, pipeline: "Pipeline", path: str) -> None:
+    def _own(self, pipeline: Owner, path: str) -> None:
         self._owner = (pipeline, path)
         for place, item in enumerate(self):
             own(item, pipeline, f"{path}.{place}")
@@ -157,13 +161,13 @@ for _method in (
     setattr(Items, _method, changing(_method))
 
 
-def own(value: Any, pipeline: "Pipeline", path: str) -> None:
+def own(value: Any, pipeline: Owner, path: str) -> None:
     """Connect values from a pipeline to it, so that changes apply to it."""
     if isinstance(value, (Value, Items)):
         value._own(pipeline, path)
 
 
-def current(value: Any, pipeline: "Pipeline", path: str) -> None:
+def current(value: Any, pipeline: Owner, path: str) -> None:
     """Raise an error for a value that is no longer at its path: a change would affect another value."""
     try:
         there = pipeline.get(path)

@@ -1,18 +1,22 @@
 //! Conversion of NumPy arrays.
 
-use crate::border::wrong;
+use crate::border::{stoppable, wrong};
 use num_complex::Complex;
 use numpy::{
     Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
 };
 use numpy::{PyArrayDescrMethods as _, dtype};
-use pwrfgs_core::{Elevation, Real, Task, gains_of, rows_of};
+use pwrfgs_core::{Dataset, Elevation, Real, Spectra, Task, check_stopped, gains_of, rows_of};
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use rayon::prelude::*;
 
 /// Contiguous array given by a user.
 pub(crate) type InputArray<'py, T> = PyReadonlyArrayDyn<'py, T>;
+
+/// Number of observations between checks for Ctrl-C.
+pub(crate) const CHUNK: usize = 64;
 
 /// Complex number in the precision of the kernels: complex64, or complex128 in the double-precision build.
 pub(crate) type Gain = Complex<Real>;
@@ -207,4 +211,33 @@ pub(crate) fn observations<'py>(
         return array(py, gains, &shape).map(Bound::into_any);
     }
     array(py, rows, &shape).map(Bound::into_any)
+}
+
+/// Reads link indices below `count`, from indices or a mask.
+pub(crate) fn indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
+    if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
+        return Ok((0..count).filter(|&i| mask[i]).collect());
+    }
+    let index = |i: i64| {
+        let valid = usize::try_from(i).ok().filter(|i| *i < count);
+        let message = || format!("{what}: invalid link index {i} (expected 0 to below {count})");
+        valid.ok_or_else(|| wrong(links.py(), &message()))
+    };
+    numbers::<i64>(what, links, &[None])?.into_iter().map(index).collect()
+}
+
+/// Converts the observations of links to a NumPy array.
+pub(crate) fn observed<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    let each = data.width * data.height;
+    room::<Real>(&[links.len(), each])?;
+    let rows = stoppable(py, |stop| {
+        let mut rows = vec![0.0; links.len() * each];
+        let copy = |(row, &i): (&mut [Real], &usize)| row.copy_from_slice(&data.image(i).pixels);
+        for (rows, links) in rows.chunks_mut(CHUNK * each).zip(links.chunks(CHUNK)) {
+            check_stopped(stop)?;
+            rows.par_chunks_exact_mut(each).zip(links).for_each(copy);
+        }
+        data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
+    })?;
+    observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
 }

@@ -3,26 +3,20 @@
 mod inputs;
 mod rows;
 
-pub(crate) use rows::indices;
-
-use crate::arrays::{array, elevation_of, numbers, observations, places, room, vector};
+use crate::arrays::{array, elevation_of, numbers, observed, places, vector};
 use crate::border::{free, plugin, stoppable, stopping, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Real, Receiver, Sample, Simulation,
-    Spectra, Split, check_stopped, recognise, rng,
+    Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
-use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Number of observations between checks for Ctrl-C.
-pub(crate) const CHUNK: usize = 64;
 
 /// Transmitters, receivers, and the observation of each link.
 ///
@@ -35,22 +29,6 @@ pub(crate) struct Dataset {
     source: Mutex<Option<String>>,
     /// Read-only array of all observations, once it has been requested.
     all: PyOnceLock<Py<PyAny>>,
-}
-
-/// Converts the observations of links to a NumPy array.
-pub(crate) fn observed<'py>(py: Python<'py>, data: &Data, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
-    let each = data.width * data.height;
-    room::<Real>(&[links.len(), each])?;
-    let rows = stoppable(py, |stop| {
-        let mut rows = vec![0.0; links.len() * each];
-        let copy = |(row, &i): (&mut [Real], &usize)| row.copy_from_slice(&data.image(i).pixels);
-        for (rows, links) in rows.chunks_mut(CHUNK * each).zip(links.chunks(CHUNK)) {
-            check_stopped(stop)?;
-            rows.par_chunks_exact_mut(each).zip(links).for_each(copy);
-        }
-        data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
-    })?;
-    observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
 }
 
 impl Dataset {

@@ -116,7 +116,7 @@ pub(crate) fn score(
     let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
     let work = |events, stop: &AtomicBool| {
         let mut session = Session { observer: &mut EventSender(events), stop, page: pwrfgs::PAGE };
-        score_model(&model.ensemble, &inner, (&base, &out), &mut session)
+        score_model(&model.ensemble, &inner, &base, &out, &mut session)
     };
     match waited(py, work, send_event)? {
         RunOutcome::Finished { .. } => Ok(()),

@@ -1,8 +1,8 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{Gain, axes, input_array, observations, places, vector};
+use crate::arrays::{CHUNK, Gain, axes, input_array, observations, places, vector};
 use crate::border::{free, plugin, stoppable, text_of, wrong};
-use crate::data::{CHUNK, Dataset};
+use crate::data::Dataset;
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::append_measurements;
 use pwrfgs::experiment::repeatability as work;

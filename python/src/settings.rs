@@ -1,6 +1,6 @@
 //! Plugins, pipelines and their text.
 
-use crate::border::{free, stoppable, stopping, unplaced, wrong};
+use crate::border::{free, raised, stoppable, stopping, unplaced, wrong};
 use pwrfgs::experiment::{pipeline_text as read_pipeline_text, rebased};
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
@@ -51,8 +51,8 @@ impl Pipeline {
     }
 
     /// Whole pipeline as RON, with every default written out.
-    fn text(&self) -> String {
-        self.now().to_ron()
+    fn text(&self, py: Python<'_>) -> PyResult<String> {
+        self.now().to_ron().map_err(|error| raised(py, error))
     }
 
     #[getter]
@@ -75,7 +75,7 @@ impl Pipeline {
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         free(py, || {
             check_new_file(&path)?;
-            create(&path, rebased(&self.now(), &self.base)?.to_ron().as_bytes())
+            create(&path, rebased(&self.now(), &self.base)?.to_ron()?.as_bytes())
         })
     }
 

@@ -1,4 +1,4 @@
-//! `pwrfgs view` and the part of a report that moves: in a real browser where there is one, and against whoever means ill.
+//! `pwrfgs view` and the interactive part of a report: in a browser if one is installed, and with hostile requests.
 
 use crate::common::browser::Browser;
 use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, stderr, succeed, write};

@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::checks::name_fault;
+use crate::checks::{check_frequencies, name_fault, subcarriers};
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::nerf2::{index, read_transmitters};
 use crate::npy::{ComplexArray, read_complex};
@@ -313,34 +313,4 @@ impl ChannelMetadata {
             }
         }
     }
-}
-
-/// Frequencies of the `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz.
-pub(crate) fn subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: usize) -> Result<Vec<f64>> {
-    let middle = (count as f64 - 1.0) / 2.0;
-    if count > 1 && (spacing_hz.is_nan() || spacing_hz <= 0.0) {
-        return Err(Error::input(
-            path,
-            format!("has {count} subcarriers, but `spacing_hz` is missing; set the subcarrier spacing in Hz"),
-        ));
-    }
-    let offset = |i: usize| if count > 1 { (i as f64 - middle) * spacing_hz } else { 0.0 };
-    let all: Vec<f64> = (0..count).map(|i| carrier_hz + offset(i)).collect();
-    match all.first() {
-        Some(lowest) if *lowest <= 0.0 => {
-            let what = format!("has {count} subcarriers, of which the lowest would be at {lowest} Hz");
-            Err(Error::input(path, format!("{what}; correct `carrier_hz` or `spacing_hz`")))
-        }
-        _ => Ok(all),
-    }
-}
-
-/// Returns an error unless both are valid frequencies, Hz.
-pub(crate) fn check_frequencies(carrier_hz: f64, spacing_hz: f64) -> Result<(), String> {
-    for (name, hz, example) in [("carrier_hz", carrier_hz, "2.4e9"), ("spacing_hz", spacing_hz, "312500")] {
-        if !(hz.is_finite() && hz > 0.0) {
-            return Err(format!("`{name}` is {hz}; give Hz above 0, such as {example}"));
-        }
-    }
-    Ok(())
 }

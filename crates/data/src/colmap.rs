@@ -304,9 +304,9 @@ fn names(views: &[View]) -> BTreeMap<String, Option<usize>> {
 }
 
 /// Position of a word of an index file in the images: the name, with or without extension, such as `example`.
-fn find(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> Result<(u32, usize), String> {
+fn find(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> Result<index::IndexEntry, String> {
     match names.get(word) {
-        Some(Some(k)) => Ok((*k as u32 + 1, *k)),
+        Some(Some(k)) => Ok(index::IndexEntry { id: *k as u32 + 1, sample: *k }),
         Some(None) => Err(format!("{} names several images; write the extension too", quoted(word))),
         None => Err(format!("{} is no image of images.txt; write names such as {}", quoted(word), quoted(example))),
     }

@@ -2,7 +2,7 @@
 //!
 //! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] NumPy arrays; [`Teacher`] simulates
 //!   spectra of known Gaussians.
-//! * [`Colmap`] reads images of a walked camera with their poses, in the text format of COLMAP.
+//! * [`Colmap`] reads images of a moving camera with their poses, in the text format of COLMAP.
 //! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplink and downlink channels of a base station,
 //!   both in the NeRF2 layout; [`Channels`] reads channels from a NumPy array.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.

@@ -50,24 +50,25 @@ fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) 
 }
 
 /// Random lists of 0..n: `test` elements, and the others as training and validation.
-fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>, Vec<usize>) {
+fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> Partition {
     let mut all: Vec<usize> = (0..n).collect();
     rng::shuffle(rng, &mut all);
     let test = all.split_off(n - test);
     let (train, validation) = hold_out(all, validation, rng);
-    (train, validation, test)
+    Partition { train, validation, test }
 }
 
 /// Partition for lists of transmitters: all links of each, sorted; an error without training or test samples.
-fn finish(data: &Dataset, train: Vec<usize>, validation: Vec<usize>, test: Vec<usize>) -> Result<Partition> {
-    let Partition { train, validation, test } = finish_links(train, validation, test)?;
+fn finish(data: &Dataset, lists: Partition) -> Result<Partition> {
+    let Partition { train, validation, test } = finish_links(lists)?;
     let links = |transmitters: Vec<usize>| data.links_of(&transmitters);
     Ok(Partition { train: links(train), validation: links(validation), test: links(test) })
 }
 
 /// Partition for lists of links or samples, sorted; an error without training or test samples.
-fn finish_links(mut train: Vec<usize>, mut validation: Vec<usize>, mut test: Vec<usize>) -> Result<Partition> {
-    for (name, list) in [("training", &train), ("test", &test)] {
+fn finish_links(mut lists: Partition) -> Result<Partition> {
+    let Partition { train, validation, test } = &mut lists;
+    for (name, list) in [("training", &*train), ("test", &*test)] {
         if list.is_empty() {
             return Err(Error::Config(format!(
                 "the split leaves no {name} sample of {} in all; change its shares or give more samples",
@@ -78,7 +79,7 @@ fn finish_links(mut train: Vec<usize>, mut validation: Vec<usize>, mut test: Vec
     train.sort_unstable();
     validation.sort_unstable();
     test.sort_unstable();
-    Ok(Partition { train, validation, test })
+    Ok(lists)
 }
 
 /// Returns an error for a validation share outside [0, 1).
@@ -132,7 +133,7 @@ impl Split for Official {
             )));
         };
         let (train, validation) = hold_out_links(data, train, self.validation, rng);
-        finish_links(train, validation, test)
+        finish_links(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -169,8 +170,7 @@ impl Default for Random {
 impl Split for Random {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let count = data.transmitters.len();
-        let (train, validation, test) = random_lists(count, part(self.test, count), self.validation, rng);
-        finish(data, train, validation, test)
+        finish(data, random_lists(count, part(self.test, count), self.validation, rng))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -213,8 +213,7 @@ impl Split for Sparse {
                 self.train
             )));
         }
-        let (train, validation, test) = random_lists(count, count - self.train, self.validation, rng);
-        finish(data, train, validation, test)
+        finish(data, random_lists(count, count - self.train, self.validation, rng))
     }
 
     fn is_sparse(&self) -> bool {
@@ -281,7 +280,7 @@ impl Split for Fold {
         for (unit, links) in units.into_iter().enumerate() {
             if fold_of(unit) == self.index { &mut validation } else { &mut train }.extend(links);
         }
-        finish_links(train, validation, outer.test)
+        finish_links(Partition { train, validation, test: outer.test })
     }
 
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {

@@ -5,6 +5,7 @@
 
 use crate::evaluation_set::EvaluationSet;
 use crate::intervals::Calibrator;
+use crate::load::SplitData;
 use crate::record::Confidence;
 use crate::repeatability::ceiling;
 use crate::scores::{MODEL, ScoreTable, Scores};
@@ -12,8 +13,8 @@ use crate::session::{Session, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
-    Dataset, Error, FittingSet, Image, ImagePlane, Metric, ModelFacts, Partition, Plugin, Result, Scope, check_stopped,
-    evenly, messages::strip_control,
+    Dataset, Error, FittingSet, Image, ImagePlane, Metric, ModelFacts, Plugin, Result, Scope, check_stopped, evenly,
+    messages::strip_control,
 };
 use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -22,6 +23,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Number of test spectra predicted together.
 const CHUNK: usize = 64;
+
+/// Scores of a model and of the baselines.
+#[derive(Clone, Debug)]
+pub struct EvaluationResult {
+    /// The scores.
+    pub scores: Scores,
+    /// Spread and error of the members of an ensemble.
+    pub confidence: Option<Confidence>,
+}
 
 /// Scores `model`, or an ensemble with its members, and the baselines of the pipeline on the test set of `data`. For an
 /// ensemble, also measures whether the spread of its members predicts the error.
@@ -32,10 +42,10 @@ const CHUNK: usize = 64;
 pub fn evaluate(
     model: &Ensemble,
     pipeline: &Pipeline,
-    data: &Dataset,
-    partition: &Partition,
+    split: &SplitData,
     session: &mut Session<'_>,
-) -> Result<(Scores, Option<Confidence>)> {
+) -> Result<EvaluationResult> {
+    let SplitData { data, partition } = split;
     let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
     check_alike(model, data)?;
     if let Some(drawn) = plane.elevation().filter(|drawn| *drawn != data.elevation) {
@@ -70,7 +80,7 @@ pub fn evaluate(
     notes.extend(ensemble.residuals().map(note_of));
     let (mut intervals, mut columns, mut calibrator) = (Vec::new(), Vec::new(), None);
     if let Some(calibration) = ensemble.calibration() {
-        let own = Calibrator::new(pipeline, (data, partition), ensemble.members().len())?;
+        let own = Calibrator::new(pipeline, split, ensemble.members().len())?;
         let (scores, of_links) = own.measure((MODEL, model), calibration, session)?;
         (intervals, columns, calibrator) = (vec![scores], of_links, Some(own));
     }
@@ -105,7 +115,7 @@ pub fn evaluate(
     scores.table.add_ceiling(&summaries);
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
     scores.table.paired = scores.paired(&partition.test.iter().map(position).collect());
-    Ok((scores, confidence))
+    Ok(EvaluationResult { scores, confidence })
 }
 
 /// Describes the residual processes of a model, which share their fit.
@@ -130,8 +140,7 @@ fn note_of(residuals: &Residuals) -> String {
 pub(crate) fn validation_baselines(
     plane: &ImagePlane,
     pipeline: &Pipeline,
-    data: &Dataset,
-    partition: &Partition,
+    SplitData { data, partition }: &SplitData,
     session: &mut Session<'_>,
 ) -> Result<Vec<(String, f64)>> {
     let part = evenly(&partition.validation, pipeline.training.validation_samples);

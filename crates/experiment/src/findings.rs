@@ -8,7 +8,6 @@ pub(crate) mod spectra;
 
 pub use finding::Finding;
 
-use crate::session::Observer;
 use pwrfgs_core::neighbours::nearest_other_squared;
 use pwrfgs_core::statistics::median;
 use pwrfgs_core::{Dataset, Partition, Real, Result};
@@ -46,20 +45,6 @@ pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Fin
         all.extend(of_constant_spectra(&summaries));
         all.extend(pose::check_pose(data, &summaries).and_then(|pose| pose.finding(data)));
     }
-    Ok(all)
-}
-
-/// The [`findings`], each also a warning.
-///
-/// # Errors
-/// As [`findings`].
-pub fn warn_of_findings(
-    data: &Dataset,
-    partition: Option<&Partition>,
-    observer: &mut dyn Observer,
-) -> Result<Vec<Finding>> {
-    let all = findings(data, partition)?;
-    all.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
     Ok(all)
 }
 

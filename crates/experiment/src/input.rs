@@ -38,7 +38,7 @@ pub(crate) fn read_base(here: &Path, path: &Path) -> Result<PipelineEdit> {
 }
 
 fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
-    let mut draft = PipelineEdit::of(&Pipeline::parse(text, path)?);
+    let mut draft = PipelineEdit::of(&Pipeline::parse(text, path)?)?;
     change(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(EditFault::in_arguments)?;
     Ok(draft)
 }

@@ -7,7 +7,7 @@ use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
 use crate::findings::{cloud, pose, spectra};
 use crate::input::prepared;
-use crate::load::{load, observed};
+use crate::load::{SplitData, load, observed};
 use crate::repeatability::{ceiling, in_order};
 use crate::residuals::check_residuals;
 use crate::samples::nearest_train;
@@ -78,23 +78,24 @@ pub struct Preview {
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let load_before = load_average();
     let pipeline = prepared(pipeline, base)?;
-    let (data, partition) = load(&pipeline, base, observer)?;
-    pipeline.check_data(&data)?;
-    check_residuals(&pipeline, &data, &partition, false)?;
+    let split = load(&pipeline, base, observer)?;
+    let SplitData { data, partition } = &split;
+    pipeline.check_data(data)?;
+    check_residuals(&pipeline, &split, false)?;
     let mut loaded_bytes = 0;
     let trainer = fitting(&pipeline, || {
-        let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
+        let trainer = Trainer::sketch(&pipeline.plan()?, data, partition)?;
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
     })?;
     let weights = trainer.weights();
     Ok(Preview {
         title: data.title.clone(),
-        observed: observed(&data),
+        observed: observed(data),
         samples: partition.sizes(),
         weights,
-        summary: DataSummary::of(&data, SUMMARIZED, observer)?,
-        test_distance: test_distance(&data, &partition),
+        summary: DataSummary::of(data, SUMMARIZED, observer)?,
+        test_distance: test_distance(data, partition),
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
         step_bytes: trainer.step_bytes(),

@@ -1,9 +1,10 @@
 //! Prediction intervals of a run: calibration on links that a predictor was not fitted to, coverage on the test set.
 
+use crate::load::SplitData;
 use crate::residuals::left_out;
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::{Session, staged};
-use pwrfgs_core::{Dataset, Error, Image, Partition, Predict, Result, check_stopped, ssim};
+use pwrfgs_core::{Error, Image, Predict, Result, check_stopped, ssim};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use pwrfgs_pipeline::Pipeline;
 use rayon::prelude::*;
@@ -22,19 +23,19 @@ const LEVELS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, LEVEL, 0.95];
 pub(crate) fn calibrated(
     ensemble: Ensemble,
     pipeline: &Pipeline,
-    known: (&Dataset, &Partition),
+    split: &SplitData,
     session: &mut Session<'_>,
 ) -> Result<Ensemble> {
-    if ensemble.calibration().is_some() || known.0.task().is_complex {
+    if ensemble.calibration().is_some() || split.data.task().is_complex {
         return Ok(ensemble);
     }
     let count = ensemble.members().len();
-    let calibrator = Calibrator::new(pipeline, known, count)?;
+    let calibrator = Calibrator::new(pipeline, split, count)?;
     let mut scores = BTreeMap::new();
     for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
         let members = if calibrator.left_out.len() == count { index..index + 1 } else { 0..count };
         let trained = calibrator.known_without(left_out);
-        let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), known.0, &trained)?;
+        let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), &split.data, &trained)?;
         calibrator.score(&held_out.prepare(), left_out, &mut scores, session)?;
     }
     let calibration = calibrator.calibration(scores);
@@ -44,8 +45,7 @@ pub(crate) fn calibrated(
 /// Links for the calibration of predictors, and for the measurement of their intervals.
 pub(crate) struct Calibrator<'a> {
     pipeline: &'a Pipeline,
-    data: &'a Dataset,
-    partition: &'a Partition,
+    split: &'a SplitData,
     /// Lists of links, each predicted without the links of its list.
     left_out: Vec<Vec<usize>>,
 }
@@ -56,12 +56,8 @@ impl<'a> Calibrator<'a> {
     ///
     /// # Errors
     /// As [`Pipeline::partition`].
-    pub(crate) fn new(
-        pipeline: &'a Pipeline,
-        (data, partition): (&'a Dataset, &'a Partition),
-        members: usize,
-    ) -> Result<Self> {
-        Ok(Self { pipeline, data, partition, left_out: left_out(pipeline, (data, partition), members)? })
+    pub(crate) fn new(pipeline: &'a Pipeline, split: &'a SplitData, members: usize) -> Result<Self> {
+        Ok(Self { pipeline, split, left_out: left_out(pipeline, split, members)? })
     }
 
     /// Calibrates a fitted baseline; `None` if it does not predict from samples, or no links are left out.
@@ -83,7 +79,7 @@ impl<'a> Calibrator<'a> {
 
     /// Known links without those of a list.
     fn known_without(&self, links: &[usize]) -> Vec<usize> {
-        self.partition.known().all().into_iter().filter(|link| links.binary_search(link).is_err()).collect()
+        self.split.partition.known().all().into_iter().filter(|link| links.binary_search(link).is_err()).collect()
     }
 
     /// Adds the scores of `links`, which `predictor` was not fitted to.
@@ -94,7 +90,7 @@ impl<'a> Calibrator<'a> {
         scores: &mut BTreeMap<usize, HeldOutScores>,
         session: &mut Session<'_>,
     ) -> Result<()> {
-        let task = self.data.task();
+        let task = self.split.data.task();
         let of = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
         let found = self.each("calibrating intervals", predictor, links, session, of)?;
         scores.extend(links.iter().copied().zip(found));
@@ -106,7 +102,7 @@ impl<'a> Calibrator<'a> {
         let links: Vec<usize> = scores.keys().copied().collect();
         let block = |links: Vec<usize>| links.iter().filter_map(|link| scores.remove(link)).collect();
         let blocks: Vec<Vec<HeldOutScores>> =
-            self.pipeline.split.blocks(self.data, &links).into_iter().map(block).collect();
+            self.pipeline.split.blocks(&self.split.data, &links).into_iter().map(block).collect();
         IntervalCalibration::new(&blocks)
     }
 
@@ -121,7 +117,7 @@ impl<'a> Calibrator<'a> {
         calibration: &IntervalCalibration,
         session: &mut Session<'_>,
     ) -> Result<(IntervalScores, Vec<Vec<f64>>)> {
-        let (task, test) = (self.data.task(), &self.partition.test);
+        let (task, test) = (self.split.data.task(), &self.split.partition.test);
         let factors: Vec<(f64, IntervalFactors)> =
             LEVELS.into_iter().filter_map(|level| Some((level, calibration.factors(level).ok()?))).collect();
         let of = |prediction: &Image, deviation: f64, truth: &Image| {
@@ -132,7 +128,7 @@ impl<'a> Calibrator<'a> {
             factors.iter().map(one).collect::<Vec<_>>()
         };
         let found = self.each("measuring intervals", predictor, test, session, of)?;
-        let blocks = self.pipeline.split.blocks(self.data, test);
+        let blocks = self.pipeline.split.blocks(&self.split.data, test);
         let weight = |own: &Vec<usize>| 1.0 / (blocks.len() * own.len()) as f64;
         let weights: BTreeMap<usize, f64> =
             blocks.iter().flat_map(|own| own.iter().map(move |link| (*link, weight(own)))).collect();
@@ -161,7 +157,7 @@ impl<'a> Calibrator<'a> {
         session: &mut Session<'_>,
         of: impl Fn(&Image, f64, &Image) -> T + Sync,
     ) -> Result<Vec<T>> {
-        let (data, stop) = (self.data, session.stop);
+        let (data, stop) = (&self.split.data, session.stop);
         let one = |&i: &usize| {
             let prediction = data.task().shown(predictor.predict(data.query(i)));
             let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0);

@@ -1,4 +1,4 @@
-//! Runs from pipeline to scores: training loop, run folder, evaluation, sweeps and exports.
+//! Runs from pipeline to scores: run folder, evaluation, sweeps and comparison of runs. Training is in `pwrfgs-train`.
 //!
 //! This crate uses traits, not plugins; a program links the plugins it needs (`pwrfgs` links the built-in ones). A
 //! [`PageBuilder`] function creates the report of a run from its folder.
@@ -36,13 +36,13 @@ pub mod text;
 mod training;
 
 pub use agreement::Agreement;
-pub use evaluate::{check_alike, evaluate};
+pub use evaluate::{EvaluationResult, check_alike, evaluate};
 pub use evaluation_set::{EvaluationSet, append_measurements};
 pub use facts::{Facts, FileDigest, Machine, VERSION};
-pub use findings::{Finding, findings, warn_of_findings};
+pub use findings::{Finding, findings};
 pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};
-pub use load::{load, load_with_findings, observed};
+pub use load::{SplitData, load, load_with_findings, observed, warn_of_findings};
 pub use model_file::model_file;
 pub use page::{rebuild_page, with_run, write_results};
 pub use paired::{Paired, PairedRow};

@@ -1,18 +1,27 @@
 //! Loads and splits the data of a pipeline, describes their size, and warns of [findings](crate::findings()).
 
-use crate::findings::{Finding, warn_of_findings};
+use crate::findings::{Finding, findings};
 use crate::session::{Observer, staged};
 use crate::text::grouped;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
+/// Data set with its split.
+#[derive(Clone, Debug)]
+pub struct SplitData {
+    /// The data.
+    pub data: Dataset,
+    /// Training, validation and test samples.
+    pub partition: Partition,
+}
+
 /// Loads the data of a pipeline and splits them.
 ///
 /// # Errors
 /// Invalid data, or a split without training or test samples.
-pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<(Dataset, Partition)> {
-    load_with_findings(pipeline, base, observer).map(|(data, partition, _)| (data, partition))
+pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<SplitData> {
+    load_with_findings(pipeline, base, observer).map(|(split, _)| split)
 }
 
 /// As [`load`], also with the findings on the data.
@@ -23,7 +32,7 @@ pub fn load_with_findings(
     pipeline: &Pipeline,
     base: &Path,
     observer: &mut dyn Observer,
-) -> Result<(Dataset, Partition, Vec<Finding>)> {
+) -> Result<(SplitData, Vec<Finding>)> {
     let data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
     let partition = pipeline.partition(&data)?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
@@ -33,7 +42,21 @@ pub fn load_with_findings(
     }
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
     let findings = warn_of_findings(&data, judged, observer)?;
-    Ok((data, partition, findings))
+    Ok((SplitData { data, partition }, findings))
+}
+
+/// The [`findings`](crate::findings()), each also a warning.
+///
+/// # Errors
+/// As [`findings`](crate::findings()).
+pub fn warn_of_findings(
+    data: &Dataset,
+    partition: Option<&Partition>,
+    observer: &mut dyn Observer,
+) -> Result<Vec<Finding>> {
+    let all = findings(data, partition)?;
+    all.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
+    Ok(all)
 }
 
 /// `33,600 received powers at 21 receivers`, `1,000 channels of 16 antennas x 16 subcarriers`, `980 spectra of 360 x 90 pixels`.

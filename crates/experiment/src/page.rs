@@ -1,16 +1,17 @@
 //! Report of a run, created from its folder at the end of a run or by `pwrfgs report`.
 
+use crate::evaluate::EvaluationResult;
 use crate::facts::{Facts, FileDigest, now};
 use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
 use crate::input::read_pipeline;
-use crate::load::load;
-use crate::record::{Confidence, Record};
+use crate::load::{SplitData, load};
+use crate::record::Record;
 use crate::run_folder::RunFolder;
 use crate::samples::to_csv;
-use crate::scores::{ScoreTable, Scores};
+use crate::scores::ScoreTable;
 use crate::session::{LoadedRun, Observer, PageBuilder, Session};
 use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Dataset, Error, Result};
 use pwrfgs_model::Ensemble;
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
@@ -21,7 +22,7 @@ impl Record {
     /// # Errors
     /// Invalid data, or data that have changed since the run.
     pub fn load_data(&self, observer: &mut dyn Observer) -> Result<Dataset> {
-        let (data, _) = load(&self.pipeline, Path::new(""), observer)?;
+        let SplitData { data, .. } = load(&self.pipeline, Path::new(""), observer)?;
         self.partition(&data).map(|_| data)
     }
 }
@@ -33,15 +34,17 @@ impl Record {
 /// A damaged training file; [`Error::Write`].
 pub fn write_results(
     folder: &Path,
-    (pipeline, facts): (&Pipeline, &Facts),
-    (data, partition, model): (&Dataset, &Partition, &Ensemble),
-    (scores, confidence): (&Scores, Option<&Confidence>),
+    pipeline: &Pipeline,
+    facts: &Facts,
+    SplitData { data, partition }: &SplitData,
+    model: &Ensemble,
+    EvaluationResult { scores, confidence }: &EvaluationResult,
     page: Option<PageBuilder>,
 ) -> Result<()> {
     let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
     put(SAMPLES, to_csv(data, partition, &scores.intervals))?;
     put(SCORES, scores.to_csv())?;
-    confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))?;
+    confidence.as_ref().map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))?;
     let Some(page) = page else { return Ok(()) };
     let record = Record::of(folder, pipeline, facts.clone())?;
     put(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
@@ -56,22 +59,22 @@ pub(crate) fn conclude(
     folder: &RunFolder,
     pipeline: &Pipeline,
     facts: &mut Facts,
-    (data, partition, model): (&Dataset, &Partition, &Ensemble),
-    (scores, confidence): (Scores, Option<Confidence>),
+    split: &SplitData,
+    model: &Ensemble,
+    result: EvaluationResult,
     session: &mut Session<'_>,
 ) -> Result<ScoreTable> {
     let path = folder.path();
     facts.gaussians = model.gaussians();
-    facts.scores = Some(scores.table.clone());
+    facts.scores = Some(result.scores.table.clone());
     facts.finished = Some(now());
     facts.report = session.page.is_some();
     facts.note_memory(); // here, so that report and run.json agree
-    let (found, context) = ((&scores, confidence.as_ref()), (data, partition, model));
-    write_results(path, (pipeline, facts), context, found, session.page)?;
+    write_results(path, pipeline, facts, split, model, &result, session.page)?;
     facts.seal(path)?;
     facts.write(path)?;
-    session.observer.on_evaluation(&scores.table);
-    Ok(scores.table)
+    session.observer.on_evaluation(&result.scores.table);
+    Ok(result.scores.table)
 }
 
 /// Reads the finished run in `folder`, with its data, for `read`.

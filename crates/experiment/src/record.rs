@@ -67,10 +67,13 @@ impl Record {
     }
 
     /// Key that is equal for runs that differ only in names and training seed, and for copies of one joined model.
-    pub fn variant_key(&self) -> String {
+    ///
+    /// # Errors
+    /// As [`Pipeline::to_ron`].
+    pub fn variant_key(&self) -> Result<String> {
         let nameless = Pipeline { name: String::new(), seed: 0, ..self.pipeline.clone() };
         let joined = self.facts.files.get(MODEL_FILE).filter(|_| !self.facts.members.is_empty());
-        nameless.to_ron() + joined.map_or("", |mark| &mark.sha256)
+        Ok(nameless.to_ron()? + joined.map_or("", |mark| &mark.sha256))
     }
 
     /// Steps and another column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.

@@ -4,10 +4,11 @@ use crate::facts::Facts;
 use crate::findings::Finding;
 use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed};
 use crate::input;
+use crate::load::SplitData;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, HeldFolder, refuse_foreign, write_new};
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Error, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
@@ -99,7 +100,8 @@ impl RunFolder {
     pub(crate) fn begin(
         &mut self,
         pipeline: &Pipeline,
-        (data, partition, findings): (&Dataset, &Partition, Vec<Finding>),
+        SplitData { data, partition }: &SplitData,
+        findings: Vec<Finding>,
         members: Vec<String>,
     ) -> Result<Facts> {
         let facts = Facts {
@@ -112,7 +114,7 @@ impl RunFolder {
         };
         facts.write(self.path())?;
         if self.state == RunState::ScoredOtherwise {
-            self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron().as_bytes())?;
+            self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron()?.as_bytes())?;
         }
         Ok(facts)
     }
@@ -161,7 +163,7 @@ impl RunFolder {
 fn locked(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
     let own = folder.join(PIPELINE);
     loop {
-        let is_new = write_new(&own, pipeline.to_ron().as_bytes())?;
+        let is_new = write_new(&own, pipeline.to_ron()?.as_bytes())?;
         match files::try_lock(&own) {
             Ok(None) => return Err(Error::Busy(folder.into())),
             // The locked file may have been written by another process meanwhile.
@@ -175,7 +177,7 @@ fn locked(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> 
 /// Compares the pipeline `theirs` of `file` in `folder` with `ours`. A run is identified by its training settings; the
 /// error names the first difference.
 fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
-    let text = ours.to_ron();
+    let text = ours.to_ron()?;
     if theirs == text {
         return Ok(RunState::Begun);
     }
@@ -183,9 +185,9 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<
     let (theirs, ours, alike) = match input::parse(theirs, file, &[]) {
         Ok(theirs) => {
             let ours = scored_as(ours, &theirs);
-            (theirs.essential().to_ron(), ours.essential().to_ron(), ours.to_ron() == text)
+            (theirs.essential().to_ron()?, ours.essential().to_ron()?, ours.to_ron()? == text)
         }
-        Err(_) => (theirs.to_owned(), ours.essential().to_ron(), true),
+        Err(_) => (theirs.to_owned(), ours.essential().to_ron()?, true),
     };
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {

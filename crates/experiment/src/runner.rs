@@ -48,7 +48,7 @@ pub enum RunOutcome {
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<RunOutcome> {
     let begun = Instant::now();
     loop {
-        if let Some(end) = attempt(pipeline, (base, out), session, begun)? {
+        if let Some(end) = attempt(pipeline, base, out, session, begun)? {
             return Ok(end);
         }
     }
@@ -62,11 +62,12 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
 pub fn score_model(
     model: &Ensemble,
     pipeline: &Pipeline,
-    (base, out): (&Path, &Path),
+    base: &Path,
+    out: &Path,
     session: &mut Session<'_>,
 ) -> Result<RunOutcome> {
     let resolved = prepared(pipeline, base)?;
-    check_alike(&model.prepare(), &load(&resolved, base, session.observer)?.0)?; // before files are written
+    check_alike(&model.prepare(), &load(&resolved, base, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
     let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
     let has_same = || files::if_found(&path, files::read(&path)).map(|held| held.is_some_and(|held| held == bytes));
@@ -82,7 +83,8 @@ pub fn score_model(
 /// Result of the run; `None` if another process has claimed it meanwhile, and the state must be read again.
 fn attempt(
     pipeline: &Pipeline,
-    (base, out): (&Path, &Path),
+    base: &Path,
+    out: &Path,
     session: &mut Session<'_>,
     begun: Instant,
 ) -> Result<Option<RunOutcome>> {
@@ -107,13 +109,13 @@ fn attempt(
             folder.settle(facts.verify_file(folder.path(), MODEL_FILE))?;
         }
     }
-    let (data, partition, findings) = load_with_findings(pipeline, base, session.observer)?;
-    pipeline.check_data(&data)?;
-    check_residuals(pipeline, &data, &partition, false)?;
+    let (split, findings) = load_with_findings(pipeline, base, session.observer)?;
+    pipeline.check_data(&split.data)?;
+    check_residuals(pipeline, &split, false)?;
     // Created before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
-        held => match trainer(pipeline, (&data, &partition), held.as_ref(), session) {
+        held => match trainer(pipeline, &split, held.as_ref(), session) {
             Err(Error::Stopped) => return Ok(Some(RunOutcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
         },
@@ -125,10 +127,10 @@ fn attempt(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let facts = folder.begin(pipeline, (&data, &partition, findings), Vec::new());
+    let facts = folder.begin(pipeline, &split, findings, Vec::new());
     let facts = folder.settle(facts)?;
-    let training = Training { pipeline, data: &data, partition: &partition, session, begun };
-    let ended = complete(training, trainer, (&folder, facts));
+    let training = Training { pipeline, split: &split, session, begun };
+    let ended = complete(training, trainer, &folder, facts);
     folder.settle(ended).map(Some)
 }
 
@@ -136,9 +138,11 @@ fn attempt(
 fn complete<'a>(
     mut training: Training<'a, '_>,
     trainer: Option<Trainer<'a>>,
-    (folder, mut facts): (&RunFolder, Facts),
+    folder: &RunFolder,
+    mut facts: Facts,
 ) -> Result<RunOutcome> {
-    let Training { pipeline, data, partition, .. } = training;
+    let Training { pipeline, split, .. } = training;
+    let task = split.data.task();
     let mut model = match trainer {
         None => file::read_ensemble(&folder.file(MODEL_FILE))?,
         Some(mut trainer) => match training.train(&mut trainer, folder, &mut facts)? {
@@ -151,8 +155,8 @@ fn complete<'a>(
     let is_trained_here = folder.file(CURVE).is_file();
     let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
     let before = parts(&model);
-    let fitted = with_residuals(model, pipeline, (data, partition), 1, session);
-    let calibrate = |model| calibrated(model, pipeline, (data, partition), session);
+    let fitted = with_residuals(model, pipeline, split, 1, session);
+    let calibrate = |model| calibrated(model, pipeline, split, session);
     model = match if is_trained_here { fitted.and_then(calibrate) } else { fitted } {
         Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
         fitted => fitted?,
@@ -160,10 +164,10 @@ fn complete<'a>(
     if parts(&model) != before {
         file::write_ensemble(&folder.file(MODEL_FILE), &model)?;
     }
-    session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.task().counted[1]));
-    let scored = evaluate(&model, pipeline, data, partition, session)
-        .and_then(|found| Ok((found, validation_baselines(model.plane(), pipeline, data, partition, session)?)));
-    let (mut found, baselines) = match scored {
+    session.observer.on_message(&format!("scoring {} test {}", split.partition.test.len(), task.counted[1]));
+    let scored = evaluate(&model, pipeline, split, session)
+        .and_then(|result| Ok((result, validation_baselines(model.plane(), pipeline, split, session)?)));
+    let (mut result, baselines) = match scored {
         Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
         scored => scored?,
     };
@@ -172,14 +176,14 @@ fn complete<'a>(
         facts.steps = pipeline.training.steps;
     } else {
         // `score_model`: nothing is known of the training.
-        let table = &mut found.0.table;
+        let table = &mut result.scores.table;
         (table.samples[0], table.trained_elsewhere) = (0, true);
         table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
     }
     facts.wall_seconds += begun.elapsed().as_secs_f64();
     if pipeline.tensorboard {
-        Journal::open(folder, pipeline, data.task(), pipeline.training.steps)?.scores(&found.0.table)?;
+        Journal::open(folder, pipeline, task, pipeline.training.steps)?.scores(&result.scores.table)?;
     }
-    let scores = conclude(folder, pipeline, &mut facts, (data, partition, &model), found, session)?;
+    let scores = conclude(folder, pipeline, &mut facts, split, &model, result, session)?;
     Ok(RunOutcome::Finished { scores: scores.into(), already: false })
 }

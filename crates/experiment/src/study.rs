@@ -68,7 +68,7 @@ impl Study {
                 )));
             }
         }
-        for (name, record) in named(study.without_twins(alone)?) {
+        for (name, record) in named(study.without_twins(alone)?)? {
             titles.push(name.clone());
             records.push((vec![(String::new(), name)], record));
         }
@@ -100,7 +100,7 @@ impl Study {
     fn without_twins(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut kept, mut keys) = (Vec::new(), Vec::new());
         for run in runs {
-            let key = (setting_key(&run)?, run.variant_key(), run.pipeline.seed);
+            let key = (setting_key(&run)?, run.variant_key()?, run.pipeline.seed);
             if keys.contains(&key) {
                 self.repeated.push(run.folder);
             } else {

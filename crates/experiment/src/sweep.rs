@@ -20,7 +20,7 @@ use crate::evaluate::evaluate;
 use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
 use crate::intervals::calibrated;
-use crate::load::load_with_findings;
+use crate::load::{SplitData, load_with_findings};
 use crate::page::conclude;
 use crate::residuals::with_residuals;
 use crate::run_folder::RunFolder;
@@ -28,7 +28,7 @@ use crate::runner::{RunOutcome, run};
 use crate::scores::ScoreTable;
 use crate::session::{NoopObserver, Observer, Session};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -185,18 +185,17 @@ impl Join<'_, '_> {
         {
             return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
-        let (data, partition, findings) = load_with_findings(self.pipeline, Path::new(""), self.session.observer)?;
-        self.pipeline.check_data(&data)?;
+        let (split, findings) = load_with_findings(self.pipeline, Path::new(""), self.session.observer)?;
+        self.pipeline.check_data(&split.data)?;
         let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
-        let facts = folder.begin(self.pipeline, (&data, &partition, findings), members)?;
-        let known = (&data, &partition);
-        let fitted = with_residuals(ensemble, self.pipeline, known, self.plan.runs.len(), self.session);
-        ensemble = match fitted.and_then(|fitted| calibrated(fitted, self.pipeline, known, self.session)) {
+        let facts = folder.begin(self.pipeline, &split, findings, members)?;
+        let fitted = with_residuals(ensemble, self.pipeline, &split, self.plan.runs.len(), self.session);
+        ensemble = match fitted.and_then(|fitted| calibrated(fitted, self.pipeline, &split, self.session)) {
             Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
             fitted => fitted?,
         };
         write_atomically(&path, &file::ensemble_to_bytes(&ensemble))?;
-        match self.assess(&ensemble, (&data, &partition), folder, facts) {
+        match self.assess(&ensemble, &split, folder, facts) {
             Ok(scores) => Ok(RunOutcome::Finished { scores: scores.into(), already: false }),
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),
             Err(error) => Err(error),
@@ -220,13 +219,13 @@ impl Join<'_, '_> {
     fn assess(
         &mut self,
         ensemble: &Ensemble,
-        (data, partition): (&Dataset, &Partition),
+        split: &SplitData,
         folder: &RunFolder,
         mut facts: Facts,
     ) -> Result<ScoreTable> {
-        let counted = data.task().counted[1];
-        self.session.observer.on_message(&format!("scoring {} test {counted}", partition.test.len()));
-        let (scores, confidence) = evaluate(ensemble, self.pipeline, data, partition, self.session)?;
+        let (counted, test) = (split.data.task().counted[1], split.partition.test.len());
+        self.session.observer.on_message(&format!("scoring {test} test {counted}"));
+        let result = evaluate(ensemble, self.pipeline, split, self.session)?;
         (facts.steps, facts.training_seconds) = (0, 0.0);
         for place in 0..self.plan.runs.len() {
             let own = Facts::read(&self.plan.folder_of(place))?.unwrap_or_default();
@@ -235,6 +234,6 @@ impl Join<'_, '_> {
             facts.peak_memory_bytes = facts.peak_memory_bytes.max(own.peak_memory_bytes);
         }
         facts.wall_seconds += self.begun.elapsed().as_secs_f64();
-        conclude(folder, self.pipeline, &mut facts, (data, partition, ensemble), (scores, confidence), self.session)
+        conclude(folder, self.pipeline, &mut facts, split, ensemble, result, self.session)
     }
 }

@@ -8,11 +8,12 @@ use crate::evaluation_set::EvaluationSet;
 use crate::facts::{Facts, free_memory};
 use crate::folder::{CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::Journal;
+use crate::load::SplitData;
 use crate::run_folder::RunFolder;
 use crate::session::{NoopObserver, Session, Start, Validation, staged};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
-use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, Values, evenly};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Progress, Result, Values, evenly};
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -26,7 +27,7 @@ use std::time::Instant;
 /// Invalid settings, a damaged checkpoint, too little memory; [`Error::Stopped`] once the session is stopped.
 pub(crate) fn trainer<'a>(
     pipeline: &Pipeline,
-    (data, partition): (&'a Dataset, &'a Partition),
+    SplitData { data, partition }: &'a SplitData,
     held: Option<&RunFolder>,
     session: &mut Session<'_>,
 ) -> Result<Trainer<'a>> {
@@ -79,8 +80,7 @@ fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {
 /// Training in progress: data, trainer, session and files.
 pub(crate) struct Training<'a, 's> {
     pub(crate) pipeline: &'a Pipeline,
-    pub(crate) data: &'a Dataset,
-    pub(crate) partition: &'a Partition,
+    pub(crate) split: &'a SplitData,
     pub(crate) session: &'a mut Session<'s>,
     /// Start time of the run.
     pub(crate) begun: Instant,
@@ -94,21 +94,21 @@ impl Training<'_, '_> {
         folder: &RunFolder,
         facts: &mut Facts,
     ) -> Result<Option<Model>> {
-        let settings = &self.pipeline.training;
+        let (settings, SplitData { data, partition }) = (&self.pipeline.training, self.split);
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
-        let mut journal = Journal::open(folder, self.pipeline, self.data.task(), trainer.done())?;
-        let looked_at = evenly(&self.partition.validation, settings.validation_samples);
+        let mut journal = Journal::open(folder, self.pipeline, data.task(), trainer.done())?;
+        let looked_at = evenly(&partition.validation, settings.validation_samples);
         self.session.observer.on_start(&Start {
             folder: folder.name(),
-            title: &self.data.title,
-            task: self.data.task(),
+            title: &data.title,
+            task: data.task(),
             samples: facts.samples,
             done: trainer.done(),
             steps,
             gaussians: trainer.cloud().len(),
             step_bytes: trainer.step_bytes(),
         });
-        let origin = self.data.scene.origin;
+        let origin = data.scene.origin;
         let write = |name, step, cloud: &GaussianCloud, gaussian_ids: &[u32], gates| {
             Snapshot::of(step, cloud, origin).known(gaussian_ids, gates).write(&folder.file(name))
         };
@@ -136,7 +136,7 @@ impl Training<'_, '_> {
                 }
                 let validates = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);
                 let scored = if validates && !looked_at.is_empty() {
-                    Some(validate(report.step, &trainer.validated_model(), self.data, &looked_at)?)
+                    Some(validate(report.step, &trainer.validated_model(), data, &looked_at)?)
                 } else {
                     None
                 };

@@ -1,4 +1,4 @@
-//! Initialisers of the Gaussian cloud: on surfaces of the scene, at random, or on a grid of directions.
+//! Initialisers of the Gaussian cloud: on surfaces of the scene, at random, on a grid of directions, or around receivers.
 //!
 //! An initialiser chooses centres and isotropic scales; opacity, rotation and signals are initialised alike by all of
 //! them (module `start`). The trainer adds the columns that pruners request.

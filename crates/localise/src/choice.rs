@@ -33,15 +33,21 @@ pub struct Choice {
     pub descends: bool,
 }
 
-/// Observation of a validation sample, and its true position.
-pub(crate) type Truth = (Vec<f32>, [f64; 3]);
+/// Validation sample.
+#[derive(Clone, Debug)]
+pub(crate) struct ValidationSample {
+    /// Observation, `[D]`.
+    pub(crate) observation: Vec<f32>,
+    /// True position, metres.
+    pub(crate) position: [f64; 3],
+}
 
 impl Choice {
     /// Returns the settings with the highest mean log density at the true positions.
     pub(crate) fn most_likely(
         share: f32,
         positions: &[[f64; 3]],
-        truths: &[Truth],
+        truths: &[ValidationSample],
         misfits: &[Vec<f32>],
         spacing: f64,
     ) -> Self {
@@ -58,7 +64,7 @@ impl Choice {
             descends: false,
         };
         let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| of((s, b)))).collect();
-        let densities = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
+        let densities = |(misfits, ValidationSample { position: [x, y, _], .. }): (&Vec<f32>, &ValidationSample)| {
             let of_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|own| {
                 let mut density = own[0].density(misfits, positions);
                 own.iter().map(move |own| {
@@ -92,10 +98,15 @@ fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
 }
 
 /// Returns the level of the regions that hold nine of ten true positions; `None` if there are too few for this share.
-pub(crate) fn level(positions: &[[f64; 3]], truths: &[Truth], misfits: &[Vec<f32>], choice: Choice) -> Option<f32> {
+pub(crate) fn level(
+    positions: &[[f64; 3]],
+    truths: &[ValidationSample],
+    misfits: &[Vec<f32>],
+    choice: Choice,
+) -> Option<f32> {
     // The smallest of n values holds n/(n + 1) of new ones.
     let last = ((truths.len() + 1) / MISSED).checked_sub(1)?;
-    let level = |(misfits, (_, [x, y, _])): (&Vec<f32>, &Truth)| {
+    let level = |(misfits, ValidationSample { position: [x, y, _], .. }): (&Vec<f32>, &ValidationSample)| {
         f64::from(choice.density(misfits, positions).grid().level_at([*x, *y]))
     };
     let levels = sorted(misfits.par_iter().zip(truths).map(level).collect::<Vec<f64>>());

@@ -1,4 +1,4 @@
-//! Localisation: from observations of an unknown transmitter to its position, and to a region that holds it.
+//! Localisation: position of a transmitter from its observations, with a region that contains it.
 //!
 //! ```text
 //! training samples ── measured fingerprints ─┐

@@ -1,6 +1,6 @@
 //! `Locator`: positions from observations.
 
-use crate::choice::{Choice, Truth, level};
+use crate::choice::{Choice, ValidationSample, level};
 use crate::descent::descend;
 use crate::region::Density;
 use crate::{FingerprintFeatures, Fingerprints, Region};
@@ -22,6 +22,14 @@ const LEVEL: f32 = 0.1;
 /// Distance of validation samples from training samples up to which they lie between them, in units of the distance between
 /// neighbouring training positions.
 const BETWEEN: f64 = 1.5;
+
+/// Validation sample with its density and region.
+struct ComparedSample<'a> {
+    sample: &'a ValidationSample,
+    density: Density,
+    region: Region,
+}
+
 /// Finds the position of a transmitter from its observations.
 pub struct Locator<'a> {
     features: FingerprintFeatures,
@@ -93,10 +101,11 @@ impl<'a> Locator<'a> {
         let predicted =
             shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, used));
         let truths = Fingerprints::measured(&features, data, &validation, floor);
-        let truths: Vec<Truth> = (0..truths.len()).map(|k| (truths.row(k).to_vec(), truths.positions[k])).collect();
+        let sample = |k: usize| ValidationSample { observation: truths.row(k).to_vec(), position: truths.positions[k] };
+        let truths: Vec<ValidationSample> = (0..truths.len()).map(sample).collect();
         let spacing = spacing(&measured.positions);
-        let to_training = |(_, truth): &Truth| {
-            measured.positions.iter().map(|place| distance(*place, *truth)).fold(f64::INFINITY, f64::min)
+        let to_training = |sample: &ValidationSample| {
+            measured.positions.iter().map(|place| distance(*place, sample.position)).fold(f64::INFINITY, f64::min)
         };
         let validation_distance = median(truths.iter().map(to_training));
         let mut own = Self {
@@ -116,7 +125,8 @@ impl<'a> Locator<'a> {
         for share in shares {
             own.fingerprints =
                 predicted.as_ref().map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
-            let misfits: Vec<Vec<f32>> = truths.par_iter().map(|(seen, _)| own.fingerprints.misfits(seen)).collect();
+            let misfits: Vec<Vec<f32>> =
+                truths.par_iter().map(|sample| own.fingerprints.misfits(&sample.observation)).collect();
             let positions = &own.fingerprints.positions;
             own.choice = Choice::most_likely(*share, positions, &truths, &misfits, spacing);
             own.level = level(positions, &truths, &misfits, own.choice);
@@ -270,7 +280,7 @@ impl<'a> Locator<'a> {
 
     /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples, and returns this error,
     /// metres.
-    fn choose_mode(&mut self, truths: &[Truth]) -> f64 {
+    fn choose_mode(&mut self, truths: &[ValidationSample]) -> f64 {
         let compared = self.compared(truths);
         let chosen = self.choice;
         let all = SHARPNESSES.into_iter().flat_map(|mode_sharpness| {
@@ -287,25 +297,25 @@ impl<'a> Locator<'a> {
     }
 
     /// Turns descent on if it lowers the mean error of validation samples below `error`.
-    fn choose_descent(&mut self, truths: &[Truth], error: f64) {
+    fn choose_descent(&mut self, truths: &[ValidationSample], error: f64) {
         self.choice.descends = true;
         self.choice.descends = self.mean_error(&self.compared(truths)) < error;
     }
 
     /// Returns evenly chosen validation samples with their densities and regions.
-    fn compared<'t>(&self, truths: &'t [Truth]) -> Vec<(&'t Truth, Density, Region)> {
-        let some: Vec<&Truth> = truths.iter().step_by(truths.len().div_ceil(COMPARED).max(1)).collect();
-        let one = |truth: &'t Truth| {
-            let (density, region) = self.density_and_region(&self.fingerprints.misfits(&truth.0));
-            (truth, density, region)
+    fn compared<'t>(&self, truths: &'t [ValidationSample]) -> Vec<ComparedSample<'t>> {
+        let some: Vec<&ValidationSample> = truths.iter().step_by(truths.len().div_ceil(COMPARED).max(1)).collect();
+        let one = |sample: &'t ValidationSample| {
+            let (density, region) = self.density_and_region(&self.fingerprints.misfits(&sample.observation));
+            ComparedSample { sample, density, region }
         };
         some.into_par_iter().map(one).collect()
     }
 
     /// Returns the mean error of estimates, metres; NaN without samples.
-    fn mean_error(&self, compared: &[(&Truth, Density, Region)]) -> f64 {
-        let one = |((observation, truth), density, region): &(&Truth, Density, Region)| {
-            distance(self.estimate(observation, density, region), *truth)
+    fn mean_error(&self, compared: &[ComparedSample<'_>]) -> f64 {
+        let one = |ComparedSample { sample, density, region }: &ComparedSample<'_>| {
+            distance(self.estimate(&sample.observation, density, region), sample.position)
         };
         mean(compared.par_iter().map(one).collect::<Vec<f64>>())
     }

@@ -45,15 +45,12 @@ pub struct ActivationVjp {
     pub deltas: Deltas,
     /// Derivative with respect to the gate, `[N]`.
     pub gate: Vec<Real>,
-    /// Derivative with respect to the existence probability, `[N]`, which no activation uses.
-    pub existence: Vec<Real>,
 }
 
 impl ActivationVjp {
     /// Creates zeros of the shapes of `cloud` and `deltas`.
     pub fn zeros(cloud: &GaussianCloud, deltas: &Deltas) -> Self {
-        let (gate, existence) = (vec![0.0; cloud.len()], vec![0.0; cloud.len()]);
-        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate, existence }
+        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate: vec![0.0; cloud.len()] }
     }
 }
 
@@ -91,7 +88,7 @@ impl Activation {
         d: &Primitives,
         sums: &mut ActivationVjp,
     ) {
-        let ActivationVjp { cloud: d_cloud, deltas: d_deltas, gate: d_gate, .. } = sums;
+        let ActivationVjp { cloud: d_cloud, deltas: d_deltas, gate: d_gate } = sums;
         let n = cloud.len();
         for i in 0..n {
             let m = gate.map_or(1.0, |g| g[i]);

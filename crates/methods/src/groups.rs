@@ -192,7 +192,6 @@ pub(crate) fn vjp(
     }
     sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
     sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
-    sums.existence.iter_mut().zip(&own.existence).for_each(|(sum, d)| *sum += d);
 }
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of

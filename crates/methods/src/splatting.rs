@@ -230,7 +230,6 @@ impl Splatting {
         }
         let d_primitives = self.project_vjp(view, geometry, &d.splats);
         activation.geometry_vjp(p.cloud, deltas, batch.start, p.gate, &d_primitives, sums);
-        sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
         activation.signals_vjp(p.cloud, deltas, batch.clone(), &d.signals, sums);
         (d, d_primitives)
     }

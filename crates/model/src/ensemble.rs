@@ -1,7 +1,7 @@
 //! `Ensemble`: several models of one scene that predict together.
 
 use crate::{IntervalCalibration, Model, Prepared, Residuals, TrainingDistances};
-use pwrfgs_core::{Appearance, Dataset, Error, FittingSet, ImagePlane, Origin, Real, Result};
+use pwrfgs_core::{Appearance, ImagePlane, Origin, Real, Result};
 
 /// Models of one scene, such as runs with different seeds. The prediction of a spectrum is the mean over the models,
 /// each clamped to [0, 1]; a single model predicts without clamping. The deviation between models measures uncertainty:
@@ -85,30 +85,6 @@ impl Ensemble {
     /// Returns the calibration for prediction intervals, if any.
     pub fn calibration(&self) -> Option<&IntervalCalibration> {
         self.calibration.as_ref()
-    }
-
-    /// Returns the ensemble of some members, with the same residual processes except that only `links` are known, and
-    /// without calibration: if the members did not train on the others, it predicts those as new links.
-    ///
-    /// # Errors
-    /// As [`Residuals::updated`].
-    pub fn held_out(&self, members: &[usize], data: &Dataset, links: &[usize]) -> Result<Self> {
-        let member = |&k: &usize| (self.names[k].clone(), self.members[k].clone());
-        let base = Self::named(members.iter().map(member).collect()).map_err(Error::Config)?;
-        let residuals = self.residuals.as_ref().map(|own| own.of_links(&base, data, links)).transpose()?;
-        Ok(base.with_residuals(residuals))
-    }
-
-    /// Returns the models with residual processes that know only the training links of `data`, since validation links that they
-    /// know cannot choose settings. `None` if they know none.
-    ///
-    /// # Errors
-    /// As [`Residuals::updated`].
-    pub fn without_validation(&self, data: &Dataset, known: FittingSet<'_>) -> Result<Option<Self>> {
-        if self.residuals.is_none() || known.validation.is_empty() {
-            return Ok(None);
-        }
-        self.held_out(&(0..self.members.len()).collect::<Vec<_>>(), data, known.train).map(Some)
     }
 
     /// Returns the residual processes, if any.

@@ -12,6 +12,7 @@ pub mod export;
 pub mod file;
 mod model;
 mod prepared;
+mod residual_fit;
 mod residuals;
 mod snapshot;
 pub mod tensors;
@@ -22,7 +23,8 @@ pub use calibration::{HeldOutScores, Interval, IntervalCalibration, IntervalFact
 pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;
-pub use residuals::{KnownLinks, Kriged, LeftOutBy, ProcessFit, ResidualProcess, ResidualTrend, Residuals};
+pub use residual_fit::{KnownLinks, LeftOutBy};
+pub use residuals::{Kriged, ProcessFit, ResidualProcess, ResidualTrend, Residuals};
 pub use snapshot::Snapshot;
 pub use trained::Trained;
 pub use training_positions::{TrainingDistances, TrainingPositions};

@@ -6,17 +6,17 @@
 //! b f(x), and the weights are those of a process with mean zero: far from all known links, they vanish.
 //!
 //! Residuals of a model at positions that it trained on are too small. The share and the variance therefore maximise the
-//! likelihood of links that a model did not train on, each given the residuals of the same model at other links (`fit.rs`).
+//! likelihood of links that a model did not train on, each given the residuals of the same model at other links (`residual_fit.rs`).
 
 mod file;
-mod fit;
 mod grid;
+mod kriged;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use file::ResidualsNote;
-pub use fit::{KnownLinks, Kriged, LeftOutBy};
 pub(crate) use grid::CoarseGrid;
+pub use kriged::Kriged;
 
 use crate::tensors::quantise;
 use pwrfgs_core::kriging::{Correlation, LocalKriging, Mean, PathLoss, Place, in_space, log_distance};
@@ -43,7 +43,7 @@ pub struct ResidualTrend {
 
 impl ResidualTrend {
     /// Expected value for `predicted` by the model and a transmitter `at` a position (metres from the origin).
-    fn at(&self, predicted: Real, at: [Real; 3]) -> Real {
+    pub(crate) fn at(&self, predicted: Real, at: [Real; 3]) -> Real {
         let law = |(law, receiver): (PathLoss, _)| law.at(log_distance(at.map(|v| v as f64), receiver));
         self.share as Real * predicted + ((1.0 - self.share) * self.path_loss.map_or(0.0, law)) as Real
     }
@@ -82,7 +82,7 @@ pub(crate) enum ResidualValues {
 
 impl ResidualValues {
     /// Appends numbers of the same kind.
-    fn extend(&mut self, values: &[Real], of_each: usize) {
+    pub(crate) fn extend(&mut self, values: &[Real], of_each: usize) {
         match self {
             Self::Exact(own) => own.extend_from_slice(values),
             Self::Short(own, of_own) => {
@@ -94,7 +94,7 @@ impl ResidualValues {
     }
 
     /// No numbers of the same kind.
-    fn emptied(&self) -> Self {
+    pub(crate) fn emptied(&self) -> Self {
         match self {
             Self::Exact(_) => Self::Exact(Vec::new()),
             Self::Short(..) => Self::Short(Vec::new(), Vec::new()),
@@ -148,7 +148,7 @@ impl ResidualProcess {
 }
 
 /// Place of a position in metres from the origin.
-fn place(at: [Real; 3]) -> Place {
+pub(crate) fn place(at: [Real; 3]) -> Place {
     in_space(at.map(|v| v as f64))
 }
 
@@ -164,7 +164,7 @@ impl Residuals {
     }
 
     /// Process of a receiver; `None` if the model predicts alone.
-    fn process(&self, receiver: usize) -> Option<&ResidualProcess> {
+    pub(crate) fn process(&self, receiver: usize) -> Option<&ResidualProcess> {
         self.processes.get(receiver)?.as_ref()
     }
 

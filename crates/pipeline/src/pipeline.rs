@@ -78,23 +78,11 @@ impl Pipeline {
 
     /// RON text of the pipeline with every default written out; [`Self::parse`] restores the same pipeline.
     ///
-    /// If a third-party plugin cannot be written, a comment explains why; [`Self::check_text`] reports this as an
-    /// error.
-    pub fn to_ron(&self) -> String {
-        self.text().unwrap_or_else(|why| format!("// {why}")) + "\n"
-    }
-
-    /// Returns an error if [`Self::to_ron`] cannot write the pipeline.
-    ///
     /// # Errors
-    /// [`Error::Config`] with the reason.
-    pub fn check_text(&self) -> Result<()> {
-        self.text().map(|_| ()).map_err(Error::Config)
-    }
-
-    pub(crate) fn text(&self) -> Result<String, String> {
-        let why = "this pipeline cannot be written as text";
-        try_to_ron(self).map_err(|e| format!("{why}: {e}"))
+    /// [`Error::Config`] if a path is not valid text, or a third-party plugin cannot be written.
+    pub fn to_ron(&self) -> Result<String> {
+        let refused = |why| Error::Config(format!("this pipeline cannot be written as text: {why}"));
+        try_to_ron(self).map(|text| text + "\n").map_err(refused)
     }
 
     /// Method from Gaussians to observations.

@@ -29,8 +29,11 @@ pub struct EditFault {
 
 impl PipelineEdit {
     /// Creates a draft of the pipeline.
-    pub fn of(pipeline: &Pipeline) -> Self {
-        Self { text: pipeline.to_ron(), changes: Vec::new() }
+    ///
+    /// # Errors
+    /// As [`Pipeline::to_ron`].
+    pub fn of(pipeline: &Pipeline) -> Result<Self> {
+        Ok(Self { text: pipeline.to_ron()?, changes: Vec::new() })
     }
 
     /// Applies a change. Settings and unnamed values in parentheses, such as `(steps: 500, batch: 2)`, change the
@@ -45,7 +48,7 @@ impl PipelineEdit {
         self.changes.push(change.clone());
         // Written with its defaults, so that the next change finds their fields.
         let whole = ron_options().from_str(&self.text).ok();
-        if let Some(Ok(text)) = whole.map(|pipeline: Pipeline| pipeline.text()) {
+        if let Some(Ok(text)) = whole.map(|pipeline: Pipeline| pipeline.to_ron()) {
             self.text = text;
         }
         Ok(())
@@ -161,7 +164,7 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Config`] with the names of invalid changes.
     pub fn change(&mut self, changes: &[Change]) -> Result<()> {
-        let mut draft = PipelineEdit::of(self);
+        let mut draft = PipelineEdit::of(self)?;
         let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
         *self = made.map_err(EditFault::in_arguments)?;
         Ok(())
@@ -172,8 +175,7 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Config`] if the pipeline, or a path, is not valid text.
     pub fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<Self> {
-        self.check_text()?;
-        let mut draft = PipelineEdit::of(self);
+        let mut draft = PipelineEdit::of(self)?;
         draft.rebase(absolute).and_then(|()| draft.finish()).map_err(EditFault::in_arguments)
     }
 

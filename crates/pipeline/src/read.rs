@@ -285,7 +285,7 @@ mod tests {
     fn plugin_paths_become_absolute() {
         let data = "Channels(root: \"r\", points: \"p.ply\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
         let relative = parse(&format!("name: \"a\", data: {data}, initializer: Trained(model: \"m\")")).unwrap();
-        let absolute = relative.rebased(&|path| Path::new("/base").join(path)).unwrap().to_ron();
+        let absolute = relative.rebased(&|path| Path::new("/base").join(path)).unwrap().to_ron().unwrap();
         for field in ["root: \"/base/r\"", "points: \"/base/p.ply\"", "model: \"/base/m\""] {
             assert!(absolute.contains(field), "{field}: {absolute}");
         }
@@ -307,7 +307,7 @@ mod tests {
                 "{message}"
             );
         }
-        let written = channels("").unwrap().to_ron();
-        assert_eq!(Pipeline::parse(&written, Path::new("a.ron")).unwrap().to_ron(), written);
+        let written = channels("").unwrap().to_ron().unwrap();
+        assert_eq!(Pipeline::parse(&written, Path::new("a.ron")).unwrap().to_ron().unwrap(), written);
     }
 }

@@ -1,8 +1,8 @@
-//! Ray tracing in known rooms: *simulated* spectra with their paths, and a baseline.
+//! Ray tracing in scenes: *simulated* spectra, received powers and channels with their paths, and a baseline.
 //!
 //! Everything is in double precision, metres, hertz and radians; the time factor is e^{+jωt}.
 //!
-//! * [`SceneFile`] is a scene file, [`Simulator`] a prepared scene: paths, channel and spectrum of every transmitter.
+//! * [`SceneFile`] is a scene file, [`Simulator`] a prepared scene: paths and observation of every transmitter.
 //! * [`World`](world::World) holds faces and edges; [`ImageTree`](images::ImageTree) and [`Tracer`](tracer::Tracer) find
 //!   the [`PropagationPath`]s.
 //! * [`material`], [`fresnel`], [`diffraction`] and [`scattering`] implement the physics in a few functions each.
@@ -10,9 +10,9 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 pub mod array;
+mod hierarchy;
 pub mod images;
 pub mod mesh;
-pub mod mitsuba;
 mod observe;
 pub mod output;
 mod patches;
@@ -28,20 +28,20 @@ mod simulator;
 pub mod spectrum;
 pub mod surface_points;
 pub mod tracer;
-pub mod transmitters;
 mod waves;
 pub mod world;
 
-pub use observe::{Noise, ObservationKind, ReceiverObservation, SILENT_DBM, SimulatedObservation};
+pub use observe::{ObservationKind, ReceiverObservation, SILENT_DBM, SimulatedObservation};
+pub use output::mitsuba;
 pub use path::{Interaction, PropagationPath};
 pub use prepared_receiver::{PreparedReceiver, ReceivedPaths};
 pub use ray_tracing::RayTracing;
 pub use recipe::SimulationRecipe;
-pub use scene::SceneFile;
+pub use scene::{Noise, SceneFile};
 pub use simulated::{Simulated, cache_root, open_or_make};
 pub use simulator::{SimulationRequest, Simulator, simulate_links};
 pub use spectrum::{HEIGHT, WIDTH};
-pub use waves::{diffraction, fresnel, material, scattering};
+pub use waves::{Surface, diffraction, fresnel, material, scattering};
 
 /// A complex number in double precision.
 pub type Complex = num_complex::Complex<f64>;

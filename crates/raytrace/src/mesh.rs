@@ -3,8 +3,8 @@
 #[cfg(test)]
 mod tests;
 
+use crate::hierarchy::{Hierarchy, Triangle};
 use crate::polygon::{outside, sides};
-use crate::world::hierarchy::{Hierarchy, Triangle};
 use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::{cell::Cell, collections::HashMap, fs, path::Path};

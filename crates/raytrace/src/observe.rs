@@ -1,14 +1,12 @@
-//! Observations of a link (spectrum, power or channel) and receiver errors: thermal noise and phase errors of the
-//! antennas.
+//! Observations of a link (spectrum, power or channel), and thermal noise and phase errors of the antennas in them.
 
 #[cfg(test)]
 mod tests;
 
 use crate::Complex;
 use crate::path::PropagationPath;
-use crate::scene::SceneReceiver;
+use crate::scene::{Noise, SceneReceiver};
 use crate::spectrum::Spectrum;
-use pwrfgs_core::plugin::Check;
 use pwrfgs_core::rng::{self, Rng, normal_f64};
 use pwrfgs_core::{JsonSchema, Task};
 use serde::{Deserialize, Serialize};
@@ -113,36 +111,6 @@ pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: O
     let error = error.map_or(0.0, |(seed, draw)| noise_db * normal_f64(&mut draw.stream(seed, "power reading")));
     let exact = sent_dbm + 10.0 * power.log10() + error;
     ((exact * GRAINS).round() / GRAINS).max(SILENT_DBM)
-}
-
-/// Receiver errors; none by default.
-///
-/// Noise is relative to the channel of each transmitter, as if its power were set for the stated SNR: it does not
-/// depend on the distance.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Noise {
-    /// Signal-to-noise ratio per element in dB: mean of |h|² over elements (and subcarriers), relative to the variance
-    /// of complex Gaussian noise, which is independent per element and sample. Without it: no noise.
-    pub snr_db: Option<f64>,
-    /// Standard deviation of the phase errors of the elements, degrees: Gaussian, equal in all samples; default 0.
-    pub phase_error_deg: f64,
-    /// Random seed of the phase errors and of the noise; default 0.
-    pub seed: u64,
-}
-
-impl Check for Noise {
-    fn check(&self) -> Result<(), String> {
-        if let Some(snr) = self.snr_db
-            && !(-100.0..=300.0).contains(&snr)
-        {
-            return Err(format!("noise: `snr_db` is {snr}; give -100 to 300 dB, or leave it out for no noise"));
-        }
-        if !(0.0..=180.0).contains(&self.phase_error_deg) {
-            return Err(format!("noise: `phase_error_deg` is {}; give 0 to 180 degrees", self.phase_error_deg));
-        }
-        Ok(())
-    }
 }
 
 /// Receiver and sample of a random draw. Random numbers depend only on these and the seed, not on earlier draws.

@@ -2,6 +2,8 @@
 
 mod deepmimo;
 mod files;
+pub mod mitsuba;
+mod path_table;
 
 pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
 use files::{Files, check_powers};

@@ -1,6 +1,6 @@
 //! Convex polygons: clipping, area, and the difference of coplanar ones.
 
-use crate::world::hierarchy::Triangle;
+use crate::hierarchy::Triangle;
 use glam::DVec3;
 
 /// Distance below which corners lie in a plane, metres.

@@ -1,13 +1,11 @@
 //! `PreparedReceiver`: one prepared receiver of a scene.
 
 use crate::array::{self, ArrayWavefront};
-use crate::observe::{
-    Noise, NoiseDraw, ObservationKind, ReceiverObservation, SimulatedObservation, add_noise, reading,
-};
+use crate::observe::{NoiseDraw, ObservationKind, ReceiverObservation, SimulatedObservation, add_noise, reading};
 use crate::path::PropagationPath;
-use crate::scene::{SceneFile, SceneReceiver};
+use crate::scene::{Noise, SceneFile, SceneReceiver};
 use crate::spectrum::{Beamformer, HEIGHT, Spectrum, WIDTH};
-use crate::tracer::{Antenna, Tracer};
+use crate::tracer::{Antenna, Antennas, Tracer};
 use crate::world::World;
 use crate::{Complex, SPEED_OF_LIGHT};
 use glam::{DMat3, DQuat, DVec3};
@@ -199,7 +197,7 @@ fn world_from_receiver(pose: &Pose) -> DMat3 {
 }
 
 /// Antennas of transmitter and receiver.
-fn antennas(scene: &SceneFile, receiver: &SceneReceiver) -> (Antenna, Antenna) {
+fn antennas(scene: &SceneFile, receiver: &SceneReceiver) -> Antennas {
     let array = &receiver.array;
     let transmitter = Antenna {
         element: scene.transmitter.element.clone(),
@@ -211,5 +209,5 @@ fn antennas(scene: &SceneFile, receiver: &SceneReceiver) -> (Antenna, Antenna) {
         axis: DVec3::from(array.polarization).normalize(),
         world_from_antenna: world_from_receiver(&receiver.pose()),
     };
-    (transmitter, receiver)
+    Antennas { transmitter, receiver }
 }

@@ -1,21 +1,23 @@
 //! Scene files: room, objects, transmitter and receivers.
 
 mod antennas;
+mod mitsuba;
+mod noise;
 mod propagation;
 mod room;
+mod transmitters;
 
 pub use antennas::{MovingReceiver, Orientation, SceneReceiver, SceneTransmitter};
+pub use noise::Noise;
 pub use propagation::{Propagation, Subcarriers};
-pub(crate) use room::FAR;
 pub use room::{Finish, Object, Outline, Room};
+pub use transmitters::Transmitters;
 
 use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
-use crate::mitsuba::MitsubaScene;
-use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
-use crate::transmitters::Transmitters;
 use glam::{DQuat, DVec3};
+use mitsuba::MitsubaScene;
 use propagation::check_carriers;
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Pose, Receiver, Result, ShippedFile, did_you_mean, files, rng};

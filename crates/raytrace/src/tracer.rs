@@ -30,6 +30,15 @@ pub struct Antenna {
     pub world_from_antenna: DMat3,
 }
 
+/// Antennas at the ends of a path.
+#[derive(Clone, Debug)]
+pub struct Antennas {
+    /// Antenna of the transmitter.
+    pub transmitter: Antenna,
+    /// Antenna of the receiver.
+    pub receiver: Antenna,
+}
+
 impl Antenna {
     /// Field, world frame, radiated towards or received from the unit vector `direction`.
     fn field(&self, direction: DVec3) -> DVec3 {
@@ -57,7 +66,7 @@ impl Tracer {
     pub fn new(
         world: Arc<World>,
         wavelength: f64,
-        (transmitter, receiver): (Antenna, Antenna),
+        Antennas { transmitter, receiver }: Antennas,
         position: DVec3,
         propagation: &Propagation,
     ) -> Option<Self> {

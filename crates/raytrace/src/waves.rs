@@ -9,9 +9,32 @@ pub mod material;
 pub mod scattering;
 
 use crate::Complex;
-use crate::world::Surface;
 use fresnel::Polarized;
 use glam::DVec3;
+use scattering::Lobe;
+
+/// Surface properties of a face.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Surface {
+    /// Name of its object, such as `desk 2`.
+    pub object: String,
+    /// Complex relative permittivity at the carrier.
+    pub eta: Complex,
+    /// Thickness of the sheet, metres; `None` for an opaque solid.
+    pub thickness: Option<f64>,
+    /// Share of the reflected amplitude that is scattered diffusely, in [0, 1].
+    pub roughness: f64,
+    /// Shape of the diffuse lobe.
+    pub lobe: Lobe,
+}
+
+impl Surface {
+    /// Whether another surface has the same properties; names of objects may differ.
+    pub(crate) fn is_like(&self, other: &Self) -> bool {
+        let properties = |s: &Self| (s.eta, s.thickness, s.roughness, s.lobe);
+        properties(self) == properties(other)
+    }
+}
 
 /// Ray with its field, without spreading and without propagation phase.
 #[derive(Clone, Copy, Debug)]

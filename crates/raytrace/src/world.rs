@@ -3,47 +3,22 @@
 mod build;
 mod contact;
 mod from_scene;
-pub(crate) mod hierarchy;
 mod opening;
 mod sheets;
 
-use crate::Complex;
-use crate::scattering::Lobe;
+pub use crate::hierarchy::Triangle;
+use crate::hierarchy::{Hierarchy, crossing};
+use crate::waves::Surface;
 pub use build::{WorldBuilder, WorldPart};
 pub(crate) use contact::TOUCHING;
 pub use from_scene::from_scene;
 use glam::DVec3;
-pub use hierarchy::Triangle;
-use hierarchy::{Hierarchy, crossing};
 use std::cmp::Ordering;
 use std::f64::consts::PI;
 use std::ops::Range;
 
 /// Margin at the ends of a segment without intersections, metres: reflection points lie on faces.
 pub(crate) const MARGIN: f64 = 1e-6;
-
-/// Surface properties of a face.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Surface {
-    /// Name of its object, such as `desk 2`.
-    pub object: String,
-    /// Complex relative permittivity at the carrier.
-    pub eta: Complex,
-    /// Thickness of the sheet, metres; `None` for an opaque solid.
-    pub thickness: Option<f64>,
-    /// Share of the reflected amplitude that is scattered diffusely, in [0, 1].
-    pub roughness: f64,
-    /// Shape of the diffuse lobe.
-    pub lobe: Lobe,
-}
-
-impl Surface {
-    /// Whether another surface has the same properties; names of objects may differ.
-    fn is_like(&self, other: &Self) -> bool {
-        let properties = |s: &Self| (s.eta, s.thickness, s.roughness, s.lobe);
-        properties(self) == properties(other)
-    }
-}
 
 /// Planar piece of surface: connected triangles in one plane.
 #[derive(Clone, Debug)]

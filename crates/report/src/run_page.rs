@@ -64,7 +64,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         error_bar => ColourScale::Error(limit).bar().svg("bar", "colour scale of the error"),
         live => live::section(run),
         angles => model.plane().angles.is_some(),
-        pipeline => settings(run),
+        pipeline => settings(run)?,
         members => members(run),
         confidence => curves::confidence(run),
     };
@@ -100,10 +100,10 @@ fn words(run: &LoadedRun<'_>) -> Value {
 }
 
 /// Pipeline text; for an ensemble, the one that scores it.
-fn settings(run: &LoadedRun<'_>) -> String {
+fn settings(run: &LoadedRun<'_>) -> Result<String> {
     let is_joined = run.model.members().len() > 1;
     let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";
-    if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()
+    Ok(if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()?)
 }
 
 /// Name, number of Gaussians and page of each member of an ensemble.

@@ -5,7 +5,7 @@ use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin,
 use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::record::read_series;
 use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_experiment::{Facts, Observer, Scores, check_alike, load, model_file, read_pipeline};
+use pwrfgs_experiment::{Facts, Observer, Scores, SplitData, check_alike, load, model_file, read_pipeline};
 use pwrfgs_localise::{Locator, SHARES};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
@@ -190,7 +190,7 @@ impl ViewPane {
 impl LoadedData {
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
-        let (data, partition) = load(&pipeline, Path::new(""), observer)?;
+        let SplitData { data, partition } = load(&pipeline, Path::new(""), observer)?;
         let scores = scores(folder, &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }

@@ -1,7 +1,7 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{array, numbers, observations, places};
+use crate::arrays::{array, indices, numbers, observations, places};
 use crate::border::{free, raised, stoppable, stopping, wrong};
 use pwrfgs_core::{
     Camera, Dataset as Data, Elevation, Features, Number, Observations, Real, Sample, Simulation, Spectra,
@@ -13,19 +13,6 @@ use pyo3::types::{PyBytes, PyDict};
 /// Formats of spectra by name, as in NumPy.
 const FORMATS: [(&str, Number); 4] =
     [("u1", Number::U8), ("u2", Number::U16), ("f4", Number::F32), ("f8", Number::F64)];
-
-/// Reads link indices below `count`, from indices or a mask.
-pub(crate) fn indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
-    if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
-        return Ok((0..count).filter(|&i| mask[i]).collect());
-    }
-    let index = |i: i64| {
-        let valid = usize::try_from(i).ok().filter(|i| *i < count);
-        let message = || format!("{what}: invalid link index {i} (expected 0 to below {count})");
-        valid.ok_or_else(|| wrong(links.py(), &message()))
-    };
-    numbers::<i64>(what, links, &[None])?.into_iter().map(index).collect()
-}
 
 impl Dataset {
     /// Reads valid link indices given by a user.

@@ -2,9 +2,8 @@
 
 use super::Strategy;
 use super::objects::{generator, links_object};
-use crate::arrays::{array, axes, numbers, observation_rows, observations};
+use crate::arrays::{array, axes, indices, numbers, observation_rows, observations, observed};
 use crate::border::{throw, wrong};
-use crate::data::indices;
 use pwrfgs_core::{
     Baseline, Dataset, Error, Evaluation, FittingSet, Goal, Image, Measurement, Metric, Partition, Predict, Query,
     Result, Split, Task, Values, rng,
@@ -64,7 +63,7 @@ impl Baseline for Strategy {
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         let own = self.try_with(|py, own| {
             let links = known.all();
-            let observations = crate::data::observed(py, data, &links)?;
+            let observations = observed(py, data, &links)?;
             let predictor = own.call_method1("fit", (links_object(py, data, &links)?, observations))?;
             Ok(if predictor.is_none() { own.clone().unbind() } else { predictor.unbind() })
         })?;

@@ -56,18 +56,20 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let pipeline = read_pipeline(path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let mut progress = RunProgress::new(verbosity);
-    let (data, partition, findings) = load_with_findings(&pipeline, Path::new(""), &mut progress)?;
+    let (split, findings) = load_with_findings(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
-        output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
+        let (data, test) = (&split.data, split.partition.test.len());
+        output::note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
-    warn_of_receivers(&data, &ensemble);
-    let scored = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
+    warn_of_receivers(&split.data, &ensemble);
+    let scored = score(&ensemble, &pipeline, &split, &mut Session::new(&mut progress));
     progress.finish();
-    let (mut scores, confidence) = scored?;
+    let mut result = scored?;
+    let scores = &mut result.scores;
     scores.table.samples[0] = trained_on(&models);
     scores.table.trained_elsewhere = !models.iter().all(|model| is_trained_by(model, &pipeline));
     let mut text = scores.table.to_text();
-    if let Some(confidence) = &confidence {
+    if let Some(confidence) = &result.confidence {
         let members = ensemble.members().len();
         let rank = number(confidence.rank_correlation());
         _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
@@ -78,11 +80,10 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             machine: Machine::here(),
             gaussians: ensemble.gaussians(),
             findings,
-            scores: Some(scores.table.clone()),
+            scores: Some(result.scores.table.clone()),
             ..Facts::default()
         };
-        let (found, context) = ((&scores, confidence.as_ref()), (&data, &partition, &ensemble));
-        write_results(folder.path(), (&pipeline, &facts), context, found, pwrfgs::PAGE)?;
+        write_results(folder.path(), &pipeline, &facts, &split, &ensemble, &result, pwrfgs::PAGE)?;
         folder.publish()?;
         if pwrfgs::PAGE.is_some() {
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());

@@ -13,7 +13,7 @@ use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_place, write_new};
-use pwrfgs_core::plugin::{to_ron, try_to_ron};
+use pwrfgs_core::plugin::try_to_ron;
 use pwrfgs_core::{Dataset, Error, Result, ShippedFile, recognise};
 use std::path::{Path, PathBuf};
 
@@ -196,7 +196,7 @@ fn of_camera(data: &Dataset) -> Vec<String> {
 /// Writes the text of the file.
 fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
     let default = example().map_err(Error::Config)?;
-    let value = Value::new(to_ron(pipeline)).map_err(Error::Config)?;
+    let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;
     let differs = |path: &[&str]| value.at(path) != default.at(path);
     let draws = !differs(&["method"]);
     let shows = |owner: &str, field: &str| match owner {
@@ -217,7 +217,7 @@ fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
     text.push('\n');
     // The text must parse to the same pipeline.
     let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
-    if again.to_ron() != pipeline.to_ron() {
+    if again.to_ron()? != pipeline.to_ron()? {
         return Err(Error::Config(
             "the new pipeline does not parse to the intended settings; please report this bug".into(),
         ));

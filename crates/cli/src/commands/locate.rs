@@ -10,7 +10,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
-use pwrfgs::experiment::{Observer as _, check_alike, load as load_data, model_file, read_pipeline};
+use pwrfgs::experiment::{Observer as _, SplitData, check_alike, load as load_data, model_file, read_pipeline};
 use pwrfgs::localise::{Located, Locator, Region, SHARES};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
@@ -90,7 +90,8 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     }
     let pipeline = read_pipeline(&path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let (data, partition) = RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
+    let SplitData { data, partition } =
+        RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
     check_alike(&ensemble.prepare(), &data)?;
     let fair = ensemble.without_validation(&data, partition.known())?;
     let model = fair.as_ref().unwrap_or(&ensemble).prepare();

@@ -4,7 +4,7 @@
 mod tests;
 
 use super::{index, read_transmitters, receivers};
-use crate::channels::{check_frequencies, subcarriers};
+use crate::checks::{check_frequencies, subcarriers};
 use crate::folder::{check_root, folder_name, open_root, simulation, source_in, title};
 use crate::npy::{ComplexArray, read_complex};
 use pwrfgs_core::{

@@ -7,8 +7,15 @@ use std::{
     path::Path,
 };
 
-/// Function from a word of an index file to its id and sample index, or to the problem.
-pub(crate) type Find<'a> = dyn Fn(&str) -> Result<(u32, usize), String> + 'a;
+/// Word of an index file.
+pub(crate) struct IndexEntry {
+    pub(crate) id: u32,
+    /// Sample index.
+    pub(crate) sample: usize,
+}
+
+/// Function from a word of an index file to its entry, or to the problem.
+pub(crate) type Find<'a> = dyn Fn(&str) -> Result<IndexEntry, String> + 'a;
 
 /// Ids of spectra, which count from 1.
 pub(crate) struct SpectrumIds<'a> {
@@ -23,7 +30,7 @@ pub(crate) struct SpectrumIds<'a> {
 }
 
 impl SpectrumIds<'_> {
-    pub(crate) fn find(&self, word: &str) -> Result<(u32, usize), String> {
+    pub(crate) fn find(&self, word: &str) -> Result<IndexEntry, String> {
         let table = self.table;
         let id = match word.parse() {
             Ok(0) => return Err(format!("invalid id 0; ids count from 1, the first row of {table}")),
@@ -37,14 +44,15 @@ impl SpectrumIds<'_> {
         if !self.pictures.contains(&id) {
             return Err(format!("id {id} has no image spectrum/{id:05}.png; add the image or remove the id"));
         }
-        Ok((id, self.samples.binary_search(&id).expect("an id with a row and a picture is a sample")))
+        let sample = self.samples.binary_search(&id).expect("an id with a row and a picture is a sample");
+        Ok(IndexEntry { id, sample })
     }
 }
 
 /// Parses a row number of `table`, counted from 0 as ids of powers and channels are.
-pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<(u32, usize), String> {
+pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<IndexEntry, String> {
     match word.parse::<u32>() {
-        Ok(id) if (id as usize) < rows => Ok((id, id as usize)),
+        Ok(id) if (id as usize) < rows => Ok(IndexEntry { id, sample: id as usize }),
         Ok(id) => Err(format!("invalid row {id} of {table}, which has {rows} rows counted from 0; remove the number")),
         Err(_) => Err(format!("{} is not a row of {table}; write one a line, counted from 0", quoted(word))),
     }
@@ -76,7 +84,8 @@ fn read_list(path: &Path, find: &Find<'_>, seen: &mut BTreeMap<u32, String>) -> 
     let mut list = Vec::new();
     for (line, content) in lines(&text) {
         for field in split_blanks(content) {
-            let (id, sample) = find(field.text).map_err(|what| Error::at(path, line, field.column, what))?;
+            let IndexEntry { id, sample } =
+                find(field.text).map_err(|what| Error::at(path, line, field.column, what))?;
             list.push(sample);
             if let Some(before) = seen.insert(id, format!("{name}, line {line}")) {
                 let what = format!(

@@ -57,7 +57,7 @@ impl Split for TimeBlock {
         let before = held - behind;
         let train = (0..low - before).chain(high + behind..count).collect();
         let validation = (low - before..low).chain(high..high + behind).collect();
-        finish(data, train, validation, test.collect())
+        finish(data, Partition { train, validation, test: test.collect() })
     }
 
     /// Stretches of the trajectory.
@@ -170,7 +170,7 @@ impl Split for Voxel {
         let count = data.transmitters.len();
         let test = draw(&mut cells, part(self.test, count));
         let validation = draw(&mut cells, part(self.validation, count - test.len()));
-        finish(data, cells.concat(), validation, test)
+        finish(data, Partition { train: cells.concat(), validation, test })
     }
 
     /// Cells.

@@ -64,7 +64,7 @@ impl Split for LeaveReceiverOut {
         }
         let (mut train, validation) = hold_out_links(data, known, self.validation, rng);
         train.extend(calibration);
-        finish_links(train, validation, test)
+        finish_links(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -129,8 +129,7 @@ impl Default for RandomLinks {
 impl Split for RandomLinks {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let test = part(self.test, data.len());
-        let (train, validation, test) = random_lists(data.len(), test, self.validation, rng);
-        finish_links(train, validation, test)
+        finish_links(random_lists(data.len(), test, self.validation, rng))
     }
 
     /// Links.

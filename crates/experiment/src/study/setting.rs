@@ -106,8 +106,8 @@ pub(super) fn listed(names: Vec<String>) -> String {
 }
 
 /// Names the variants of separately given runs: the common start of the folders of all seeds.
-pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
-    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
+pub(super) fn named(alone: Vec<Record>) -> Result<Vec<(String, Record)>> {
+    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect::<Result<_>>()?;
     let folder = |record: &Record| {
         let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
         whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
@@ -129,7 +129,7 @@ pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
     }
     let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
     let all: Vec<String> = keys.iter().map(name).collect();
-    all.into_iter().zip(alone).collect()
+    Ok(all.into_iter().zip(alone).collect())
 }
 
 /// Common start of all names, without the separator or `seed` before the difference: `init` of `init-0` and `init-1`.
@@ -186,7 +186,7 @@ pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     for ((_, setting), group) in found.iter_mut().zip(groups) {
         let splits = distinct(group.iter().map(|(_, record)| one_line(&record.pipeline.split)));
         setting.title = format!("{}; {}", setting.title, splits.join(" and "));
-        setting.variants = variants(group);
+        setting.variants = variants(group)?;
     }
     tell_apart(&mut found);
     Ok(found.into_iter().map(|(_, setting)| setting).collect())
@@ -219,10 +219,10 @@ fn fields(value: &Value) -> Vec<String> {
 }
 
 /// Groups the runs of one setting by pipeline, independent of names; a repeated seed is the same run.
-fn variants(group: Vec<(Labels, Record)>) -> Vec<StudyVariant> {
+fn variants(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
     let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
-        let key = record.variant_key();
+        let key = record.variant_key()?;
         match all.iter_mut().find(|(known, ..)| *known == key) {
             Some((.., runs)) if runs.iter().any(|r| r.pipeline.seed == record.pipeline.seed) => {}
             Some((.., runs)) => runs.push(record),
@@ -234,7 +234,7 @@ fn variants(group: Vec<(Labels, Record)>) -> Vec<StudyVariant> {
         runs.sort_by_key(|r| r.facts.seed);
         StudyVariant { label, runs }
     };
-    all.into_iter().zip(names).map(variant).collect()
+    Ok(all.into_iter().zip(names).map(variant).collect())
 }
 
 /// Names of the variants: the axes on which they differ, and the sweep if needed.

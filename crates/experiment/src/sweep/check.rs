@@ -4,7 +4,7 @@
 use super::plan::{JOINED, PlannedRun, SweepPlan};
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE};
-use crate::load::load;
+use crate::load::{SplitData, load};
 use crate::record::read_series;
 use crate::residuals::check_residuals;
 use crate::run_folder::RunFolder;
@@ -13,7 +13,7 @@ use crate::scores::ScoreTable;
 use crate::session::Observer;
 use crate::training::fitting;
 use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Error, Result};
 use pwrfgs_train::Trainer;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -65,7 +65,7 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
 
 /// Unfinished runs of `runs`, after the checks that need no data.
 fn open(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
-    runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
+    runs.iter().try_for_each(|&run| plan.runs[run].pipeline.to_ron().map(drop))?;
     // All runs, including those of other shards: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
         RunFolder::inspect(&plan.folder_of(run), &planned.pipeline)?;
@@ -119,22 +119,21 @@ fn try_each<R>(
     then: impl Fn(usize, Trainer<'_>) -> Result<R>,
 ) -> Result<Vec<R>> {
     let mut all = Vec::new();
-    let mut loaded: Option<(String, Dataset, Partition)> = None;
+    let mut loaded: Option<(String, SplitData)> = None;
     for &run in runs {
         let pipeline = &plan.runs[run].pipeline;
         let key = data_key(pipeline);
         let named = |e: Error| if e.is_input() { plan.refuse(run, &e) } else { e };
-        if loaded.as_ref().is_none_or(|(k, ..)| *k != key) {
+        if loaded.as_ref().is_none_or(|(k, _)| *k != key) {
             drop(loaded.take()); // before the next is loaded
-            let (data, partition) = load(pipeline, Path::new(""), observer).map_err(named)?;
-            loaded = Some((key, data, partition));
+            loaded = Some((key, load(pipeline, Path::new(""), observer).map_err(named)?));
         }
-        if let Some((_, data, partition)) = &loaded {
+        if let Some((_, split)) = &loaded {
             // Baselines are scored only with the joined model.
             let mut scored = std::iter::once(pipeline).chain(&plan.joined);
-            scored.try_for_each(|own| own.check_data(data)).map_err(named)?;
-            plan.joined.iter().try_for_each(|own| check_residuals(own, data, partition, true)).map_err(named)?;
-            let sketch = || Trainer::sketch(&pipeline.plan()?, data, partition);
+            scored.try_for_each(|own| own.check_data(&split.data)).map_err(named)?;
+            plan.joined.iter().try_for_each(|own| check_residuals(own, split, true)).map_err(named)?;
+            let sketch = || Trainer::sketch(&pipeline.plan()?, &split.data, &split.partition);
             let trainer = fitting(pipeline, sketch).map_err(named)?;
             all.push(then(run, trainer).map_err(named)?);
         }

@@ -89,7 +89,7 @@ impl SweepPlan {
         let tree = RonTree::parse(text).map_err(|why| Error::input(path, why))?;
         let source = ExperimentSource { path, here, experiment, text, tree: &tree, set };
         let own = || read_base(here, &experiment.base);
-        let draft = source.changed(base.map_or_else(own, |base| Ok(PipelineEdit::of(base)))?)?;
+        let draft = source.changed(base.map_or_else(own, PipelineEdit::of)?)?;
         source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
         for axis in 0..experiment.axes.len() {
@@ -186,7 +186,7 @@ impl ExperimentSource<'_> {
             let what = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
             return Err(Error::Config(what.into()));
         }
-        Ok(draft.finish().map_or(draft, |base| PipelineEdit::of(&base)))
+        draft.finish().map_or(Ok(draft), |base| PipelineEdit::of(&base))
     }
 
     /// Each of `combinations` with each variant of `axis`.
@@ -246,7 +246,7 @@ impl ExperimentSource<'_> {
     fn refuse_equal(&self, combinations: &[Combination], pipelines: &[Pipeline]) -> Result<()> {
         let mut seen: BTreeMap<String, &Combination> = BTreeMap::new();
         for (combination, pipeline) in combinations.iter().zip(pipelines) {
-            if let Some(earlier) = seen.insert(pipeline.to_ron(), combination) {
+            if let Some(earlier) = seen.insert(pipeline.to_ron()?, combination) {
                 let why = format!(
                     "`{}` is the same pipeline as `{}`; check whether a later axis overrides an earlier one",
                     named(&combination.labels),

@@ -225,8 +225,7 @@ impl Method for Splatting {
         let (network, laws) = self.parts(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        let mut own = ActivationVjp::zeros(p.cloud, deltas);
-        let rows: Vec<usize> = (0..n).collect();
+        let (mut own, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets
@@ -242,6 +241,7 @@ impl Method for Splatting {
             let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, &p, terms, &d_blended, own)
             });
+            sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
             if let (Some(positions), true) = (&mut sums.positions, setup.moves) {
                 let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
                 (0..3).for_each(|k| positions[group.transmitter()][k] += d_position[k] as Real);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::tensors::Tensors;
-use crate::{Ensemble, HeldOutScores, IntervalCalibration, Model, Stages, file};
+use crate::{Ensemble, HeldOutScores, IntervalCalibration, KnownLinks, LeftOutBy, Model, Stages, file};
 use pwrfgs_core::{
     Dataset, Error, FittingSet, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _,
     Sample, Spectra, kriging::CorrelationKind, rng,

@@ -1,6 +1,6 @@
 use super::*;
 use crate::scene::Orientation;
-use pwrfgs_core::plugin::Checked;
+use pwrfgs_core::plugin::{Check as _, Checked};
 
 fn channel(elements: usize) -> Vec<Complex> {
     (0..elements).map(|k| 1e-3 * Complex::cis(0.7 * k as f64) * (1.0 + (k % 3) as f64)).collect()

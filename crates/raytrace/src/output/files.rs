@@ -1,9 +1,9 @@
 //! Files of a simulated data set, written one transmitter at a time: observations in the layouts of NeRF2 or as arrays,
 //! positions, tables and paths.
 
+use super::path_table::PathTable;
 use crate::Complex;
 use crate::observe::{ObservationKind, ReceiverObservation, SILENT_DBM, SimulatedObservation};
-use crate::path::PathTable;
 use crate::prepared_receiver::PreparedReceiver;
 use crate::recipe::SimulationRecipe;
 use crate::simulator::Simulator;
@@ -108,6 +108,12 @@ pub(crate) fn is_test(i: usize) -> bool {
     (i + 1).is_multiple_of(TEST_EVERY)
 }
 
+/// Name and content of a small file, written at the end.
+struct TextFile {
+    name: &'static str,
+    text: String,
+}
+
 /// Open files in an empty folder. With several receivers or carriers, their observations of a transmitter are consecutive.
 /// Every carrier is a row.
 pub(super) struct Files {
@@ -116,11 +122,11 @@ pub(super) struct Files {
     /// Array of spectra or channels, unless spectra are images.
     array: Option<GrowingFile>,
     /// Table of powers, or of absolute powers of spectra.
-    table: Option<(&'static str, String)>,
+    table: Option<TextFile>,
     /// Metadata of the observations: poses, frequencies, antennas.
-    facts: Option<(&'static str, String)>,
+    facts: Option<TextFile>,
     /// Table of positions, or of the poses of a moving receiver.
-    positions: (&'static str, String),
+    positions: TextFile,
     /// Carriers, each with a row per transmitter, Hz; empty for one carrier.
     carriers_hz: Vec<f64>,
     /// Path tables, one per receiver, or none.
@@ -141,9 +147,12 @@ impl Files {
         let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
         let channels = |name| array(name, npy_header_as("<c8", &shape));
         // Only for one receiver; with several, the poses are in another file.
-        let gateway = || ("gateway_info.yml", gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose()));
+        let gateway = || {
+            let text = gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose());
+            TextFile { name: "gateway_info.yml", text }
+        };
         let antennas = |own: &PreparedReceiver| own.antennas().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
-        let absolute = || (POWER, "id,path_gain_db,low,high\n".to_owned());
+        let absolute = || TextFile { name: POWER, text: "id,path_gain_db,low,high\n".into() };
         let (array, table, facts) = match layout {
             OutputLayout::Pictures => {
                 let path = folder.join(PICTURES);
@@ -158,21 +167,20 @@ impl Files {
                 let receivers = || listeners.iter().map(PreparedReceiver::receiver);
                 let names: Vec<&str> = receivers().map(|receiver| &*receiver.name).collect();
                 let places = receivers().map(|receiver| format!("{}: {}\n", receiver.name, list(&receiver.position)));
-                (None, Some((POWERS, names.join(",") + "\n")), Some(("gateway_position.yml", places.collect())))
+                let table = TextFile { name: POWERS, text: names.join(",") + "\n" };
+                (None, Some(table), Some(TextFile { name: "gateway_position.yml", text: places.collect() }))
             }
             OutputLayout::Channels => {
                 let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
                 let (own, hz) = (&listeners[0], scene.frequencies());
-                let facts =
-                    || ("receiver.yml", receiver_yaml(&own.receiver().name, &own.pose(), band, &hz, &antennas(own)));
-                let facts = is_alone.then(facts);
+                let text = || receiver_yaml(&own.receiver().name, &own.pose(), band, &hz, &antennas(own));
+                let facts = is_alone.then(|| TextFile { name: "receiver.yml", text: text() });
                 (channels(CHANNELS)?, None, facts)
             }
-            OutputLayout::Csi => (
-                channels("csidata.npy")?,
-                None,
-                Some(("base-station.yml", base_station_yaml(&antennas(&listeners[0])))),
-            ),
+            OutputLayout::Csi => {
+                let text = base_station_yaml(&antennas(&listeners[0]));
+                (channels("csidata.npy")?, None, Some(TextFile { name: "base-station.yml", text }))
+            }
             OutputLayout::DeepMimo => (None, None, None), // written by `deepmimo.rs`
         };
         let table_of = |listener: &PreparedReceiver| {
@@ -183,8 +191,8 @@ impl Files {
         };
         let paths = if paths { listeners.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
         let positions = match scene.moving_receiver {
-            Some(_) => (POSES, poses_csv(std::iter::empty())),
-            None => (POSITIONS, "x,y,z\n".into()),
+            Some(_) => TextFile { name: POSES, text: poses_csv(std::iter::empty()) },
+            None => TextFile { name: POSITIONS, text: "x,y,z\n".into() },
         };
         let carriers_hz = scene.carriers_hz.clone();
         Ok(Self { folder: folder.into(), layout, array, table, facts, positions, carriers_hz, paths })
@@ -194,7 +202,7 @@ impl Files {
     pub(super) fn add(&mut self, i: usize, place: &str, all: &[ReceiverObservation]) -> Result<()> {
         let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first());
         let id_of = |receiver: usize| i * rows + first + if rows == 1 { 0 } else { receiver };
-        self.positions.1 += &place.repeat(rows);
+        self.positions.text += &place.repeat(rows);
         for (receiver, ((table, file), received)) in self.paths.iter_mut().zip(all).enumerate() {
             file.add(table.rows(id_of(receiver), &received.paths).as_bytes())?;
         }
@@ -212,17 +220,17 @@ impl Files {
                 _ => {}
             }
             match (&received.observed, &mut self.table) {
-                (SimulatedObservation::Spectrum(spectrum), Some((_, rows))) => {
+                (SimulatedObservation::Spectrum(spectrum), Some(TextFile { text, .. })) => {
                     let decibel = 10.0 * spectrum.power.log10();
-                    writeln!(rows, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high)
+                    writeln!(text, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high)
                 }
-                (SimulatedObservation::Power(dbm), Some((_, rows))) => {
+                (SimulatedObservation::Power(dbm), Some(TextFile { text, .. })) => {
                     let end = if receiver + 1 == all.len() { "\n" } else { "," };
                     if *dbm > SILENT_DBM {
                         // Rounded readings must not equal the marker of a missing link.
-                        write!(rows, "{:.3}{end}", dbm.max(SILENT_DBM + 1e-3))
+                        write!(text, "{:.3}{end}", dbm.max(SILENT_DBM + 1e-3))
                     } else {
-                        write!(rows, "{SILENT_DBM:.1}{end}")
+                        write!(text, "{SILENT_DBM:.1}{end}")
                     }
                 }
                 _ => Ok(()),
@@ -235,7 +243,7 @@ impl Files {
     /// Writes the remaining files.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
         self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(GrowingFile::finish)?;
-        for (name, text) in self.facts.into_iter().chain(self.table).chain([self.positions]) {
+        for TextFile { name, text } in self.facts.into_iter().chain(self.table).chain([self.positions]) {
             files::write(&self.folder.join(name), text)?;
         }
         let rows = self.carriers_hz.len().max(1);

@@ -1,8 +1,8 @@
 //! Receivers and transmitter of a scene.
 
 use super::room::FAR;
+use super::transmitters::Transmitters;
 use crate::array::{Array, Element};
-use crate::transmitters::Transmitters;
 use glam::{DMat3, DQuat, DVec3};
 use pwrfgs_core::Pose;
 use pwrfgs_core::plugin::Checked;

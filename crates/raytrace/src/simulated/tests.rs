@@ -1,5 +1,6 @@
 use super::*;
-use crate::observe::{Noise, SimulatedObservation};
+use crate::observe::SimulatedObservation;
+use crate::scene::Noise;
 use crate::simulator::{SimulationRequest, Simulator, simulate_links};
 use pwrfgs_core::plugin::Checked;
 use std::fs;

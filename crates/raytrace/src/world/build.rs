@@ -1,8 +1,8 @@
 //! Builds faces and edges from triangle meshes.
 
 use super::contact::{self, is_near};
-use super::hierarchy::Hierarchy;
 use super::{Edge, Face, SolidBody, Surface, SurfaceLayer, Triangle, World};
+use crate::hierarchy::Hierarchy;
 use crate::mesh::Mesh;
 use glam::DVec3;
 use std::collections::BTreeMap;

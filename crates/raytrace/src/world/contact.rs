@@ -1,7 +1,7 @@
 //! Contacts: coplanar faces, and edges that lie on other parts.
 
-use super::hierarchy::Hierarchy;
 use super::{Edge, Face, Triangle};
+use crate::hierarchy::Hierarchy;
 use glam::DVec3;
 use std::cell::Cell;
 use std::collections::BTreeMap;

@@ -2,8 +2,8 @@
 
 use super::build::WorldBuilder;
 use super::contact::{BEYOND, is_near};
-use super::hierarchy::Hierarchy;
 use super::{Edge, Triangle};
+use crate::hierarchy::Hierarchy;
 use crate::polygon::{outside, sides};
 use glam::DVec3;
 

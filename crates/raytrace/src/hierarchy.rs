@@ -14,7 +14,7 @@ pub struct Triangle {
     pub corner: DVec3,
     /// Vectors from the first corner to the other two.
     pub sides: [DVec3; 2],
-    /// Index into [`World::faces`](super::World::faces).
+    /// Index into [`World::faces`](crate::world::World::faces).
     pub face: u32,
 }
 

@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::scene::FAR;
+use super::room::FAR;
 use glam::DVec3;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Error, Result};
@@ -48,7 +48,7 @@ const MEMORY: f64 = 0.45;
 ///   the walk turns away from obstacles. A longer draw begins with the shorter one.
 ///
 /// ```
-/// # use pwrfgs_raytrace::transmitters::Transmitters;
+/// # use pwrfgs_raytrace::scene::Transmitters;
 /// let text = "Walk(low: (-0.9, -0.9, 0.8), high: (0.7, 0.5, 1.7), step_m: 0.0104)";
 /// let walk: Transmitters = ron::from_str(text)?;
 /// assert_eq!(walk.draw(200, 0, &|_| Ok(()))?.len(), 200);

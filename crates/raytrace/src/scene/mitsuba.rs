@@ -1,14 +1,10 @@
 //! Scenes of Mitsuba 3 and Sionna RT: an XML file with meshes and radio materials.
 
-mod export;
 mod limits;
 
-pub use export::export;
-
+use super::room::{Finish, Object};
 use crate::material::{self, Material};
 use crate::mesh::MOST_TRIANGLES;
-use crate::scene::Finish;
-use crate::scene::Object;
 use glam::{DAffine3, DMat4, DVec3};
 use limits::{LONGEST, check_tags, expand};
 use pwrfgs_core::messages::{quoted, strip_control};

@@ -1,0 +1,83 @@
+//! Rows of `paths.csv`.
+
+use crate::path::{Interaction, PropagationPath, angles};
+use crate::world::World;
+use glam::DMat3;
+use pwrfgs_core::messages::cell;
+use std::fmt::Write as _;
+
+/// Names and frames for the rows of a path table.
+pub(crate) struct PathTable {
+    receiver_from_world: DMat3,
+    faces: Vec<String>,
+    edges: Vec<String>,
+}
+
+impl PathTable {
+    /// Header of `paths.csv`. `interactions` has one letter each: R reflection, T transmission, D diffraction, S
+    /// diffuse scattering. Angles are in degrees; departure and arrival in the world frame, `spectrum_*` as pixel
+    /// coordinates of the spectrum. `gain_*` excludes the phase of the delay.
+    pub(crate) const HEADER: &str = "id,path,interactions,gain_re,gain_im,gain_db,delay_ns,length_m,\
+        departure_azimuth_deg,departure_elevation_deg,arrival_azimuth_deg,arrival_elevation_deg,spectrum_azimuth_deg,\
+        spectrum_elevation_deg,surfaces";
+
+    /// Creates the table for a receiver with these axes.
+    pub(crate) fn new(world: &World, world_from_receiver: DMat3) -> Self {
+        let faces: Vec<String> = world.faces.iter().map(|f| f.name.clone()).collect();
+        let edge = |[a, b]: [u32; 2]| match (&faces[a as usize], &faces[b as usize]) {
+            (a, b) if a == b => format!("rim of {a}"),
+            (a, b) => format!("edge of {a} and {b}"),
+        };
+        let edges = world.edges.iter().map(|e| edge(e.faces)).collect();
+        Self { receiver_from_world: world_from_receiver.transpose(), faces, edges }
+    }
+
+    /// Rows of transmitter `id`.
+    pub(crate) fn rows(&self, id: usize, paths: &[PropagationPath]) -> String {
+        let mut text = String::new();
+        for (i, path) in paths.iter().enumerate() {
+            let letters: String = path.interactions.iter().map(letter).collect();
+            let letters = if letters.is_empty() { "LOS" } else { &letters };
+            let names: Vec<&str> = path.interactions.iter().map(|met| self.name(met)).collect();
+            let [departure, arrival] = [path.departure, path.arrival].map(angles);
+            let shown = angles(self.receiver_from_world * path.arrival);
+            writeln!(
+                text,
+                "{id},{},{letters},{:.6e},{:.6e},{:.3},{:.5},{:.6},{:.4},{:.4},{:.4},{:.4},{:.4},{:.4},\"{}\"",
+                i + 1,
+                path.gain.re,
+                path.gain.im,
+                20.0 * path.gain.norm().log10(),
+                path.delay() * 1e9,
+                path.length,
+                departure.0,
+                departure.1,
+                arrival.0,
+                arrival.1,
+                shown.0,
+                shown.1,
+                cell(&names.join(">")).replace('"', "\"\"")
+            )
+            .expect("text grows");
+        }
+        text
+    }
+
+    fn name(&self, interaction: &Interaction) -> &str {
+        match *interaction {
+            Interaction::Reflection { face, .. }
+            | Interaction::Transmission { face, .. }
+            | Interaction::Scattering { face, .. } => &self.faces[face as usize],
+            Interaction::Diffraction { edge, .. } => &self.edges[edge as usize],
+        }
+    }
+}
+
+fn letter(interaction: &Interaction) -> char {
+    match interaction {
+        Interaction::Reflection { .. } => 'R',
+        Interaction::Transmission { .. } => 'T',
+        Interaction::Diffraction { .. } => 'D',
+        Interaction::Scattering { .. } => 'S',
+    }
+}
