@@ -19,7 +19,7 @@ pub(crate) struct SurveyTile<'a, 'b> {
 /// Inputs of the derivative with respect to splat strength in a tile: `[channels][PIXELS]`, and the sum behind the
 /// current splat.
 struct Slopes {
-    slopes: Vec<Real>,
+    pixels: Vec<Real>,
     q_behind: Vec<Real>,
     channels: usize,
 }
@@ -28,20 +28,20 @@ impl Slopes {
     fn of(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
         let (_, image) = survey_tile.survey.slopes?;
         let Tile { channels, plane, corner, .. } = *survey_tile.tile;
-        let (mut slopes, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
-        gather(image, plane, corner, &mut slopes);
+        let (mut pixels, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
+        gather(image, plane, corner, &mut pixels);
         gather(survey_tile.picture, plane, corner, &mut drawn);
         let mut q_behind = vec![0.0; PIXELS];
-        for (k, (slope, value)) in slopes.iter().zip(&drawn).enumerate() {
+        for (k, (slope, value)) in pixels.iter().zip(&drawn).enumerate() {
             q_behind[k % PIXELS] += slope * value;
         }
-        Some(Self { slopes, q_behind, channels })
+        Some(Self { pixels, q_behind, channels })
     }
 
     /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, and removes the splat from the sum.
     #[inline(always)]
     fn along(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
-        let q: Real = (0..self.channels).map(|c| signal[c] * self.slopes[c * PIXELS + p]).sum();
+        let q: Real = (0..self.channels).map(|c| signal[c] * self.pixels[c * PIXELS + p]).sum();
         self.q_behind[p] -= weight * q;
         before * q - self.q_behind[p] / (1.0 - alpha)
     }

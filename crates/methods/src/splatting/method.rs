@@ -112,7 +112,7 @@ impl Splatting {
             let own = self.read_out(&view, laws, &group, links, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-            (own, seconds, is_training.then(|| (view, drawing)), group)
+            (own, seconds, is_training.then_some((view, drawing)), group)
         };
         let groups = ReceiverGroup::all(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
