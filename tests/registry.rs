@@ -92,7 +92,7 @@ fn removed_fields_name_next_step() {
             assert!(docs.clone().all(|docs| docs.field(None, field).is_none()), "{plugin}.{field} exists");
             for family in families {
                 let error = (family.complete)(&format!("{plugin}(\n  {field}: 1)")).unwrap_err().to_string();
-                let expected = format!(":2:3: {plugin} has no field `{field}` (removed); {step}");
+                let expected = format!(":2:{}: {plugin} has no field `{field}` (removed); {step}", 3 + field.len());
                 assert!(error.ends_with(&expected), "{error}");
             }
         }

@@ -32,6 +32,8 @@ pub const REMOVED_FIELDS: &[(&[&str], &str, &str)] = &[
     (&["NaturalSelection"], "memory", "remove it (fixed at 0.9)"),
     (&["ControlGs"], "settle", "remove it (fixed at 0.01)"),
     (&["AroundReceivers", "Grid", "PointCloud", "Random"], "signal_scale", "remove it (fixed at 1.0)"),
+    (&["Teacher"], "wavelength_m", "remove it (fixed at 1 to 2 m)"),
+    (&["Teacher"], "rasterizer", "remove it (fixed at AlphaBlending())"),
     (&["Nerf2"], "cache_mb", "remove it (fixed at 2500)"),
 ];
 
