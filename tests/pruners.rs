@@ -9,11 +9,11 @@ use std::path::Path;
 fn settings(name: &str) -> &'static str {
     match name {
         "ControlGs" => "lambda: 0.03, epsilon: 0.05",
-        "GaussianSpa" => "every: 2, share: 0.5",
+        "GaussianSpa" => "every: 2",
         "GreedyElimination" => "most: 20, transmitters: 4",
         "LearnableMask" | "Lp3dgs" => "lambda: 0.05, learning_rate: 0.8",
         "MaskGaussian" => "lambda: 0.1, learning_rate: 0.4",
-        "Mcmc" => "noise: 0.1, dead: 0.1",
+        "Mcmc" => "noise: 0.1",
         "MiniSplatting" => "rule: Above(0.2)",
         "NaturalSelection" => "pressure: 0.05, epsilon: 0.2",
         "OpacityThreshold" => "epsilon: 0.1",
@@ -28,10 +28,9 @@ fn all() -> Vec<(&'static str, String)> {
     built_in::<dyn Pruner>().into_iter().map(|name| (name, format!("{name}({})", settings(name)))).collect()
 }
 
-/// Without a number to reach, unless the strategy does nothing without one.
+/// Without a number to reach, unless the strategy requires one.
 fn small(pruner: &str) -> Pipeline {
-    let budget = plugin::<dyn Pruner>(pruner).traits().budget;
-    targeted(pruner, if budget == Some(Budget::UpperBound) { 9 } else { 0 })
+    targeted(pruner, if plugin::<dyn Pruner>(pruner).traits().requires_target { 9 } else { 0 })
 }
 
 fn targeted(pruner: &str, target: usize) -> Pipeline {
@@ -141,7 +140,13 @@ fn reports_position_of_impossible_targets() {
         (50, "pruners: [TopK()]", "a.ron:", "set it, for example to 157"),
         (50, "pruners: [] to 8", "a.ron:", "no pruner supports a target"),
         (50, "pruners: [RadSplat(target: 9)]", "a.ron:3:", "target"),
-        (50, "pruners: [LightGaussian(shares: [0.5, 1.5])]", "a.ron:3:", "`shares` contains 1.5"),
+        (50, "pruners: [LightGaussian()]", "a.ron:", "`LightGaussian` needs training.target_count, which is not set"),
+        (
+            50,
+            "pruners: [LearnableMask(), MergeByMoments()] to 8",
+            "a.ron:",
+            "list `MergeByMoments` first, or remove it",
+        ),
         (50, "pruners: [RadSplat(threshold: 1.5)]", "a.ron:3:", "`threshold` is 1.5"),
         (50, "rasterizer: ArrayResponse(), pruners: [RadSplat()]", "a.ron:3:", "this method does not blend"),
     ] {
@@ -150,7 +155,7 @@ fn reports_position_of_impossible_targets() {
     }
     // What masks and the true loss say needs no blending.
     for pruner in ["LearnableMask()", "GreedyElimination()", "MaskGaussian()", "RandomReference()"] {
-        written(50, &format!("rasterizer: ArrayResponse(), pruners: [{pruner}]")).unwrap();
+        written(50, &format!("rasterizer: ArrayResponse(), pruners: [{pruner}] to 8")).unwrap();
     }
     let mut pipeline = small("LightGaussian()");
     pipeline.set("training.target_count=5").unwrap();

@@ -1,6 +1,6 @@
 //! Laws of every plugin that the facade links, of whatever kind: defaults, text and doc comment.
 use crate::common::{FOREIGN, OF_TESTS};
-use pwrfgs::core::plugin::{PluginEntry, PluginFamily, inventory};
+use pwrfgs::core::plugin::{PluginEntry, PluginFamily, REMOVED_FIELDS, inventory};
 use std::path::Path;
 
 /// The first plugin trait and name after each `#[typetag::serde]` of the sources, such as `Pruner TopK`.
@@ -78,4 +78,23 @@ fn call(code: &str, name: &str) -> Option<String> {
         c == ')' && depth == 0
     })?;
     Some(code[start..=start + end].to_owned())
+}
+
+/// A file of another version gets the next step, and no field of today is listed as removed.
+#[test]
+fn removed_fields_name_next_step() {
+    for (plugins, field, step) in REMOVED_FIELDS {
+        for plugin in *plugins {
+            let of_name = |(_, member): &(&PluginFamily, PluginEntry)| member.name == *plugin;
+            let (families, members): (Vec<_>, Vec<_>) = linked().into_iter().filter(of_name).unzip();
+            assert!(!families.is_empty(), "{plugin}");
+            let docs = members.iter().filter_map(|member| member.docs);
+            assert!(docs.clone().all(|docs| docs.field(None, field).is_none()), "{plugin}.{field} exists");
+            for family in families {
+                let error = (family.complete)(&format!("{plugin}(\n  {field}: 1)")).unwrap_err().to_string();
+                let expected = format!(":2:{}: {plugin} has no field `{field}` (removed); {step}", 3 + field.len());
+                assert!(error.ends_with(&expected), "{error}");
+            }
+        }
+    }
 }

@@ -150,7 +150,7 @@ fn kept(training: &str) -> Vec<u32> {
     let pipeline = pipeline(&format!(
         "data: Teacher(gaussians: 20, samples: 1000, width: 36, height: 12), split: Random(test: 0.1), \
          initializer: Random(count: 2000, std: 2.0, nearest: 1, opacity: 0.6), deformation: Fixed(), baselines: [], metrics: [Ssim()], \
-         pruners: [LightGaussian(volume_power: 0)], training: (steps: 2, target_count: 1000, batch: 1, densify_until: 0, prune_until: 2, \
+         pruners: [MiniSplatting(rule: Cumulated(0.99))], training: (steps: 2, target_count: 1000, batch: 1, densify_until: 0, prune_until: 2, \
          prune_every: 2, densify: (every: 0), optimizer: ({still}), {training})"
     ));
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();

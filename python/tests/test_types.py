@@ -65,12 +65,12 @@ pwrfgs.Ssim(window=7)  # error
 
 share: float = pwrfgs.Random(test=0.1).test
 count: int = pwrfgs.Random(count=1_000).count
-pwrfgs.LightGaussian(shares=[0.5, 1])
-pwrfgs.LightGaussian(shares=["half"])  # error
+pwrfgs.LeaveReceiverOut(receivers=["g1"])
+pwrfgs.LeaveReceiverOut(receivers=[1])  # error
 pwrfgs.Nerf2Spectrum(root=Path("data") / "s23", gateway=None, elevation=(0.0, 90.0))
 pwrfgs.Nerf2Spectrum(elevation=(0.0, 45.0, 90.0))  # error
 pwrfgs.Teacher(width=36.5)  # error
-pwrfgs.Teacher(projector=pwrfgs.Mercator(), wavelength_m=(1.0, 2.0))
+pwrfgs.Teacher(projector=pwrfgs.Mercator(), tx_box=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
 
 values: List[pwrfgs.Value] = [Readout.Real, Readout.ReceivedPower(sky_deg=10), Rays.Same(400), mask]
 names: List[str] = list(settings.Rays)

@@ -160,7 +160,16 @@ fn reports_position_of_pipeline_errors() {
         ("lambda: 0.02", "lambda: -0.02", &["p.ron:7:", "lambda"]),
         ("OpacityThreshold()", "LearnableMask()", &["p.ron:7:", "`LearnableMask` is listed twice; list it once"]),
         ("Grid(count: 8)", "Grid(count: 8, distance_m: 1e30)", &["p.ron:5:", "`distance_m` is 1e30", "at most 1e6"]),
-        ("Grid(count: 8)", "Random(count: 8, signal_scale: 1e20)", &["p.ron:5:", "`signal_scale` is 1e20"]),
+        (
+            "OpacityThreshold()",
+            "LightGaussian(shares: [0.5])",
+            &["p.ron:7:", "LightGaussian has no field `shares` (removed); set training.target_count"],
+        ),
+        (
+            "OpacityThreshold()",
+            "RandomReference()",
+            &["`RandomReference` needs training.target_count, which is not set"],
+        ),
         ("densify_until: 20", "densify_until: 50", &["p.ron:", "`prune_until` is below `densify_until`"]),
         ("steps: 60", "steps: 0", &["p.ron:", "`steps` is 0"]),
         ("steps: 60", "steps: -1", &["p.ron:9:"]),

@@ -236,5 +236,5 @@ fn run_whose_masks_leave_one_gaussian_names_lambda_and_scale() {
     let message = run("pruners=[LearnableMask(lambda: 1000, learning_rate: 0.3)]");
     let words = "masks closed all but one of 8 Gaussians: λ decides a share of the start";
     assert!(message.contains(words) && message.contains("larger --scale"), "{message}");
-    assert!(!run("pruners=[RandomReference()]").contains("all but one"));
+    assert!(!run("pruners=[OpacityThreshold()]").contains("all but one"));
 }

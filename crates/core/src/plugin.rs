@@ -4,11 +4,13 @@
 //! that positions in error messages are correct. It then calls the plugin's own check, so that errors of range have a
 //! position too.
 mod adapter;
+mod removed;
 
 use crate::did_you_mean;
 use crate::docs::{Docs, Documented, JsonSchema, PLUGINS};
 use adapter::{BareName, Tagged};
 pub use inventory;
+pub use removed::{REMOVED_FIELDS, removed_field};
 use schemars::{Schema, SchemaGenerator, json_schema};
 use serde::de::{self, Deserializer, EnumAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer};

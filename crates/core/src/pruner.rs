@@ -91,6 +91,8 @@ pub struct PrunerTraits {
     pub columns: Vec<ColumnSpec>,
     /// Way in which it reaches `training.target_count`; `None` if not supported.
     pub budget: Option<Budget>,
+    /// Whether it removes Gaussians only to reach that number; such a pipeline is rejected without a target.
+    pub requires_target: bool,
     /// Whether it may add Gaussians until that number is reached.
     pub grows: bool,
     /// Reason why it cannot run, with the next step: for example, a pruner in another language needs a program that

@@ -21,7 +21,7 @@ const MAX_PIXELS: usize = 1 << 32;
 ///
 /// The Gaussians lie 2 to 6 m from the receiver at elevations of 10° to 75°. They are nearly round, with standard
 /// deviations of 5° to 12° as seen from the receiver and opacities of 0.5 to 0.9. Only the signals depend on the
-/// transmitter position p, as plane waves of random direction n and wavelength λ: sᵢ(p) = aᵢ·(0.55 + 0.45·cos(2π
+/// transmitter position p, as plane waves of random direction n and wavelength λ of 1 to 2 m: sᵢ(p) = aᵢ·(0.55 + 0.45·cos(2π
 /// nᵢ·p/λᵢ + φᵢ)) on the channels (cos θᵢ, sin θᵢ) with θᵢ in the first quadrant. The spectrum is the magnitude of the
 /// blended signal, divided by the maximum of all spectra and rounded to 8 bits.
 ///
@@ -52,14 +52,10 @@ pub struct Teacher {
     pub height: usize,
     /// Box of the transmitters: smallest and largest corner, metres, world frame.
     pub tx_box: ([f64; 3], [f64; 3]),
-    /// Shortest and longest wavelength of the signals, metres; shorter is harder to learn.
-    pub wavelength_m: (f64, f64),
     /// Pose of the receiver.
     pub receiver: Pose,
     /// Projector of the true spectra; `None` for `Mercator()`.
     pub projector: Option<Plugin<dyn Projector>>,
-    /// Rasterizer of the true spectra; `None` for `AlphaBlending()`.
-    pub rasterizer: Option<Plugin<dyn Rasterizer>>,
 }
 
 impl Default for Teacher {
@@ -71,10 +67,8 @@ impl Default for Teacher {
             width: 360,
             height: 90,
             tx_box: ([-0.8, -0.65, 0.5], [0.8, 0.65, 1.4]),
-            wavelength_m: (1.0, 2.0),
             receiver: Pose::IDENTITY,
             projector: None,
-            rasterizer: None,
         }
     }
 }
@@ -97,7 +91,7 @@ impl Teacher {
     }
 
     fn truth(&self) -> Truth {
-        Truth::new(self.seed, self.gaussians, self.wavelength_m, &self.origin().local_pose(self.receiver))
+        Truth::new(self.seed, self.gaussians, &self.origin().local_pose(self.receiver))
     }
 
     fn transmitters(&self) -> Vec<[f64; 3]> {
@@ -109,10 +103,9 @@ impl Teacher {
 
     /// Magnitudes of all spectra in order, before normalisation.
     fn render(&self, truth: &Truth, txs: &[[f64; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
-        let projector = self.projector.clone().map_or_else(|| linked("Mercator", "projector"), Ok)?;
-        let rasterizer = self.rasterizer.clone().map_or_else(|| linked("AlphaBlending", "rasterizer"), Ok)?;
+        let projector = self.projector.clone().map_or_else(|| linked("Mercator"), Ok)?;
+        let rasterizer: Plugin<dyn Rasterizer> = linked("AlphaBlending")?;
         let plane: ImagePlane = projector.plane(self.width, self.height);
-        rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("the rasterizer of Teacher: {why}")))?;
         let splats = projector.project(&activate(&truth.cloud), &self.origin().local_pose(self.receiver), &plane);
         let mut spectra = Vec::with_capacity(txs.len() * self.width * self.height);
         for batch in txs.chunks(BATCH) {
@@ -178,23 +171,17 @@ impl DataSource for Teacher {
                 "`tx_box` is {low:?} to {high:?}; give its smallest corner first, then its largest, in metres of at most 1e8"
             ));
         }
-        let (short, long) = self.wavelength_m;
-        if !(short > 0.0 && short <= long && long.is_finite()) {
-            return Err(format!("`wavelength_m` is {short} to {long}; give two lengths above 0, the shorter first"));
-        }
         self.receiver.fault().map_or(Ok(()), |(_, fault)| Err(format!("`receiver`: {fault}")))
     }
 }
 
 /// The plugin `name` with default settings, if it is linked.
-fn linked<T: ?Sized + pwrfgs_core::plugin::PluginKind>(name: &str, field: &str) -> Result<Plugin<T>>
+fn linked<T: ?Sized + pwrfgs_core::plugin::PluginKind>(name: &str) -> Result<Plugin<T>>
 where
     Box<T>: for<'de> Deserialize<'de>,
 {
     Plugin::parse(&format!("{name}()")).ok().ok_or_else(|| {
-        Error::Config(format!(
-            "Teacher draws with {name}, which is not linked into this program; link pwrfgs-raster or set `{field}`"
-        ))
+        Error::Config(format!("Teacher draws with {name}, which is not linked into this program; link pwrfgs-raster"))
     })
 }
 
@@ -227,8 +214,8 @@ const MEAN: Real = 0.55;
 const SWING: Real = 0.45;
 
 impl Truth {
-    /// Draws `count` Gaussians around `receiver`, with signals of wavelengths from shortest to longest, metres.
-    pub(super) fn new(seed: u64, count: usize, wavelength_m: (f64, f64), receiver: &Pose) -> Self {
+    /// Draws `count` Gaussians around `receiver`, with one plane wave each as signal.
+    pub(super) fn new(seed: u64, count: usize, receiver: &Pose) -> Self {
         let random = &mut rng::stream(seed, "teacher", 0);
         let mut cloud = GaussianCloud::default();
         let mut waves = Vec::with_capacity(count);
@@ -243,7 +230,7 @@ impl Truth {
             cloud.log_scales.push([0; 3].map(|_| scale.ln() + 0.2 * rng::normal(random)));
             cloud.quats.push(unit([0; 4].map(|_| rng::normal(random))));
             cloud.opacity_logits.push(logit(between(random, 0.5, 0.9)));
-            let wave = Wave::random(random, wavelength_m);
+            let wave = Wave::random(random);
             cloud.signals.push(wave.amplitude.map(|a| MEAN * a));
             waves.push(wave);
         }
@@ -257,11 +244,11 @@ impl Truth {
 }
 
 impl Wave {
-    fn random(random: &mut Rng, (short, long): (f64, f64)) -> Self {
+    fn random(random: &mut Rng) -> Self {
         let strength = between(random, 0.4, 1.0);
         let angle = between(random, 0.0, TAU / 4.0);
         let direction = Vec3::from_array(unit([0; 3].map(|_| rng::normal(random))));
-        let wavelength = between(random, short as Real, long as Real);
+        let wavelength = between(random, 1.0, 2.0);
         let phase = TAU * rng::uniform(random);
         Self {
             amplitude: [strength * angle.cos(), strength * angle.sin()],

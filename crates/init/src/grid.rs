@@ -31,14 +31,11 @@ pub struct Grid {
     pub overlap: Real,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly. The released colours have
-    /// 1/0.28209479 = 3.5449.
-    pub signal_scale: Real,
 }
 
 impl Default for Grid {
     fn default() -> Self {
-        Self { count: 500, distance_m: 5.0, overlap: 1.0, opacity: 0.1, signal_scale: 1.0 }
+        Self { count: 500, distance_m: 5.0, overlap: 1.0, opacity: 0.1 }
     }
 }
 
@@ -60,7 +57,7 @@ impl Initializer for Grid {
         // distance.
         let spacing = (consts::TAU * (1.0 - lowest.sin() as Real) / self.count as Real).sqrt();
         let scales = vec![self.overlap * spacing * self.distance_m; means.len()];
-        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+        Ok(start::cloud(means, &scales, self.opacity, rng))
     }
 
     fn count(&self) -> Option<usize> {
@@ -71,7 +68,7 @@ impl Initializer for Grid {
         start::check_count("count", self.count)?;
         start::positive("distance_m", self.distance_m, "metres from the receiver")?;
         start::positive("overlap", self.overlap, "scale over spacing, about 1")?;
-        start::check(self.opacity, self.signal_scale)
+        start::check_opacity(self.opacity)
     }
 }
 

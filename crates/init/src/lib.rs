@@ -71,16 +71,13 @@ mod tests {
             ("Random(nearest: 0)", "nearest"),
             ("Random(opacity: 1.0)", "opacity"),
             ("Random(opacity: NaN)", "opacity"),
-            ("Random(signal_scale: 0.0)", "signal_scale"),
             ("PointCloud(nearest: 0)", "nearest"),
             ("PointCloud(max_points: 0)", "max_points"),
             ("PointCloud(opacity: 0.0)", "opacity"),
-            ("PointCloud(signal_scale: inf)", "signal_scale"),
             ("Grid(count: 0)", "count"),
             ("Grid(distance_m: -1.0)", "distance_m"),
             ("Grid(overlap: 0.0)", "overlap"),
             ("Grid(opacity: 2.0)", "opacity"),
-            ("Grid(signal_scale: -1.0)", "signal_scale"),
         ] {
             let why = Plugin::<dyn Initializer>::parse(text).unwrap_err();
             assert!(why.contains(&format!("`{field}`")), "{text}: {why}");

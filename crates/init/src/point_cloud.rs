@@ -30,14 +30,11 @@ pub struct PointCloud {
     pub nearest: usize,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly. The released colours have
-    /// 1/0.28209479 = 3.5449.
-    pub signal_scale: Real,
 }
 
 impl Default for PointCloud {
     fn default() -> Self {
-        Self { max_points: None, nearest: 1, opacity: 0.1, signal_scale: 1.0 }
+        Self { max_points: None, nearest: 1, opacity: 0.1 }
     }
 }
 
@@ -56,7 +53,7 @@ impl Initializer for PointCloud {
             _ => scene.points.clone(),
         };
         let scales = start::scales_from_neighbours(&means, self.nearest);
-        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+        Ok(start::cloud(means, &scales, self.opacity, rng))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -64,7 +61,7 @@ impl Initializer for PointCloud {
             return Err("`max_points` is 0; give at least 1, or omit it to use every point".to_owned());
         }
         start::check_nearest(self.nearest)?;
-        start::check(self.opacity, self.signal_scale)
+        start::check_opacity(self.opacity)
     }
 }
 

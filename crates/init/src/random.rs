@@ -33,14 +33,11 @@ pub struct Random {
     pub nearest: usize,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly. The released colours have
-    /// 1/0.28209479 = 3.5449.
-    pub signal_scale: Real,
 }
 
 impl Default for Random {
     fn default() -> Self {
-        Self { count: 20_000, std: 10.0, nearest: 3, opacity: 0.1, signal_scale: 1.0 }
+        Self { count: 20_000, std: 10.0, nearest: 3, opacity: 0.1 }
     }
 }
 
@@ -60,7 +57,7 @@ impl Initializer for Random {
         };
         let means: Vec<[Real; 3]> = (0..self.count).map(|_| placed(draw(rng))).collect();
         let scales = start::scales_from_neighbours(&means, self.nearest);
-        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+        Ok(start::cloud(means, &scales, self.opacity, rng))
     }
 
     fn count(&self) -> Option<usize> {
@@ -71,7 +68,7 @@ impl Initializer for Random {
         start::check_count("count", self.count)?;
         start::positive("std", self.std, "metres along each axis")?;
         start::check_nearest(self.nearest)?;
-        start::check(self.opacity, self.signal_scale)
+        start::check_opacity(self.opacity)
     }
 }
 
@@ -100,13 +97,11 @@ pub struct AroundReceivers {
     pub scale_m: Real,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly.
-    pub signal_scale: Real,
 }
 
 impl Default for AroundReceivers {
     fn default() -> Self {
-        Self { count: 900, near: 0.5, spread_m: 2.5, scale_m: 0.8, opacity: 0.3, signal_scale: 1.0 }
+        Self { count: 900, near: 0.5, spread_m: 2.5, scale_m: 0.8, opacity: 0.3 }
     }
 }
 
@@ -127,7 +122,7 @@ impl Initializer for AroundReceivers {
         };
         let means: Vec<[Real; 3]> = (0..self.count).map(mean).collect();
         let scales = vec![self.scale_m; self.count];
-        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+        Ok(start::cloud(means, &scales, self.opacity, rng))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -137,7 +132,7 @@ impl Initializer for AroundReceivers {
         }
         start::positive("spread_m", self.spread_m, "metres about a receiver")?;
         start::positive("scale_m", self.scale_m, "metres")?;
-        start::check(self.opacity, self.signal_scale)
+        start::check_opacity(self.opacity)
     }
 }
 

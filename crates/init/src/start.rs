@@ -9,7 +9,7 @@ use pwrfgs_core::{
 const LEAST_SQUARE: Real = 1e-7;
 /// Scale of a Gaussian without neighbours, m.
 const LONELY: Real = 1.0;
-/// Largest distance, scale and signal: products of their squares stay finite in single precision.
+/// Largest distance and scale: products of their squares stay finite in single precision.
 const LARGEST: Real = 1e6;
 /// Maximum number of Gaussians; larger numbers are rejected as typing errors, because they would exhaust the memory.
 const MOST: usize = 10_000_000;
@@ -22,16 +22,10 @@ pub(crate) fn scales_from_neighbours(means: &[[Real; 3]], nearest: usize) -> Vec
 }
 
 /// Creates isotropic Gaussians `[N]` without rotation and of equal opacity. Both channels of each signal are uniform
-/// between −`signal_scale`/2 and `signal_scale`/2.
-pub(crate) fn cloud(
-    means: Vec<[Real; 3]>,
-    scales: &[Real],
-    opacity: Real,
-    signal_scale: Real,
-    rng: &mut Rng,
-) -> GaussianCloud {
+/// between −1/2 and 1/2.
+pub(crate) fn cloud(means: Vec<[Real; 3]>, scales: &[Real], opacity: Real, rng: &mut Rng) -> GaussianCloud {
     let n = means.len();
-    let mut channel = || (rng::uniform(rng) - 0.5) * signal_scale;
+    let mut channel = || rng::uniform(rng) - 0.5;
     GaussianCloud {
         log_scales: scales.iter().map(|s| [s.ln(); 3]).collect(),
         quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
@@ -42,13 +36,13 @@ pub(crate) fn cloud(
     }
 }
 
-/// Rejects an opacity or signal scale that cannot be trained.
-pub(crate) fn check(opacity: Real, signal_scale: Real) -> Result<(), String> {
+/// Rejects an opacity that cannot be trained.
+pub(crate) fn check_opacity(opacity: Real) -> Result<(), String> {
     // Excludes the ends of the interval, and values whose logit rounds to infinity.
-    if !(1e-6..=1.0 - 1e-6).contains(&opacity) {
-        return Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"));
+    if (1e-6..=1.0 - 1e-6).contains(&opacity) {
+        return Ok(());
     }
-    positive("signal_scale", signal_scale, "at 0 the magnitude of a signal has no derivative")
+    Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"))
 }
 
 /// Rejects values that are not positive or overflow single precision.
@@ -89,12 +83,12 @@ mod tests {
     #[test]
     fn columns_have_documented_initial_values() {
         let mut random = rng::stream(0, "init", 0);
-        let cloud = cloud(vec![[0.0; 3]; 500], &[0.5; 500], 0.1, 0.2, &mut random);
+        let cloud = cloud(vec![[0.0; 3]; 500], &[0.5; 500], 0.1, &mut random);
         assert!((cloud.opacity_logits[7] - -2.197_224_6).abs() < 1e-5);
         assert!((cloud.log_scales[7][2] - (0.5 as Real).ln()).abs() < 1e-6);
         assert!(cloud.quats.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
         let signals = cloud.signals.as_flattened();
-        assert!(signals.iter().all(|s| s.abs() <= 0.1));
-        assert!(signals.iter().any(|s| *s > 0.08) && signals.iter().any(|s| *s < -0.08));
+        assert!(signals.iter().all(|s| s.abs() <= 0.5));
+        assert!(signals.iter().any(|s| *s > 0.4) && signals.iter().any(|s| *s < -0.4));
     }
 }

@@ -49,7 +49,7 @@ use std::ops::Range;
 /// - Channels are normalised by training data only.
 ///
 /// The trunk does not depend on the transmitter. It is computed once for all transmitters of a call, and cached between
-/// predictions if it fits in `cache_mb`. Training at full size needs some 10¹² multiply-adds per step;
+/// predictions if it fits in 2,500 MiB. Training at full size needs some 10¹² multiply-adds per step;
 /// `nerf2-laptop.ron` is sized for two cores.
 ///
 /// ```
@@ -82,8 +82,6 @@ pub struct Nerf2 {
     /// Length of the feature vector that replaces the transmitter position: 52 for the uplinks of NeRF2's channels; 0
     /// for positions.
     pub features: usize,
-    /// Cache of the trunk for predictions, MiB per model. If the trunk needs more, nothing is cached.
-    pub cache_mb: usize,
 }
 
 impl Default for Nerf2 {
@@ -98,7 +96,6 @@ impl Default for Nerf2 {
             elevations: 9,
             carrier_hz: 2.4e9,
             features: 0,
-            cache_mb: 2_500,
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::pipeline::Pipeline;
 use crate::ron_tree::{RonBody, RonTree};
 use pwrfgs_core::did_you_mean;
 use pwrfgs_core::docs::{DocBody as Parts, DocField, DocKind, Docs};
-use pwrfgs_core::plugin::PluginFamily;
+use pwrfgs_core::plugin::{PluginFamily, removed_field};
 use std::ops::Range;
 
 /// Value in a pipeline, with its type if known.
@@ -60,6 +60,9 @@ impl<'a> SettingPlace<'a> {
             (Some(_), Some(plugin)) => format!("{here} is {plugin}, which"),
             _ => here,
         };
+        if let Some(why) = tree.name.as_deref().and_then(|plugin| removed_field(plugin, step)) {
+            return Err(format!("{subject} {why}"));
+        }
         if names().next().is_none() {
             return Err(format!("{subject} has no fields, so `{step}` is unknown{}", whole(plugin, &name, step)));
         }

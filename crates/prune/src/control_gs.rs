@@ -1,6 +1,6 @@
 //! Pruner that decreases all opacities until pruning settles.
 
-use crate::rounds::{check_below_one, check_share, check_weight};
+use crate::rounds::{check_below_one, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, sigmoid,
@@ -14,11 +14,14 @@ const PULL: &str = "control_pull";
 const COUNT: &str = "control_count";
 /// Column with the state of pruning: 0, few Gaussians removed so far; −1, many are being removed; 1, settled.
 const TREND: &str = "control_trend";
+/// Pruning has settled if a prune step removes less than this share of all Gaussians. The published 2,000 of some
+/// million would be less than one Gaussian of a small cloud.
+const SETTLED: Real = 0.01;
 
 /// Decreases all opacities and removes faint Gaussians, until a prune step removes almost none (ControlGS).
 ///
 /// The loss gains lambda · Σ o. Each prune step removes the Gaussians below `epsilon`. The penalty and the pruning stop
-/// after the first prune step that removes less than the share `settle` of all Gaussians. The number of Gaussians thus
+/// after the first prune step that removes less than 1 % of all Gaussians. The number of Gaussians thus
 /// follows from lambda alone, not from the length of the pruning phase. A column stores this state, so that checkpoints
 /// keep it. Source: ControlGS, Zhang et al., 2025, with 3e-7 and 2,000 of some million Gaussians per round.
 ///
@@ -35,13 +38,11 @@ pub struct ControlGs {
     pub lambda: Real,
     /// Gaussians with an opacity below ε are removed; from 0 to below 1.
     pub epsilon: Real,
-    /// Pruning ends with the first prune step that removes less than this share of all Gaussians, from 0 to 1.
-    pub settle: Real,
 }
 
 impl Default for ControlGs {
     fn default() -> Self {
-        Self { lambda: 0.00001, epsilon: 0.005, settle: 0.01 }
+        Self { lambda: 0.00001, epsilon: 0.005 }
     }
 }
 
@@ -67,7 +68,7 @@ impl Pruner for ControlGs {
         let (n, before, mut trend) = (cloud.len(), number(cloud, COUNT), number(cloud, TREND));
         if before > 0.0 {
             // Before many Gaussians have faded, a small number of removals does not mean that pruning has settled.
-            let many = (before - n as Real).max(0.0) >= self.settle * before;
+            let many = (before - n as Real).max(0.0) >= SETTLED * before;
             trend = match (many, trend < 0.0) {
                 (true, _) => -1.0,
                 (false, true) => 1.0,
@@ -88,7 +89,6 @@ impl Pruner for ControlGs {
 
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
-        check_share("settle", self.settle)?;
         check_below_one("epsilon", self.epsilon)
     }
 }

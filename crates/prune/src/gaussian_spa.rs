@@ -1,6 +1,5 @@
 //! Pruner that drives opacities towards a sparse vector.
 
-use crate::rounds::share_of;
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, best,
@@ -36,13 +35,11 @@ pub struct GaussianSpa {
     pub rho: Real,
     /// Steps between two projections to the sparse vector, 1 or more.
     pub every: u64,
-    /// Share of Gaussians removed without `training.target_count`, from 0 to below 1.
-    pub share: Real,
 }
 
 impl Default for GaussianSpa {
     fn default() -> Self {
-        Self { rho: 0.0005, every: 50, share: 0.8 }
+        Self { rho: 0.0005, every: 50 }
     }
 }
 
@@ -53,13 +50,14 @@ impl Pruner for GaussianSpa {
             // Opacities are never negative: −1 means that no projection has been computed yet.
             columns: vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)],
             budget: Some(Budget::FinalStep),
+            requires_target: true,
             ..PrunerTraits::default()
         }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
         let last = context.round > 0 && context.round == context.rounds;
-        let count = if last { self.count(cloud.len(), context) } else { cloud.len() };
+        let count = if last { count(cloud.len(), context) } else { cloud.len() };
         best(count, &self.score(cloud, stats, context), |_| true)
     }
 
@@ -79,7 +77,7 @@ impl Pruner for GaussianSpa {
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
         let shifted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
-        let open = best(self.count(cloud.len(), context), &shifted, |_| true);
+        let open = best(count(cloud.len(), context), &shifted, |_| true);
         let sparse: Vec<Real> = shifted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
         for column in &mut cloud.extra {
             match column.name.as_str() {
@@ -102,24 +100,18 @@ impl Pruner for GaussianSpa {
     }
 
     fn check(&self) -> Result<(), String> {
-        let Self { rho, every, share } = self;
+        let Self { rho, every } = self;
         if !(rho.is_finite() && *rho > 0.0) {
             return Err(format!("`rho` is {rho}; give a number above 0, such as 0.0005"));
         }
         if *every == 0 {
             return Err("`every` is 0; give the number of steps between two projections, such as 50".to_owned());
         }
-        if (0.0..1.0).contains(share) {
-            return Ok(());
-        }
-        Err(format!("`share` is {share}; give the share to remove, from 0 to below 1"))
+        Ok(())
     }
 }
 
-impl GaussianSpa {
-    /// Returns k, the number of Gaussians to keep of `n`.
-    fn count(&self, n: usize, context: &StepContext) -> usize {
-        let by_share = || n - share_of(n, self.share).floor() as usize;
-        context.target.unwrap_or_else(by_share).clamp(1, n.max(1))
-    }
+/// Returns k, the number of Gaussians to keep of `n`.
+fn count(n: usize, context: &StepContext) -> usize {
+    context.target.unwrap_or(n).clamp(1, n.max(1))
 }

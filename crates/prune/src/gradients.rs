@@ -1,6 +1,6 @@
 //! Pruners whose scores include the gradient of the position.
 
-use crate::rounds::{check_share, check_shares, needs, quantile, removes_shares};
+use crate::rounds::{check_share, quantile, ranking};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, sigmoid,
 };
@@ -83,30 +83,30 @@ fn ranks(values: &[Real]) -> Vec<Real> {
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("Taming3dgs(shares: [0.5])")?;
+/// Plugin::<dyn Pruner>::parse("Taming3dgs(transmitters: 64)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Taming3dgs {
-    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
-    pub shares: Vec<Real>,
     /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 
 impl Default for Taming3dgs {
     fn default() -> Self {
-        Self { shares: vec![0.5], transmitters: 256 }
+        Self { transmitters: 256 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for Taming3dgs {
-    removes_shares!();
+    fn traits(&self) -> PrunerTraits {
+        ranking()
+    }
 
-    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
-        needs(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters, &self.shares, context)
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
+        Needs::of(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
@@ -130,9 +130,5 @@ impl Pruner for Taming3dgs {
             }
         }
         sums
-    }
-
-    fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)
     }
 }

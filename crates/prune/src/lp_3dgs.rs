@@ -13,13 +13,17 @@ use serde::{Deserialize, Serialize};
 const COLUMN: &str = "lp_logits";
 /// Column of ln(S/S̃).
 const IMPORTANCE: &str = "lp_importance";
+/// Initial mask logit m; σ(3) is 0.95, so that training starts with nearly all Gaussians.
+const INITIAL_LOGIT: Real = 3.0;
+/// Temperature of the Gumbel-sigmoid; lower values give samples closer to 0 or 1.
+const TEMPERATURE: Real = 0.5;
 
 /// Learns masks that start from an importance score per Gaussian (LP-3DGS).
 ///
 /// The keep probability is σ(m + ln(S/S̃)). The importance S of a Gaussian is its largest blending weight in any pixel
 /// of any transmitter, as in RadSplat; S̃ is the median. The ratio S/S̃ multiplies the odds of a learned logit m.
 /// During training, the light that a Gaussian absorbs is multiplied by the relaxed sample σ((m + ln(S/S̃) +
-/// g)/temperature) with logistic noise g. The loss gains lambda times the mean keep probability. Prune steps keep the
+/// g)/0.5) with logistic noise g. The loss gains lambda times the mean keep probability. Prune steps keep the
 /// Gaussians with a probability of at least one half. S is measured at each prune step and is 1 before the first.
 /// Source: LP-3DGS, Zhang et al., NeurIPS 2024, section 3.2, whose Gumbel-sigmoid mask finds the share to prune by
 /// itself.
@@ -35,10 +39,6 @@ const IMPORTANCE: &str = "lp_importance";
 pub struct Lp3dgs {
     /// Weight λ of the penalty, 0 or more.
     pub lambda: Real,
-    /// Temperature of the Gumbel-sigmoid, 0.2 to 5. Lower values give samples closer to 0 or 1.
-    pub temperature: Real,
-    /// Initial mask logit m.
-    pub initial_logit: Real,
     /// Learning rate of the mask logit m (Adam).
     pub learning_rate: Real,
     /// Number of training transmitters used for the score; 0 for all.
@@ -47,7 +47,7 @@ pub struct Lp3dgs {
 
 impl Default for Lp3dgs {
     fn default() -> Self {
-        Self { lambda: 0.01, temperature: 0.5, initial_logit: 3.0, learning_rate: 0.01, transmitters: 256 }
+        Self { lambda: 0.01, learning_rate: 0.01, transmitters: 256 }
     }
 }
 
@@ -56,7 +56,7 @@ impl Pruner for Lp3dgs {
     fn traits(&self) -> PrunerTraits {
         PrunerTraits {
             columns: vec![
-                ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate),
+                ColumnSpec::learned(COLUMN, INITIAL_LOGIT, self.learning_rate),
                 ColumnSpec::state(IMPORTANCE, 0.0),
             ],
             budget: Some(Budget::FinalStep),
@@ -78,7 +78,7 @@ impl Pruner for Lp3dgs {
         }
         let mut random = rng::stream(context.seed, "pruner Lp3dgs", context.step);
         let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
-        Some(Gate::Existence(((odds(cloud) + noise) / self.temperature).sigmoid()))
+        Some(Gate::Existence(((odds(cloud) + noise) / TEMPERATURE).sigmoid()))
     }
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
@@ -114,15 +114,7 @@ impl Pruner for Lp3dgs {
 
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
-        check_rate(self.learning_rate)?;
-        let Self { temperature, initial_logit, .. } = self;
-        if !(0.2..=5.0).contains(temperature) {
-            return Err(format!("`temperature` is {temperature}; give a number from 0.2 to 5, such as 0.5"));
-        }
-        if initial_logit.is_finite() {
-            return Ok(());
-        }
-        Err(format!("`initial_logit` is {initial_logit}; give a number"))
+        check_rate(self.learning_rate)
     }
 }
 

@@ -11,6 +11,10 @@ use serde::{Deserialize, Serialize};
 
 /// Column of logits m.
 const COLUMN: &str = "presence_logits";
+/// Initial mask logit m; σ(1) is 0.73.
+const INITIAL_LOGIT: Real = 1.0;
+/// Number of samples of each mask at a prune step: a Gaussian with σ(m) = 0.2 is kept with probability 0.9.
+const DRAWS: usize = 10;
 
 /// Learns an existence probability per Gaussian; masked Gaussians still receive gradients (MaskGaussian).
 ///
@@ -18,7 +22,7 @@ const COLUMN: &str = "presence_logits";
 /// the relaxed sample σ(m + g). M multiplies only the light that a Gaussian absorbs, [`Gate::Existence`]. A Gaussian
 /// with M = 0 is not drawn, but still receives the gradient of its absence, so that it can come back. The loss gains
 /// lambda · (mean M)²; this penalty weakens as the number of Gaussians decreases. Prune steps remove the Gaussians
-/// whose masks are closed in all of `draws` samples. Compared with [`crate::LearnableMask`], whose closed masks cannot
+/// whose masks are closed in all of ten samples. Compared with [`crate::LearnableMask`], whose closed masks cannot
 /// reopen, a step costs more, because no Gaussian is skipped. Source: MaskGaussian, Liu et al., CVPR 2025, section 3.2,
 /// with one logit per Gaussian in place of two.
 ///
@@ -36,17 +40,13 @@ const COLUMN: &str = "presence_logits";
 pub struct MaskGaussian {
     /// Weight λ of the penalty, 0 or more.
     pub lambda: Real,
-    /// Initial mask logit m; σ(1) is 0.73.
-    pub initial_logit: Real,
     /// Learning rate of the mask logit m (Adam).
     pub learning_rate: Real,
-    /// Number of samples of each mask at a prune step, 1 or more.
-    pub draws: usize,
 }
 
 impl Default for MaskGaussian {
     fn default() -> Self {
-        Self { lambda: 0.1, initial_logit: 1.0, learning_rate: 0.01, draws: 10 }
+        Self { lambda: 0.1, learning_rate: 0.01 }
     }
 }
 
@@ -54,7 +54,7 @@ impl Default for MaskGaussian {
 impl Pruner for MaskGaussian {
     fn traits(&self) -> PrunerTraits {
         PrunerTraits {
-            columns: vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)],
+            columns: vec![ColumnSpec::learned(COLUMN, INITIAL_LOGIT, self.learning_rate)],
             budget: Some(Budget::FinalStep),
             ..PrunerTraits::default()
         }
@@ -64,7 +64,7 @@ impl Pruner for MaskGaussian {
         let Some(column) = cloud.extra(COLUMN) else { return vec![true; cloud.len()] };
         let mut random = rng::stream(context.seed, "pruner MaskGaussian prune", context.step);
         let mut keep = vec![false; cloud.len()];
-        for _ in 0..self.draws {
+        for _ in 0..DRAWS {
             let noise = logistic_noise(cloud.len(), &mut random);
             keep.iter_mut().zip(column.values.iter().zip(noise)).for_each(|(keep, (m, g))| *keep |= m + g > 0.0);
         }
@@ -91,12 +91,7 @@ impl Pruner for MaskGaussian {
 
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
-        check_rate(self.learning_rate)?;
-        if self.draws == 0 || !self.initial_logit.is_finite() {
-            return Err("`draws` must be at least 1 and `initial_logit` a finite number; give 10 and 1.0, for example"
-                .to_owned());
-        }
-        Ok(())
+        check_rate(self.learning_rate)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Pruner that relocates faint Gaussians to opaque ones.
 
 use crate::covariance::Covariance;
-use crate::rounds::{check_below_one, check_share, check_weight};
+use crate::rounds::check_weight;
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudEdit, CloudStats, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, RowOrigin,
@@ -12,43 +12,42 @@ use serde::{Deserialize, Serialize};
 
 /// Moves faint Gaussians onto others, drawn by opacity, without changing the spectra (3DGS-MCMC).
 ///
-/// At a prune step, each Gaussian of opacity `dead` or less moves onto another Gaussian, drawn with probability
+/// At a prune step, each Gaussian of opacity 0.005 or less moves onto another Gaussian, drawn with probability
 /// proportional to opacity. If k Gaussians then share a position, each takes the opacity 1 − (1 − o)^(1/k), so that
 /// their joint transmittance is that of the original. Their scales preserve the blended amplitude: s · o / Σᵢ Σⱼ (i−1
-/// over j) (−1)^j o′^(j+1) / √(j+1), i from 1 to k, j below i. The loss gains `opacity_weight` times the mean opacity
-/// and `scale_weight` times the mean scale. Noise moves the centres, of faint Gaussians more than of opaque ones: noise
+/// over j) (−1)^j o′^(j+1) / √(j+1), i from 1 to k, j below i. The loss gains 0.01 times the mean opacity and 0.01
+/// times the mean scale in metres. Noise moves the centres, of faint Gaussians more than of opaque ones: noise
 /// · σ(100 (0.005 − o)) · Σ · N(0, 1). Source: 3D Gaussian splatting as Markov chain Monte Carlo, Kheradmand et al.,
 /// NeurIPS 2024, eq. (9).
 ///
 /// `training.target_count` is the maximum N. Above it, prune steps remove the Gaussians of lowest opacity in rounds. Below
-/// it, each prune step adds at most the share `grow` of N, in the same way as faint Gaussians move. Without a target, N
+/// it, each prune step adds at most 5 % of N, in the same way as faint Gaussians move. Without a target, N
 /// is constant.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("Mcmc(grow: 0.05)")?;
+/// Plugin::<dyn Pruner>::parse("Mcmc(noise: 0.5)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mcmc {
-    /// Gaussians with at most this opacity are moved; from 0 to below 1.
-    pub dead: Real,
-    /// Share of N that may be added at a prune step, from 0 to 1.
-    pub grow: Real,
-    /// Weight of the mean opacity in the loss, 0 or more.
-    pub opacity_weight: Real,
-    /// Weight of the mean scale in the loss, 1/m, 0 or more.
-    pub scale_weight: Real,
     /// Random motion of faint Gaussians per step, 1/m, 0 or more. The paper decreases it from 80 to 0.8 with the
     /// learning rate of the means; here it is constant, because the pruning phase is short.
     pub noise: Real,
 }
 
+/// Largest opacity of a Gaussian that moves, as published.
+const FAINT: Real = 0.005;
+/// Share of N that a prune step may add, as published.
+const GROWTH: Real = 0.05;
+/// Weight of the mean opacity in the loss, and of the mean scale in metres, as published.
+const PENALTY: Real = 0.01;
+
 impl Default for Mcmc {
     fn default() -> Self {
-        Self { dead: 0.005, grow: 0.05, opacity_weight: 0.01, scale_weight: 0.01, noise: 1.0 }
+        Self { noise: 1.0 }
     }
 }
 
@@ -60,8 +59,8 @@ impl Pruner for Mcmc {
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         (context.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
-            let opacity = cloud.opacities().mean::<Rank0, _>() * self.opacity_weight;
-            opacity + cloud.column("log_scales").exp().mean::<Rank0, _>() * self.scale_weight
+            let opacity = cloud.opacities().mean::<Rank0, _>() * PENALTY;
+            opacity + cloud.column("log_scales").exp().mean::<Rank0, _>() * PENALTY
         })
     }
 
@@ -71,7 +70,7 @@ impl Pruner for Mcmc {
         }
         let mut random = rng::stream(context.seed, "pruner Mcmc noise", context.step);
         for i in 0..cloud.len() {
-            let size = self.noise * sigmoid(100.0 * (0.005 - sigmoid(cloud.opacity_logits[i])));
+            let size = self.noise * sigmoid(100.0 * (FAINT - sigmoid(cloud.opacity_logits[i])));
             let draw = [(); 3].map(|()| rng::normal(&mut random));
             let covariance = Covariance::of(cloud, i).0;
             for k in 0..3 {
@@ -86,13 +85,13 @@ impl Pruner for Mcmc {
         }
         let n = cloud.len();
         let opacities: Vec<f64> = cloud.opacity_logits.iter().map(|o| f64::from(sigmoid(*o))).collect();
-        let mut alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(self.dead)).collect();
+        let mut alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(FAINT)).collect();
         if alive.is_empty() {
             alive = (0..n).collect(); // if all are faint, none counts as faint
         }
         let room = context.target.map_or(0, |target| target.saturating_sub(n));
         let last = context.round == context.rounds;
-        let added = if last { room } else { room.min((f64::from(self.grow) * n as f64) as usize) };
+        let added = if last { room } else { room.min((f64::from(GROWTH) * n as f64) as usize) };
         if alive.is_empty() || (alive.len() == n && added == 0) {
             return None;
         }
@@ -104,7 +103,7 @@ impl Pruner for Mcmc {
         let mut sources = drawn.into_iter();
         let mut rows: Vec<RowOrigin> = (0..n).map(RowOrigin::Kept).collect();
         for (i, row) in rows.iter_mut().enumerate() {
-            if alive.len() < n && opacities[i] <= f64::from(self.dead) {
+            if alive.len() < n && opacities[i] <= f64::from(FAINT) {
                 *row = RowOrigin::Copied(sources.next().expect("a draw for each that is dead"));
             }
         }
@@ -121,10 +120,6 @@ impl Pruner for Mcmc {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_below_one("dead", self.dead)?;
-        check_share("grow", self.grow)?;
-        check_weight("opacity_weight", self.opacity_weight)?;
-        check_weight("scale_weight", self.scale_weight)?;
         check_weight("noise", self.noise)
     }
 }

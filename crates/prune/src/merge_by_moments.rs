@@ -1,7 +1,6 @@
 //! Pruner that merges close Gaussians into one with their joint mean and covariance.
 
 use crate::covariance::Covariance;
-use crate::rounds::{check_shares, share_at, share_of};
 use pwrfgs_core::{
     Budget, CloudEdit, CloudStats, GaussianCloud, JsonSchema, Pruner, PrunerTraits, Real, RowOrigin, StepContext,
     logit, neighbours, sigmoid,
@@ -19,32 +18,22 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("MergeByMoments(shares: [0.5])")?;
+/// Plugin::<dyn Pruner>::parse("MergeByMoments()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct MergeByMoments {
-    /// Share of Gaussians removed by merging at each prune step, in order.
-    pub shares: Vec<Real>,
-}
-
-impl Default for MergeByMoments {
-    fn default() -> Self {
-        Self { shares: vec![0.5, 0.5, 0.5] }
-    }
-}
+pub struct MergeByMoments {}
 
 #[typetag::serde]
 impl Pruner for MergeByMoments {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::PrunerManaged), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::PrunerManaged), requires_target: true, ..PrunerTraits::default() }
     }
 
     fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Option<CloudEdit> {
         let n = cloud.len();
-        let by_share = || n - share_of(n, share_at(&self.shares, context)).floor() as usize;
-        let count = context.target.map_or_else(by_share, |target| context.quota(n, target)).max(1);
+        let count = context.quota(n, context.target?).max(1);
         if count >= n || cloud.means.as_flattened().iter().any(|v| !v.is_finite()) {
             return None;
         }
@@ -53,10 +42,6 @@ impl Pruner for MergeByMoments {
             merge_pass(&mut edit, count);
         }
         Some(edit)
-    }
-
-    fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)
     }
 }
 

@@ -26,8 +26,7 @@ impl SelectionRule {
 
 /// Keeps a random sample of Gaussians by weight, or the Gaussians with nearly all of the weight (Mini-Splatting).
 ///
-/// The weight is Σ w over the training transmitters; with `per_area` it is divided by the number of covered pixels. The
-/// rules are:
+/// The weight is Σ w over the training transmitters. The rules are:
 ///
 /// - `Sampled` draws without replacement with probability proportional to weight. It keeps a sparse cover of the scene,
 ///   whereas the largest weights alone may cluster.
@@ -42,7 +41,7 @@ impl SelectionRule {
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("MiniSplatting(rule: Cumulated(0.99), per_area: true)")?;
+/// Plugin::<dyn Pruner>::parse("MiniSplatting(rule: Cumulated(0.99))")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -50,15 +49,13 @@ impl SelectionRule {
 pub struct MiniSplatting {
     /// Selection rule.
     pub rule: SelectionRule,
-    /// Whether to use the mean weight over the covered pixels instead of the sum.
-    pub per_area: bool,
     /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 
 impl Default for MiniSplatting {
     fn default() -> Self {
-        Self { rule: SelectionRule::Sampled(0.5), per_area: false, transmitters: 0 }
+        Self { rule: SelectionRule::Sampled(0.5), transmitters: 0 }
     }
 }
 
@@ -95,15 +92,11 @@ impl Pruner for MiniSplatting {
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
-        let statistic = if self.per_area { Statistic::WeightPerArea } else { Statistic::Weight };
-        Needs::of(&[statistic], self.transmitters)
+        Needs::of(&[Statistic::Weight], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
-        let weights = requested_statistic(
-            if self.per_area { &stats.requested.weight_per_area } else { &stats.requested.weight },
-            cloud,
-        );
+        let weights = requested_statistic(&stats.requested.weight, cloud);
         match self.rule {
             SelectionRule::Cumulated(_) | SelectionRule::Above(_) => weights,
             // The largest of these keys are a sample without replacement (Efraimidis and Spirakis, 2006).

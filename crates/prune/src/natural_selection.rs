@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 
 /// Column of lives: moving averages of opacity.
 const LIFE: &str = "life";
+/// Decay factor of the moving average of opacity per step.
+const MEMORY: Real = 0.9;
 
 /// Decreases all opacities equally; gradients preserve the Gaussians that are needed (Natural Selection).
 ///
@@ -32,13 +34,11 @@ pub struct NaturalSelection {
     pub pressure: Real,
     /// Gaussians whose averaged opacity is below ε are removed; from 0 to below 1.
     pub epsilon: Real,
-    /// Decay factor of the moving average of opacity per step, from 0 to below 1.
-    pub memory: Real,
 }
 
 impl Default for NaturalSelection {
     fn default() -> Self {
-        Self { pressure: 0.05, epsilon: 0.005, memory: 0.9 }
+        Self { pressure: 0.05, epsilon: 0.005 }
     }
 }
 
@@ -66,7 +66,7 @@ impl Pruner for NaturalSelection {
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         for column in cloud.extra.iter_mut().filter(|column| column.name == LIFE) {
             let lives = column.values.iter_mut().zip(&opacities);
-            lives.for_each(|(life, o)| *life = self.memory * *life + (1.0 - self.memory) * o);
+            lives.for_each(|(life, o)| *life = MEMORY * *life + (1.0 - MEMORY) * o);
         }
     }
 
@@ -77,7 +77,6 @@ impl Pruner for NaturalSelection {
 
     fn check(&self) -> Result<(), String> {
         check_weight("pressure", self.pressure)?;
-        check_below_one("epsilon", self.epsilon)?;
-        check_below_one("memory", self.memory)
+        check_below_one("epsilon", self.epsilon)
     }
 }

@@ -1,61 +1,54 @@
 //! Pruner by the sensitivity of the spectra to position and scale.
 
-use crate::rounds::{check_shares, needs, removes_shares};
-use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, Real, Statistic, StepContext};
+use crate::rounds::ranking;
+use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 
 /// Removes the Gaussians whose position and scale have the least influence on the spectra (PUP-3DGS).
 ///
 /// The score is log det of the 6 × 6 Fisher matrix Σ J Jᵀ, J = ∂P̂/∂(mean, log scale) with constant signals, over
-/// pixels and training transmitters. The method removes 80 % of the Gaussians at once, then half of the rest, each time
-/// followed by fine-tuning. If the spectra do not depend on a direction, such as the distance from a single receiver,
-/// every determinant would be 0. Therefore `ridge` times the mean diagonal of the matrix is added. Source: PUP-3DGS,
-/// Hanson et al., CVPR 2025, eq. (11), with the logarithm of the scale in place of the scale.
+/// pixels and training transmitters. If the spectra do not depend on a direction, such as the distance from a single
+/// receiver, every determinant would be 0. Therefore 1e-6 times the mean diagonal of the matrix is added. Source:
+/// PUP-3DGS, Hanson et al., CVPR 2025, eq. (11), with the logarithm of the scale in place of the scale; the paper
+/// removes 80 % of the Gaussians at once, then half of the rest.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("Pup3dgs(shares: [0.8, 0.5])")?;
+/// Plugin::<dyn Pruner>::parse("Pup3dgs(transmitters: 64)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pup3dgs {
-    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
-    pub shares: Vec<Real>,
-    /// Ridge added to the diagonal of the Fisher matrix, relative to its mean; above 0.
-    pub ridge: Real,
     /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 
+/// Ridge on the diagonal of the Fisher matrix, relative to its mean.
+const RIDGE: Real = 1e-6;
+
 impl Default for Pup3dgs {
     fn default() -> Self {
-        Self { shares: vec![0.8, 0.5], ridge: 1e-6, transmitters: 256 }
+        Self { transmitters: 256 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for Pup3dgs {
-    removes_shares!();
+    fn traits(&self) -> PrunerTraits {
+        ranking()
+    }
 
-    fn needs(&self, _: &GaussianCloud, context: &StepContext) -> Needs {
-        needs(&[Statistic::Fisher], self.transmitters, &self.shares, context)
+    fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
+        Needs::of(&[Statistic::Fisher], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
         if stats.requested.fisher.len() != cloud.len() {
             return cloud.opacity_logits.clone();
         }
-        stats.requested.fisher.iter().map(|fisher| log_det(fisher, f64::from(self.ridge)) as Real).collect()
-    }
-
-    fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)?;
-        if self.ridge > 0.0 && self.ridge < 1.0 {
-            return Ok(());
-        }
-        Err(format!("`ridge` is {}; give a small number above 0, such as 1e-6", self.ridge))
+        stats.requested.fisher.iter().map(|fisher| log_det(fisher, f64::from(RIDGE)) as Real).collect()
     }
 }
 

@@ -1,8 +1,9 @@
 //! Reference strategies: random removal as the lower reference, and greedy elimination as the upper reference.
 
-use crate::rounds::{check_shares, removes_shares, requested_statistic};
+use crate::rounds::{ranking, requested_statistic};
 use pwrfgs_core::{
-    CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, Real, Statistic, StepContext, rng,
+    CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, PrunerTraits, Real, Statistic, StepContext,
+    rng,
 };
 use serde::{Deserialize, Serialize};
 
@@ -14,33 +15,22 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("RandomReference(shares: [0.5])")?;
+/// Plugin::<dyn Pruner>::parse("RandomReference()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct RandomReference {
-    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
-    pub shares: Vec<Real>,
-}
-
-impl Default for RandomReference {
-    fn default() -> Self {
-        Self { shares: vec![0.5, 0.5, 0.5] }
-    }
-}
+pub struct RandomReference {}
 
 #[typetag::serde]
 impl Pruner for RandomReference {
-    removes_shares!();
+    fn traits(&self) -> PrunerTraits {
+        ranking()
+    }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Vec<Real> {
         let mut random = rng::stream(context.seed, "pruner RandomReference", context.step);
         (0..cloud.len()).map(|_| rng::uniform(&mut random)).collect()
-    }
-
-    fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)
     }
 }
 
@@ -62,21 +52,21 @@ impl Pruner for RandomReference {
 pub struct GreedyElimination {
     /// The exact loss is used for at most this many Gaussians, from 2 to 1,000.
     pub most: usize,
-    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
-    pub shares: Vec<Real>,
     /// Number of training transmitters of the loss, from 1 to 1,000; their observations are held in memory.
     pub transmitters: usize,
 }
 
 impl Default for GreedyElimination {
     fn default() -> Self {
-        Self { most: 100, shares: vec![0.5], transmitters: 64 }
+        Self { most: 100, transmitters: 64 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for GreedyElimination {
-    removes_shares!();
+    fn traits(&self) -> PrunerTraits {
+        ranking()
+    }
 
     fn needs(&self, cloud: &GaussianCloud, _: &StepContext) -> Needs {
         if cloud.len() > self.most {
@@ -91,13 +81,13 @@ impl Pruner for GreedyElimination {
     }
 
     fn check(&self) -> Result<(), String> {
-        let Self { most, transmitters, .. } = self;
+        let Self { most, transmitters } = self;
         if !(1..=1000).contains(transmitters) {
             return Err(format!("`transmitters` is {transmitters}; give a number from 1 to 1000, such as 64"));
         }
         if !(2..=1000).contains(most) {
             return Err(format!("`most` is {most}; give a number from 2 to 1000: the work grows with its square"));
         }
-        check_shares(&self.shares)
+        Ok(())
     }
 }

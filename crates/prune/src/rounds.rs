@@ -1,29 +1,10 @@
-//! Shared parts of score-based strategies: share per prune step, ranking, checks of settings.
+//! Shared parts of score-based strategies: traits, ranking, checks of settings.
 
-use pwrfgs_core::{GaussianCloud, Needs, Real, Statistic, StepContext, best};
+use pwrfgs_core::{Budget, GaussianCloud, PrunerTraits, Real, best};
 
-/// Properties and decision of a pruner with a field `shares`: each prune step removes the share with the lowest scores.
-macro_rules! removes_shares {
-    () => {
-        fn traits(&self) -> pwrfgs_core::PrunerTraits {
-            let budget = Some(pwrfgs_core::Budget::Gradual);
-            pwrfgs_core::PrunerTraits { budget, ..pwrfgs_core::PrunerTraits::default() }
-        }
-
-        fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-            crate::rounds::without_share(
-                &self.score(cloud, stats, context),
-                crate::rounds::share_at(&self.shares, context),
-            )
-        }
-    };
-}
-pub(crate) use removes_shares;
-
-/// Returns the share to remove at this prune step: an entry of `shares`, or 0 after the last entry.
-pub(crate) fn share_at(shares: &[Real], context: &StepContext) -> Real {
-    let place = context.round.checked_sub(1).map(|place| place as usize);
-    place.and_then(|place| shares.get(place)).copied().unwrap_or(0.0)
+/// Returns the traits of a pruner that only ranks Gaussians: the number to keep is that of the target.
+pub(crate) fn ranking() -> PrunerTraits {
+    PrunerTraits { budget: Some(Budget::Gradual), requires_target: true, ..PrunerTraits::default() }
 }
 
 /// Returns a share of `n`, rounded to a whole number if it differs from one only by the rounding of the share.
@@ -36,14 +17,6 @@ pub(crate) fn share_of(n: usize, share: Real) -> f64 {
 pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
     let gone = share_of(scores.len(), share).floor() as usize;
     best(scores.len() - gone.min(scores.len()), scores, |_| true)
-}
-
-/// Requests `statistics` over this number of `transmitters`; requests nothing if this step has no share and no target.
-pub(crate) fn needs(statistics: &[Statistic], transmitters: usize, shares: &[Real], context: &StepContext) -> Needs {
-    if context.target.is_none() && share_at(shares, context) == 0.0 {
-        return Needs::nothing();
-    }
-    Needs::of(statistics, transmitters)
 }
 
 /// Returns a requested statistic; the opacity if the pass did not compute it, so that zeros never decide.
@@ -76,15 +49,6 @@ pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Ve
     const EDGE: Real = 1e-6;
     let draw = |_| pwrfgs_core::rng::uniform(random).clamp(EDGE, 1.0 - EDGE);
     (0..n).map(draw).map(|u| u.ln() - (1.0 - u).ln()).collect()
-}
-
-pub(crate) fn check_shares(shares: &[Real]) -> Result<(), String> {
-    match shares.iter().find(|share| !(0.0..1.0).contains(*share)) {
-        Some(share) => {
-            Err(format!("`shares` contains {share}; give the share to remove per prune step, from 0 to below 1"))
-        }
-        None => Ok(()),
-    }
 }
 
 /// Checks for a number from 0 to 1.

@@ -140,7 +140,7 @@ pub enum ImportanceScore {
 #[typetag::serde]
 impl Pruner for TopK {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::UpperBound), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::UpperBound), requires_target: true, ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
@@ -165,31 +165,29 @@ impl Pruner for TopK {
     }
 }
 
-/// Keeps the top-ranked Gaussians of every pixel of every transmitter (SafeguardGS).
+/// Keeps the top-ranked Gaussian of every pixel of every transmitter (SafeguardGS).
 ///
 /// In each pixel, splats are ranked by exp(−|‖s‖ − P|) · w, with the strength ‖s‖ of the splat, the measured value P of
-/// the pixel and the blending weight w = γ·T. The first `of_pixel` splats are kept: visible ones that agree with the
-/// measurement. No pixel loses all its Gaussians, which matters most for small N. With `training.target_count`, the kept
+/// the pixel and the blending weight w = γ·T. The first splat is kept: a visible one that agrees with the measurement.
+/// No pixel loses all its Gaussians, which matters most for small N. With `training.target_count`, the kept
 /// Gaussians rank first, ordered by weight. Source: SafeguardGS, Lee et al., 2024, with amplitudes in place of colours.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("SafeguardGs(of_pixel: 1)")?;
+/// Plugin::<dyn Pruner>::parse("SafeguardGs(transmitters: 64)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafeguardGs {
-    /// Number of Gaussians kept per pixel, from 1 to 64.
-    pub of_pixel: usize,
     /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 
 impl Default for SafeguardGs {
     fn default() -> Self {
-        Self { of_pixel: 1, transmitters: 256 }
+        Self { transmitters: 256 }
     }
 }
 
@@ -204,7 +202,7 @@ impl Pruner for SafeguardGs {
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
-        Needs::of(&[Statistic::Top { count: self.of_pixel }, Statistic::Weight], self.transmitters)
+        Needs::of(&[Statistic::Top { count: 1 }, Statistic::Weight], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
@@ -214,13 +212,6 @@ impl Pruner for SafeguardGs {
         let rank = |w: &Real| sorted.partition_point(|other| other.total_cmp(w).is_lt());
         let safe = |i: usize| stats.requested.top.get(i).is_some_and(|top| *top);
         weight.iter().enumerate().map(|(i, w)| (rank(w) + if safe(i) { n } else { 0 }) as Real).collect()
-    }
-
-    fn check(&self) -> Result<(), String> {
-        if (1..=64).contains(&self.of_pixel) {
-            return Ok(());
-        }
-        Err(format!("`of_pixel` is {}; give a number from 1 to 64", self.of_pixel))
     }
 }
 

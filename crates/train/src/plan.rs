@@ -133,9 +133,8 @@ pub(crate) fn target_fault(plan: &TrainingPlan) -> Option<String> {
              SignalContribution()"
         ));
     }
-    // A pruner with an upper limit has no effect without a target.
     let is_idle = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
-        pruner.traits().budget == Some(Budget::UpperBound) && goal.is_none_or(|goal| goal.pruner != *k)
+        pruner.traits().requires_target && goal.is_none_or(|goal| goal.pruner != *k)
     };
     let (_, idle) = plan.pruners.iter().enumerate().find(is_idle)?;
     let idle = name_of(idle);

@@ -1,5 +1,6 @@
 //! Adapter of `BareName(field: value, …)` for typetag: a map with one entry, whose value is a plain struct.
 
+use super::removed_field;
 use crate::did_you_mean;
 use serde::de::{self, DeserializeSeed, Deserializer, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, forward_to_deserialize_any};
@@ -58,11 +59,11 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
     }
     fn deserialize_struct<W: Visitor<'de>>(
         self,
-        _: &'static str,
+        name: &'static str,
         fields: &'static [&'static str],
         w: W,
     ) -> Result<W::Value, B::Error> {
-        self.0.struct_variant(fields, Fields(w, fields))
+        self.0.struct_variant(fields, Fields(w, name, fields))
     }
     fn deserialize_unit_struct<W: Visitor<'de>>(self, _: &'static str, w: W) -> Result<W::Value, B::Error> {
         self.0.unit_variant()?;
@@ -76,20 +77,20 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
 
 /// Rejects unknown fields with their position and the nearest name. Errors that pass through typetag's type-erased
 /// deserializer are plain text, from which names cannot be extracted.
-struct Fields<W>(W, &'static [&'static str]);
+struct Fields<W>(W, &'static str, &'static [&'static str]);
 impl<'de, W: Visitor<'de>> Visitor<'de> for Fields<W> {
     type Value = W::Value;
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.expecting(f)
     }
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<W::Value, A::Error> {
-        self.0.visit_map(Fields(map, self.1))
+        self.0.visit_map(Fields(map, self.1, self.2))
     }
 }
 impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<A> {
     type Error = A::Error;
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, k: K) -> Result<Option<K::Value>, A::Error> {
-        self.0.next_key_seed(Fields(k, self.1))
+        self.0.next_key_seed(Fields(k, self.1, self.2))
     }
     fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, s: S) -> Result<S::Value, A::Error> {
         self.0.next_value_seed(s)
@@ -99,9 +100,12 @@ impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
     type Value = K::Value;
     fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
         let BareName(name) = BareName::deserialize(d)?;
-        if !self.1.contains(&name.as_str()) {
-            let hint = did_you_mean(&name, self.1.iter().copied());
-            let known = self.1.join("`, `");
+        if let Some(why) = removed_field(self.1, &name) {
+            return Err(de::Error::custom(format!("{} {why}", self.1)));
+        }
+        if !self.2.contains(&name.as_str()) {
+            let hint = did_you_mean(&name, self.2.iter().copied());
+            let known = self.2.join("`, `");
             return Err(de::Error::custom(format!("unknown field `{name}`{hint} (fields: `{known}`)")));
         }
         self.0.deserialize(de::value::StringDeserializer::new(name))

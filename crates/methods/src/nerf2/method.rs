@@ -18,6 +18,8 @@ use std::time::Instant;
 
 /// Maximum memory for activations per step, bytes; other activations are recomputed.
 const KEPT: usize = 1_340_000_000;
+/// Maximum size of the cached trunk of a model, bytes; a larger trunk is computed once per call.
+const MOST_CACHED: usize = 2_500 << 20;
 /// Chunk of a group with its activations.
 struct Chunk {
     group: usize,
@@ -272,7 +274,7 @@ impl Method for Nerf2 {
         let rays = if setup.task.has_pixels { setup.numbers() } else { self.sky().len() };
         let of_sample = network.width() + network.outputs;
         let bytes = setup.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
-        if bytes > self.cache_mb << 20 {
+        if bytes > MOST_CACHED {
             return None;
         }
         let of = |receiver: usize| {
