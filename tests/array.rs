@@ -1,4 +1,4 @@
-//! Gaussians as waves on an array, in the whole: measured spectra are such pictures, ensembles, what is refused.
+//! Gaussians as waves on an array: measured spectra, ensembles, and invalid combinations.
 
 use crate::common::pipeline;
 use pwrfgs::core::testing::shared;

@@ -1,4 +1,4 @@
-//! The baselines on the measured spectra come out as they did elsewhere (numpy and scikit-image, same rule).
+//! Scores of the baselines on measured spectra against NumPy and scikit-image with the same rules.
 
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Evaluation, Image, ImagePlane, Metric, Split, Values, rng};

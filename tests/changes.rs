@@ -1,4 +1,4 @@
-//! `--set` and `set` of sweeps: what can be changed, in any order, and what is said where it cannot.
+//! `--set` and `set` of sweeps: valid changes in any order, and errors.
 use pwrfgs::prelude::*;
 use std::path::Path;
 

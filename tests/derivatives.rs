@@ -1,5 +1,5 @@
-//! Predictions differentiate by the position of the transmitter and the pose of a moving receiver: models of every method,
-//! ensembles, residual processes and baselines, against central differences of what they predict.
+//! Derivatives of predictions by the position of the transmitter and the pose of a moving receiver, against central
+//! differences: models of every method, ensembles, residual processes and baselines.
 
 use crate::common::{cloud, plugin};
 use pwrfgs::core::testing::check_vjp;

@@ -1,4 +1,4 @@
-//! What the program says of itself comes from the source: every plugin, setting and field has its words there.
+//! Documentation of every plugin, setting and field, from the source.
 use crate::common::OF_TESTS;
 use pwrfgs::core::docs::{DocBody, DocField, DocKind, DocVariant, Docs};
 use pwrfgs::core::plugin::PluginFamily;

@@ -1,4 +1,4 @@
-//! Pictures of other elevations than 0 to 90 degrees: a full sphere trains, and nobody reads it as half of one.
+//! Spectra of other elevations than 0 to 90 degrees, such as a full sphere.
 
 use crate::common::pipeline;
 use pwrfgs::experiment::{Session, SplitData};

@@ -1,5 +1,4 @@
-//! The programs in `examples/`, as somebody who begins with the library would run them. Cargo builds them with the tests
-//! of this package.
+//! The programs in `examples/`. Cargo builds them with the tests of this package.
 
 use std::path::Path;
 use std::process::Command;

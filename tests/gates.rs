@@ -1,4 +1,4 @@
-//! Gates and prunes: closed is absent, open is nothing at all, and something always stays.
+//! Gates and prune steps: closed Gaussians have no effect, open gates change nothing, and one Gaussian remains.
 
 use crate::common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column};
 use pwrfgs::core::{DeformationInputs, rng};

@@ -1,7 +1,6 @@
 //! Central differences through the whole step, from every column of the cloud and from the network to the loss.
 //!
-//! Gates are open; the straight-through gate, whose
-//! forward value no small change moves, is held to its closed form.
+//! Gates are open. The straight-through gate is constant for small changes; its closed form is tested in its crate.
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;

@@ -1,4 +1,4 @@
-//! The pose check on poses that are right, on one that is wrong, and on the measured set.
+//! The pose check for right and wrong poses and for measured data.
 
 use glam::{DQuat, DVec3};
 use pwrfgs::experiment::inspect::{Correction, DataSummary, PoseCheck, PoseVerdict};

@@ -1,4 +1,4 @@
-//! Laws that every built-in plugin of a kind obeys; that all parse and survive their own text is in `registry.rs`.
+//! Laws of every built-in plugin of a kind; `registry.rs` checks that all parse and are written as the same text.
 
 use crate::common::{built_in, cloud, plugin, stages};
 use pwrfgs::core::plugin::PluginKind;

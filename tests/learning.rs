@@ -1,8 +1,7 @@
-//! What the method promises, on the teacher: from five times too many Gaussians it learns the spectra and prunes itself,
-//! and a larger λ leaves fewer.
+//! Learning on the teacher (simulated): from five times too many Gaussians, training learns the spectra and prunes, and a
+//! larger λ leaves fewer Gaussians.
 //!
-//! *Simulated* data. In double precision the same steps take twice as long and say nothing new: one seed instead of
-//! two.
+//! Double precision takes twice as long, so it uses one seed instead of two.
 
 use crate::common::pipeline;
 use pwrfgs::core::{rng, ssim};

@@ -1,4 +1,4 @@
-//! Powers and channels at several receivers: the same bits whatever happens, and one path with the spectra.
+//! Powers and channels at several receivers: bits, and the code path shared with spectra.
 
 use pwrfgs::core::{Channels, Features, FittingSet};
 use pwrfgs::model::{Ensemble, Model, file};

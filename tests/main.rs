@@ -1,4 +1,4 @@
-//! Tests of the whole. One binary, because linking it takes longer than most of them.
+//! Tests across crates, in one binary to save linking time.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
 

@@ -1,4 +1,4 @@
-//! Rays through a network: derivatives, pixels alone and together, predictions with and without what is kept, training.
+//! NeRF2: derivatives, single pixels and batches, prepared predictions, training.
 
 use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;

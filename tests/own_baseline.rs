@@ -1,4 +1,4 @@
-//! A baseline of one's own: its paths hold everywhere, and its note stands under every table.
+//! Predictions of other programs as a baseline: paths, and the note under every table.
 
 use pwrfgs::core::Query;
 use pwrfgs::experiment::RunOutcome;

@@ -1,4 +1,4 @@
-//! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
+//! Every shipped pipeline parses, is written as the same text, and trains some steps on a small teacher.
 use pwrfgs::core::ShippedFile;
 use pwrfgs::experiment::sweep::{JOINED, SweepPlan, execute};
 use pwrfgs::experiment::{RunOutcome, Session, SplitData};

@@ -1,4 +1,4 @@
-//! Laws of every plugin that the facade links, of whatever kind: defaults, text and doc comment.
+//! Laws of every linked plugin: defaults, text and doc comment.
 use crate::common::{FOREIGN, OF_TESTS};
 use pwrfgs::core::plugin::{PluginEntry, PluginFamily, REMOVED_FIELDS, inventory};
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What two measurements at one place have in common, of measured and of made-up spectra.
+//! Repeatability of measurements at one place, for measured and synthetic spectra.
 
 use pwrfgs::experiment::repeatability::{PairSimilarity, ZeroDistanceEstimate};
 use pwrfgs::experiment::{Repeatability, repeatability};

@@ -1,4 +1,4 @@
-//! Numbers that are none, and clouds of no and of one Gaussian: no panic, and nothing else is spoilt.
+//! NaN and infinite numbers, and clouds of no and of one Gaussian: no panic, and other Gaussians keep their results.
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use proptest::prelude::*;

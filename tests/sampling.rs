@@ -1,5 +1,4 @@
-//! A plane of every third row and column holds the pixels of the whole image: training with a stride draws what is
-//! predicted, with the filter of the whole image.
+//! Strided image planes: their pixels and gradients are those of the whole image.
 
 use crate::common::{built_in, cloud, pipeline, plugin, stages};
 use pwrfgs::core::{

@@ -1,4 +1,4 @@
-//! A run that is asked to stop while its model is scored.
+//! Runs that are stopped during scoring.
 
 use pwrfgs::experiment::{Observer, RunOutcome};
 use pwrfgs::prelude::*;

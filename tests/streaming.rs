@@ -1,5 +1,4 @@
-//! An evaluation shows each metric what it says it has to see, holds few predictions at a time, and gives the scores that
-//! all of them at once would give.
+//! Evaluation in parts: each metric sees its scope, few predictions are in memory, and scores equal those of all at once.
 
 use crate::common::plugin;
 use pwrfgs::core::Scope;

@@ -1,5 +1,5 @@
-//! What is linked: known licences, the one registry, and no crate twice but for the reasons in `deny.toml`. `cargo deny` looks
-//! at advisories too, which need a data base. What releases: jobs with rights run no code of others, and tools are pinned.
+//! Linked crates: known licences, one registry, and no crate twice but for the reasons in `deny.toml`; `cargo deny` also checks
+//! advisories. Releases: jobs with rights run no code of others, and tools are pinned.
 
 use pwrfgs::core::testing::skipped;
 use serde_json::Value;

@@ -1,5 +1,5 @@
-//! What a pass finds of Gaussians, against brute force: weights by drawing each Gaussian's own channel, derivatives by
-//! central differences. And gates of presence, whose closed Gaussians still have a derivative.
+//! Statistics of Gaussians against brute force: weights from the channel of each Gaussian alone, derivatives by central
+//! differences; and existence gates, whose closed Gaussians have a derivative.
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;

@@ -1,4 +1,4 @@
-//! Every bad input: exit code 2, one message that names the file and what is wrong, and nothing written.
+//! Invalid input: exit code 2, one message with file and problem, and no files written.
 use crate::common::{SMALL, measured, picture, pwrfgs, refuse, stderr, stdout, succeed, write};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Claims of README, pages and headers that a machine can check, against their sources.
+//! Claims of README, pages and headers against the tables that they summarise.
 
 use crate::common::{call, stdout};
 use crate::prose::{files, pages, root};

@@ -1,4 +1,4 @@
-//! What each verb does when all is well, and that nothing of the user's is overwritten.
+//! Each command with valid input, and that it overwrites no file of the user.
 use crate::common::{SMALL, call, copy_small_run, measured, refuse, stderr, stdout, succeed, write};
 use pwrfgs::model::{Model, file};
 use pwrfgs_core::testing::npy;

@@ -1,4 +1,4 @@
-//! Several models are an ensemble; a model in 16-bit numbers is the same model, nearly.
+//! Ensembles, and model files with 16 bits per number.
 use crate::common::{SMALL, npy, refuse, stdout, succeed, write};
 use pwrfgs::model::file;
 use pwrfgs_core::Real;

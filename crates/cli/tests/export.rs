@@ -1,4 +1,4 @@
-//! Exports hold what the model holds, and what it draws.
+//! Exports against the model and its predictions.
 use crate::common::{SMALL, copy_small_run, refuse, succeed, write};
 use pwrfgs::data::read_points;
 use pwrfgs::model::{Model, file};

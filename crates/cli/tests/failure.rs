@@ -1,4 +1,4 @@
-//! Exit code 1: the machine fails, and everything written so far stays intact.
+//! Failures of the machine: exit code 1, and all files written before stay valid.
 use crate::common::{SMALL, call, copy_small_run, refuse, stderr, write};
 
 #[test]

@@ -1,7 +1,7 @@
-//! A run that is killed at any call that changes a file, or whose disk is full from any such call on, is resumed to the
-//! same bytes. `faults/shim.c` is put before the C library and does it; it needs `cc`, which Rust links with anyway.
+//! Kills a run at each system call that changes a file, or fills the disk from there on; the resumed run has the same bytes.
+//! `faults/shim.c` is loaded before the C library; it needs `cc`, which Rust links with.
 //!
-//! Here a spread of the calls is tried; with `PWRFGS_FAULTS=all` every one.
+//! This runs a selection of the calls; `PWRFGS_FAULTS=all` runs all.
 use crate::common::{call, files, measured, pwrfgs, stderr, succeed, write};
 use crate::resume::{curve, events};
 use std::collections::BTreeMap;

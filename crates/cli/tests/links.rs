@@ -1,4 +1,4 @@
-//! Received powers and channels by the same commands as spectra: page, predictions, maps, exports.
+//! Received powers and channels: page, predictions, maps and exports.
 
 use crate::common::{npy, pwrfgs, refuse, stderr, succeed, wait_for_step, write};
 use std::collections::BTreeSet;

@@ -1,4 +1,4 @@
-//! Transmitters are located from powers and spectra; what cannot be located is refused.
+//! Positions of transmitters from powers and spectra, and data that are refused.
 
 use crate::common::{SMALL, refuse, stderr, stdout, succeed, write};
 use crate::links::hall;

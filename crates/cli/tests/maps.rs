@@ -1,4 +1,4 @@
-//! A data folder with map coordinates: everything given back is in the user's frame.
+//! Data with map coordinates: all outputs are in the frame of the user.
 
 use crate::common::{measured, refuse, stderr, stdout, succeed, write};
 use pwrfgs::model::file;

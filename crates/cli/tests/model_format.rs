@@ -1,4 +1,4 @@
-//! Whoever follows `docs/model-format.md` gets the program's spectra: `model_format.py` does, with `NumPy` alone.
+//! Predictions of `model_format.py`, which follows `docs/model-format.md` with NumPy alone, against those of the program.
 
 use crate::common::{SMALL, python, refuse, succeed, write};
 use pwrfgs::methods::Calibration::{AsReleased, Physical};

@@ -1,4 +1,4 @@
-//! Pruning that does nothing, or too much, is reported.
+//! Warnings and errors about pruning that removes nothing or too much.
 use crate::common::{SMALL, refuse, stderr, stdout, succeed, write};
 use std::path::Path;
 

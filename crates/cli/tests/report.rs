@@ -1,4 +1,4 @@
-//! `pwrfgs report` on small runs: what it writes, that its numbers are those of the runs, and what it refuses.
+//! `pwrfgs report` of small runs: files, numbers against those of the runs, and errors.
 use crate::common::{SMALL, files, refuse, stdout, succeed, write};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Models whose residuals are Kriged: every command reads them, and a stopped run ends in the same bytes.
+//! Models with Kriged residuals in every command, and resumed runs.
 use crate::common::{SMALL, call, measured, picture, pwrfgs, refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::save;
 use pwrfgs::model::file;

@@ -1,4 +1,4 @@
-//! Killed, interrupted, resumed: the end is the same, byte for byte.
+//! Killed and interrupted runs: a resumed run has the same bytes.
 use crate::common::{SMALL, pwrfgs, refuse, succeed, wait_for_step, write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;

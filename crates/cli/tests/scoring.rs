@@ -1,4 +1,4 @@
-//! Baselines and metrics: asked before the first step, and changed without training again.
+//! Baselines and metrics: checked before the first step, and changed without a new training.
 use crate::common::{SMALL, copy_small_run, measured, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
 use std::path::Path;
 use std::process::Stdio;

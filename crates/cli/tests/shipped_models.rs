@@ -1,5 +1,4 @@
-//! `docs/model-format.md` is enough for the model of every shipped pipeline: each, made small, trains some steps, and
-//! `NumPy` predicts from its file what the program does.
+//! Predictions with `docs/model-format.md` and NumPy for the model of every shipped pipeline, trained for a few steps.
 
 use crate::common::{python, succeed, write};
 use crate::model_format::{NO_PYTHON, predict, predicted_again, unlisted};

@@ -1,4 +1,4 @@
-//! Sweeps: what they run, what they skip, what stops them and what does not.
+//! Sweeps: runs, runs left out, and errors that stop a sweep or a run.
 use crate::common::{SMALL, call, files, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};

@@ -1,4 +1,4 @@
-//! Data in wrong units or in a wrong order can be read: every command that loads them warns once, with what to do.
+//! Data in wrong units or wrong order: every command that loads them warns once, with the next step.
 
 use crate::common::{SMALL, stderr, stdout, succeed, write};
 use pwrfgs::data::{npy_header, save};

@@ -1,4 +1,4 @@
-//! Every command over every kind of data: it does its work, or says with exit code 2 why it cannot.
+//! Every command with every task: it succeeds, or refuses with exit code 2 and the reason.
 
 #![cfg(all(feature = "report", feature = "viewer"))]
 

@@ -1,4 +1,4 @@
-//! Files that were damaged, mixed up or made by somebody else: each is named, and nothing is believed of it.
+//! Corrupt or exchanged files and files of other programs: every reader names the file and refuses it.
 use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, stderr, succeed, wait_for_step, write};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs_core::testing::skipped;

@@ -1,4 +1,4 @@
-//! What tells and steers: the reference, `init`, completions, the manual, `--set` and `set` of sweeps.
+//! Reference, `init`, completions, manual, `--set` and `set` of sweeps.
 use crate::common::{SMALL, call, measured, picture, refuse, stdout, succeed, write};
 use std::path::Path;
 

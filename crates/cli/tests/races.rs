@@ -1,5 +1,5 @@
-//! Processes that meet at one folder: one is held before a call, another goes on, and then the first. Whatever the call, the
-//! folder ends as if they had come one after the other. `faults/shim.c` holds a process, so nothing here depends on speed.
+//! Processes in one folder at the same time: a process is held before a call while another runs. The folder ends as after
+//! one process and then the other. `faults/shim.c` holds the process, so the tests do not depend on speed.
 use crate::common::{call, measured, pwrfgs, stderr, stdout, succeed, write};
 use crate::faults::{TINY, end_of, faulty, shim, temporaries};
 use std::collections::BTreeMap;

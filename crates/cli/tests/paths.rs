@@ -1,4 +1,4 @@
-//! Files and folders as systems allow them: paths that are not UTF-8, pipes in place of files, names that steer terminals.
+//! Paths that are not UTF-8, pipes in place of files, and names with control characters.
 #![cfg(unix)]
 
 use crate::common::{call, measured, pwrfgs, refuse, stderr, stdout, succeed, write};

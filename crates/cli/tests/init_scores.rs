@@ -1,5 +1,4 @@
-//! `pwrfgs init` on spectra whose lobes move, appear or cross with the transmitter: its pipeline is ahead
-//! of neighbours.
+//! `pwrfgs init` for spectra whose lobes move, appear or cross with the transmitter: its pipeline scores above neighbours.
 use crate::common::{stdout, succeed, write};
 use pwrfgs::data::npy_header;
 use pwrfgs_core::Number;
