@@ -48,11 +48,11 @@ impl Initializer for Grid {
             None if plane.camera.is_some() => (-FRAC_PI_2, scene.pose().origin()),
             None => (-FRAC_PI_2, -(world_from_receiver * scene.pose().origin())),
         };
-        let place = |direction: [f64; 3]| {
+        let centre_along = |direction: [f64; 3]| {
             let direction = Vec3::from_array(direction.map(|v| v as Real));
             (centre + world_from_receiver * direction * self.distance_m).to_array()
         };
-        let means: Vec<[Real; 3]> = directions(self.count, lowest).into_iter().map(place).collect();
+        let means: Vec<[Real; 3]> = directions(self.count, lowest).into_iter().map(centre_along).collect();
         // Each Gaussian has 2π or 4π over count of solid angle; the square root is the side of that patch at unit
         // distance.
         let spacing = (consts::TAU * (1.0 - lowest.sin() as Real) / self.count as Real).sqrt();

@@ -114,8 +114,8 @@ impl Initializer for AroundReceivers {
             let about = scene.receivers.get(i % scene.receivers.len().max(1)).filter(|_| i < near);
             match about {
                 Some(receiver) => {
-                    let place = receiver.pose.origin().to_array();
-                    place.map(|x| x + self.spread_m * rng::normal(rng))
+                    let centre = receiver.pose.origin().to_array();
+                    centre.map(|x| x + self.spread_m * rng::normal(rng))
                 }
                 None => std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng)),
             }

@@ -126,12 +126,16 @@ impl Latency {
 
 /// Returns how far the times of predictions differ; `None` for steady times.
 fn unsteady(times: &[StageTimes]) -> Option<String> {
-    let of = |seconds: fn(&StageTimes) -> f64| median(times.iter().map(seconds));
+    let median_of = |seconds: fn(&StageTimes) -> f64| median(times.iter().map(seconds));
     let totals = sorted(times.iter().map(|t| t.total));
     let [low, high] = [totals.len() / 4, totals.len() - 1 - totals.len() / 4].map(|k| totals[k]);
     let rest = |t: &StageTimes| t.total - t.network - t.projection - t.sort - t.blending;
-    let parts = of(|t| t.network) + of(|t| t.projection) + of(|t| t.sort) + of(|t| t.blending) + of(rest);
-    let total = of(|t| t.total);
+    let parts = median_of(|t| t.network)
+        + median_of(|t| t.projection)
+        + median_of(|t| t.sort)
+        + median_of(|t| t.blending)
+        + median_of(rest);
+    let total = median_of(|t| t.total);
     let is_steady = |low: f64, high: f64| high <= STEADY * low || high - low <= EXACT;
     if is_steady(low, high) && is_steady(parts, total) {
         return None;
@@ -166,15 +170,15 @@ mod tests {
             }
         };
         let model = ModelFacts { means: &[], gaussian_bytes: 0, file_bytes: 0 };
-        let found = of_timed(&Latency { repeats: 4, warm_up: 3 }, Some(model), &scene(&[]), Some(&predict));
+        let measured = of_timed(&Latency { repeats: 4, warm_up: 3 }, Some(model), &scene(&[]), Some(&predict));
         assert_eq!(calls.get(), 7);
-        let keys: Vec<&str> = found.iter().map(|m| m.key.as_str()).collect();
+        let keys: Vec<&str> = measured.iter().map(|m| m.key.as_str()).collect();
         assert_eq!(keys, STAGES.map(|s| s.0));
         let middle = 5.5; // of 4, 5, 6, 7
-        for (m, factor) in found.iter().zip([5.0, 1.0, 2.0, 3.0, 4.0]) {
+        for (m, factor) in measured.iter().zip([5.0, 1.0, 2.0, 3.0, 4.0]) {
             assert!((value(m) - 1e3 * factor * middle).abs() < 1e-9);
         }
-        assert!((value(&found[5]) - 1e6 * f64::midpoint(1.0 / 5.0, 1.0 / 6.0)).abs() < 1e-6);
+        assert!((value(&measured[5]) - 1e6 * f64::midpoint(1.0 / 5.0, 1.0 / 6.0)).abs() < 1e-6);
     }
 
     #[test]
@@ -183,8 +187,8 @@ mod tests {
             std::thread::sleep(std::time::Duration::from_millis(3));
             StageTimes { total: 0.25, ..StageTimes::default() }
         };
-        let found = of_timed(&Latency { repeats: 2, warm_up: 0 }, None, &scene(&[]), Some(&slow));
-        let (total, stages) = found.split_last().unwrap();
+        let measured = of_timed(&Latency { repeats: 2, warm_up: 0 }, None, &scene(&[]), Some(&slow));
+        let (total, stages) = measured.split_last().unwrap();
         assert!(stages.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
         assert!((value(total) - 250.0).abs() < 1e-9);
         let latency = Latency { repeats: 10_000, warm_up: 10_000 };
@@ -196,7 +200,7 @@ mod tests {
     fn unsteady_latency_is_repeated_and_then_marked() {
         let model = ModelFacts { means: &[], gaussian_bytes: 0, file_bytes: 0 };
         // A wait of 33 ms in another stage of every prediction, as on a busy machine, in the first `busy` of them.
-        let found = |busy: usize| {
+        let measured = |busy: usize| {
             let calls = Cell::new(0);
             let predict = || {
                 let k = calls.replace(calls.get() + 1);
@@ -211,19 +215,19 @@ mod tests {
             let note = all[5].note.clone();
             (value(&all[5]), note, calls.get())
         };
-        let (ms, note, calls) = found(0);
+        let (ms, note, calls) = measured(0);
         assert!((ms - 0.6).abs() < 1e-9 && note.is_none() && calls == 20);
-        let (ms, note, calls) = found(25);
+        let (ms, note, calls) = measured(25);
         assert!((ms - 0.6).abs() < 1e-9 && note.is_none() && calls == 40, "{ms} ms, {note:?}, {calls}");
-        let (ms, note, calls) = found(1_000);
+        let (ms, note, calls) = measured(1_000);
         assert!((ms - 33.6).abs() < 1e-9 && calls == 100);
         assert!(note.unwrap().contains("add up to 0.6000 ms (total 33.60 ms)"));
     }
 
     #[test]
     fn latency_requires_predictor_and_repeats() {
-        let found = of_model(&Latency::default(), None, &scene(&[]));
-        assert!(found.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
+        let measured = of_model(&Latency::default(), None, &scene(&[]));
+        assert!(measured.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
         assert!(Plugin::<dyn Metric>::parse("Latency(repeats: 0)").is_err());
     }
 }

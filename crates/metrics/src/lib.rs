@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn no_samples_give_no_scores() {
-        let found = fixture::of_model(&Ssim {}, None, &fixture::scene(&[]));
-        assert_eq!(found[0].values, Values::PerSample(vec![]));
+        let measured = fixture::of_model(&Ssim {}, None, &fixture::scene(&[]));
+        assert_eq!(measured[0].values, Values::PerSample(vec![]));
     }
 }

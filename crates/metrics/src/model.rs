@@ -95,7 +95,7 @@ pub struct ModelSize {}
 impl Metric for ModelSize {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let bytes = evaluation.model.map(|m| (m.gaussian_bytes, m.file_bytes));
-        let of = |key, bytes: Option<usize>| {
+        let size = |key, bytes: Option<usize>| {
             let values = match bytes {
                 None => not_a_model(),
                 Some(0) => no_gaussians(),
@@ -103,7 +103,7 @@ impl Metric for ModelSize {
             };
             measurement(key, "B", Goal::Lower, values)
         };
-        Ok(vec![of("gaussian_bytes", bytes.map(|b| b.0)), of("model_bytes", bytes.map(|b| b.1))])
+        Ok(vec![size("gaussian_bytes", bytes.map(|b| b.0)), size("model_bytes", bytes.map(|b| b.1))])
     }
 
     fn scope(&self) -> Scope {
@@ -125,19 +125,19 @@ mod tests {
     fn chamfer_adds_mean_squared_distances_of_both_directions() {
         let points = [[0.0; 3], [2.0, 0.0, 0.0]];
         let means = [[0.0, 1.0, 0.0]];
-        let found = of_model(&Chamfer {}, Some(model(&means)), &scene(&points));
+        let measured = of_model(&Chamfer {}, Some(model(&means)), &scene(&points));
         // The points are 1 and 5 m² away, the centre 1 m².
-        assert!((value(&found[0]) - (3.0 + 1.0)).abs() < 1e-6);
-        let found = of_model(&Chamfer {}, Some(model(&points)), &scene(&points));
-        assert_eq!(value(&found[0]), 0.0);
+        assert!((value(&measured[0]) - (3.0 + 1.0)).abs() < 1e-6);
+        let measured = of_model(&Chamfer {}, Some(model(&points)), &scene(&points));
+        assert_eq!(value(&measured[0]), 0.0);
     }
 
     #[test]
     fn chamfer_requires_points_and_gaussians() {
         let points = [[0.0; 3]];
         for (model, points) in [(None, &points[..]), (Some(model(&points)), &[]), (Some(model(&[])), &points)] {
-            let found = of_model(&Chamfer {}, model, &scene(points));
-            assert!(matches!(found[0].values, Values::NotApplicable(_)));
+            let measured = of_model(&Chamfer {}, model, &scene(points));
+            assert!(matches!(measured[0].values, Values::NotApplicable(_)));
         }
     }
 
@@ -156,21 +156,21 @@ mod tests {
     fn chamfer_of_parallel_planes_is_twice_squared_distance() {
         let floor = plane(30, 0.1, [0.0; 3]);
         for distance in [0.0, 0.04, 0.5, 2.0] {
-            let found = between(&floor, &plane(30, 0.1, [0.0, 0.0, distance]));
-            assert!((found - 2.0 * distance * distance).abs() < 1e-6, "{distance} m: {found}");
+            let measured = between(&floor, &plane(30, 0.1, [0.0, 0.0, distance]));
+            assert!((measured - 2.0 * distance * distance).abs() < 1e-6, "{distance} m: {measured}");
         }
         // Finely sampled planes need not have equal points: at most a quarter of the cell diagonal is added.
-        let found = between(&floor, &plane(25, 0.12, [0.0, 0.0, 0.5]));
-        assert!((0.5..0.5 + 2.0 * 0.12 * 0.12).contains(&found), "{found}");
+        let measured = between(&floor, &plane(25, 0.12, [0.0, 0.0, 0.5]));
+        assert!((0.5..0.5 + 2.0 * 0.12 * 0.12).contains(&measured), "{measured}");
     }
 
     #[test]
     fn chamfer_of_shifted_plane_depends_on_rim_only() {
         // A shift by two spacings leaves two rows on each side without a counterpart, one and two spacings away.
         let (n, spacing) = (20, 0.1);
-        let found = between(&plane(n, spacing, [0.0; 3]), &plane(n, spacing, [2.0 * spacing, 0.0, 0.0]));
+        let measured = between(&plane(n, spacing, [0.0; 3]), &plane(n, spacing, [2.0 * spacing, 0.0, 0.0]));
         let expected = 2.0 * (1.0 + 4.0) * spacing * spacing / n as f64;
-        assert!((found - expected).abs() < 1e-7, "{found} against {expected}");
+        assert!((measured - expected).abs() < 1e-7, "{measured} against {expected}");
     }
 
     #[test]
@@ -184,8 +184,8 @@ mod tests {
             };
             (0..500).map(point).collect()
         };
-        let found = between(&sphere(2.0), &sphere(2.3));
-        assert!((found - 2.0 * 0.3 * 0.3).abs() < 1e-5, "{found}");
+        let measured = between(&sphere(2.0), &sphere(2.3));
+        assert!((measured - 2.0 * 0.3 * 0.3).abs() < 1e-5, "{measured}");
     }
 
     #[test]
@@ -200,9 +200,9 @@ mod tests {
     #[test]
     fn model_bytes_are_those_of_the_file() {
         let model = ModelFacts { means: &[], gaussian_bytes: 560, file_bytes: 600 };
-        let found = of_model(&ModelSize {}, Some(model), &scene(&[]));
-        assert_eq!((found[0].key.as_str(), value(&found[0])), ("gaussian_bytes", 560.0));
-        assert_eq!((found[1].key.as_str(), value(&found[1])), ("model_bytes", 600.0));
+        let measured = of_model(&ModelSize {}, Some(model), &scene(&[]));
+        assert_eq!((measured[0].key.as_str(), value(&measured[0])), ("gaussian_bytes", 560.0));
+        assert_eq!((measured[1].key.as_str(), value(&measured[1])), ("model_bytes", 600.0));
         assert!(
             of_model(&ModelSize {}, None, &scene(&[])).iter().all(|m| matches!(m.values, Values::NotApplicable(_)))
         );

@@ -105,7 +105,7 @@ impl Metric for ChannelSnr {
             let all = rows.iter().fold(Energies::default(), |sum, i| sum.plus(each[*i]));
             snapshots.extend(rows.iter().map(|_| all.snr()));
         }
-        let whole = each.iter().fold(Energies::default(), |sum, own| sum.plus(*own));
+        let whole = each.iter().fold(Energies::default(), |sum, energies| sum.plus(*energies));
         let over_all =
             if each.is_empty() { Values::NotApplicable("no sample".into()) } else { Values::Whole(whole.snr()) };
         Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
@@ -125,8 +125,8 @@ mod tests {
     #[test]
     fn power_error_is_difference_in_decibels() {
         let power = |dbm| Image { width: 1, height: 1, pixels: vec![dbm] };
-        let found = of_kind(&PowerError {}, Task::Power, &power(-70.5), &power(-60.0));
-        assert_eq!((value(&found[0]), found[0].unit.as_str()), (10.5, "dB"));
+        let measured = of_kind(&PowerError {}, Task::Power, &power(-70.5), &power(-60.0));
+        assert_eq!((value(&measured[0]), measured[0].unit.as_str()), (10.5, "dB"));
         let other = of_kind(&PowerError {}, Task::Channel, &power(1.0), &power(1.0));
         assert!(matches!(&other[0].values, Values::NotApplicable(why) if why.contains("channels")));
     }
@@ -145,10 +145,10 @@ mod tests {
             truths: &truths,
             ..spectra(&plane, &scene)
         };
-        let found = ChannelSnr {}.evaluate(&evaluation).unwrap();
+        let measured = ChannelSnr {}.evaluate(&evaluation).unwrap();
         let first = -10.0 * (1.0_f64 / 50.0).log10();
-        assert_eq!(found[0].values, Values::PerSample(vec![first, first, 0.0]));
-        assert_eq!(found[1].values, Values::Whole(-10.0 * (2.0_f64 / 51.0).log10()));
+        assert_eq!(measured[0].values, Values::PerSample(vec![first, first, 0.0]));
+        assert_eq!(measured[1].values, Values::Whole(-10.0 * (2.0_f64 / 51.0).log10()));
         let exact = Evaluation { predictions: &truths, ..evaluation };
         assert_eq!(ChannelSnr {}.evaluate(&exact).unwrap()[1].values, Values::Whole(PERFECT));
     }

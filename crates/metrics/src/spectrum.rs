@@ -210,9 +210,9 @@ mod tests {
     #[test]
     fn ssim_of_constant_images_has_closed_form() {
         let constant = |v| Image { width: 9, height: 8, pixels: vec![v; 72] };
-        let found = fixture::value(&fixture::of_pictures(&Ssim {}, &constant(0.25), &constant(0.5)));
+        let measured = fixture::value(&fixture::of_pictures(&Ssim {}, &constant(0.25), &constant(0.5)));
         let expected = (2.0 * 0.25 * 0.5 + 1e-4) / (0.25 * 0.25 + 0.5 * 0.5 + 1e-4);
-        assert!((found - expected).abs() < 1e-9);
+        assert!((measured - expected).abs() < 1e-9);
         let too_bright = fixture::value(&fixture::of_pictures(&Ssim {}, &constant(7.0), &constant(1.0)));
         assert!((too_bright - 1.0).abs() < 1e-12, "a prediction is clamped first");
     }
@@ -250,20 +250,20 @@ mod tests {
     fn direction_error_requires_angles() {
         let peak = spots(4, 3, &[(1, 1, 1.0)]);
         let blind = ImagePlane { angles: None, ..plane(4, 3) };
-        let found = of_plane(&DirectionError {}, &peak, &peak, &blind);
-        assert!(matches!(found.values, Values::NotApplicable(_)));
+        let measured = of_plane(&DirectionError {}, &peak, &peak, &blind);
+        assert!(matches!(measured.values, Values::NotApplicable(_)));
     }
 
     #[test]
     fn rate_ratio_divides_both_rates() {
         let truth = spots(4, 3, &[(1, 1, 1.0), (2, 2, 0.5)]);
         let prediction = spots(4, 3, &[(1, 1, 1.5), (2, 2, 1.6)]);
-        let found = of_pictures(&RateRatio::default(), &prediction, &truth);
-        assert_eq!(found.key, "eta_0db");
-        assert!((value(&found) - 1.5f64.log2()).abs() < 1e-12, "both peaks clamp to 1: the unclamped one decides");
-        let found = of_pictures(&RateRatio { snr_db: 10.0 }, &prediction, &truth);
-        assert_eq!(found.key, "eta_10db");
-        assert!((value(&found) - 6f64.ln() / 11f64.ln()).abs() < 1e-12);
+        let measured = of_pictures(&RateRatio::default(), &prediction, &truth);
+        assert_eq!(measured.key, "eta_0db");
+        assert!((value(&measured) - 1.5f64.log2()).abs() < 1e-12, "both peaks clamp to 1: the unclamped one decides");
+        let measured = of_pictures(&RateRatio { snr_db: 10.0 }, &prediction, &truth);
+        assert_eq!(measured.key, "eta_10db");
+        assert!((value(&measured) - 6f64.ln() / 11f64.ln()).abs() < 1e-12);
         assert_eq!(value(&of_pictures(&RateRatio::default(), &truth, &truth)), 1.0);
     }
 

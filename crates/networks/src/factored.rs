@@ -71,9 +71,9 @@ impl Factored {
     fn network(&self, plan: &mut LayoutBuilder) -> FactoredLayers {
         let width = self.width;
         let tx_encoding = self.tx_encoding.encoder();
-        let own = self.tx_encoding.width();
+        let tx_width = self.tx_encoding.width();
         let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
-        let inputs = |l| if l == 0 { own + usize::from(carrier.is_some()) } else { width };
+        let inputs = |l| if l == 0 { tx_width + usize::from(carrier.is_some()) } else { width };
         let pseudo = match self.tx_encoding {
             Encoding::PseudoPosition { width, gain, octaves } => {
                 Some(Pseudo { layer: plan.linear("tx.pseudo", width, 3), gain: gain as Real, octaves })
@@ -81,12 +81,12 @@ impl Factored {
             _ => None,
         };
         let white = matches!(tx_encoding, Encoder::Features(..))
-            .then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
+            .then(|| plan.unbiased("tx.white", tx_width, tx_width, (3.0 / tx_width as f64).sqrt()));
         let stack = (0..self.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
         let waves = self.position_encoding.width() - 3;
         // Factors have the variance 1/width, so that initial signals have the magnitude of one feature.
         let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
-        let direct = if white.is_some() { own } else { 0 };
+        let direct = if white.is_some() { tx_width } else { 0 };
         let features = width + direct;
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = self.position_encoding.encoder();

@@ -73,8 +73,8 @@ impl FactoredLayers {
         if inputs == 0 || n == 0 || rows == 0 {
             return None;
         }
-        let own = self.stack(weights, txs).swap_remove(0); // [inputs, rows]
-        let values = (0..rows * inputs).map(|i| own[(i % inputs) * rows + i / inputs]).collect();
+        let inputs_by_row = self.stack(weights, txs).swap_remove(0); // [inputs, rows]
+        let values = (0..rows * inputs).map(|i| inputs_by_row[(i % inputs) * rows + i / inputs]).collect();
         let (functions, lanes) = (self.branch.inputs, self.basis(means).lanes);
         let wave = |i: usize, k: usize| lanes[i / LANES * functions + k][i % LANES];
         let basis = (0..n * functions).map(|e| wave(e / functions, e % functions)).collect();
@@ -113,8 +113,8 @@ impl FactoredLayers {
             layers.push(h);
         }
         if self.direct > 0 {
-            let own = layers[0].clone();
-            layers.last_mut().expect("a layer or more").extend(own);
+            let inputs = layers[0].clone();
+            layers.last_mut().expect("a layer or more").extend(inputs);
         }
         if let Some(near) = &self.near {
             layers.push(near.correlations(weights, txs));
@@ -167,8 +167,8 @@ impl FactoredLayers {
         // Signals of every transmitter for the Gaussians of each task.
         let tasks = basis.lanes.par_chunks(TILES * self.branch.inputs);
         let mut parts: Vec<Vec<&mut [[Real; 2]]>> = tasks.clone().map(|_| Vec::new()).collect();
-        for own in signals.chunks_exact_mut(n) {
-            parts.iter_mut().zip(own.chunks_mut(TILES * LANES)).for_each(|(part, own)| part.push(own));
+        for row in signals.chunks_exact_mut(n) {
+            parts.iter_mut().zip(row.chunks_mut(TILES * LANES)).for_each(|(part, signals)| part.push(signals));
         }
         tasks.zip(parts).for_each(|(tiles, part)| {
             let waves = self.branch.inputs;
@@ -195,7 +195,7 @@ impl FactoredLayers {
             (0..txs.len()).step_by(GROUP).map(|first| first..(first + GROUP).min(txs.len())).collect();
         let layers: Vec<Vec<Vec<Real>>> =
             groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
-        let mixed: Vec<WaveMixture> = layers.par_iter().map(|own| self.mixed(weights, own)).collect();
+        let mixed: Vec<WaveMixture> = layers.par_iter().map(|layers| self.mixed(weights, layers)).collect();
         let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
         let mut d_txs = d_txs.map(|d_txs| d_txs.chunks_mut(GROUP));
         let parts: Vec<Option<&mut [[Real; 3]]>> =
@@ -225,9 +225,9 @@ impl FactoredLayers {
             let mut sums: Vec<WaveMixture> = groups.iter().map(|some| WaveMixture::zeros(waves, some.len())).collect();
             for (j, tile) in tiles.chunks_exact(waves).enumerate() {
                 let first = (k * TILES + j) * LANES;
-                let own = first..(first + LANES).min(n);
-                let d_tile = d_means.as_mut().map(|d| &mut d[j * LANES..][..own.len()]);
-                self.tile_vjp(tile, own, groups, mixed, d, d_tile, &mut sums);
+                let gaussians = first..(first + LANES).min(n);
+                let d_tile = d_means.as_mut().map(|d| &mut d[j * LANES..][..gaussians.len()]);
+                self.tile_vjp(tile, gaussians, groups, mixed, d, d_tile, &mut sums);
             }
             sums
         };
@@ -236,8 +236,8 @@ impl FactoredLayers {
         // Sums in the order of the tasks, independent of the threads.
         let mut of_tasks = of_tasks.into_iter();
         let mut sums = of_tasks.next().expect("a Gaussian or more");
-        for own in of_tasks {
-            sums.iter_mut().zip(&own).for_each(|(sum, own)| sum.add(own));
+        for terms in of_tasks {
+            sums.iter_mut().zip(&terms).for_each(|(sum, term)| sum.add(term));
         }
         sums
     }
@@ -327,10 +327,10 @@ impl FactoredLayers {
                 let mut d_gamma = vec![0.0; layer.inputs * batch];
                 layer.whole().input_vjp(weights, &d_h, &mut d_gamma, StoreMode::Set);
                 let encoded = layers[0].len() - if self.carrier.is_some() { batch } else { 0 };
-                let own = (&layers[0][..encoded], &d_gamma[..encoded]);
+                let encoding = (&layers[0][..encoded], &d_gamma[..encoded]);
                 match (&self.pseudo, &mut d_txs) {
-                    (Some(pseudo), _) => pseudo.vjp(weights, txs, own, &mut d_weights),
-                    (None, Some(d_txs)) => self.tx_encoding.encode_vjp(own, d_txs),
+                    (Some(pseudo), _) => pseudo.vjp(weights, txs, encoding, &mut d_weights),
+                    (None, Some(d_txs)) => self.tx_encoding.encode_vjp(encoding, d_txs),
                     (None, None) => {}
                 }
             }

@@ -265,9 +265,9 @@ pub fn sum_groups<T: Sync, R: Send>(
     let mut first = Some(&mut *d_weights);
     let sums: Vec<Option<&mut [Real]>> = (0..groups).map(|_| first.take()).collect();
     let one = |(items, sum): (&[T], Option<&mut [Real]>)| {
-        let mut own = vec![0.0; if sum.is_some() { 0 } else { numbers }];
-        let result = dense::shared_by(threads / groups, || run(items, sum.unwrap_or(&mut own)));
-        (own, result)
+        let mut accumulator = vec![0.0; if sum.is_some() { 0 } else { numbers }];
+        let result = dense::shared_by(threads / groups, || run(items, sum.unwrap_or(&mut accumulator)));
+        (accumulator, result)
     };
     let (sums, results): (Vec<Vec<Real>>, Vec<R>) = items.par_chunks(size).zip(sums).map(one).unzip();
     dense::add_in_order(d_weights, &sums.iter().skip(1).map(Vec::as_slice).collect::<Vec<_>>());

@@ -57,7 +57,7 @@ impl TxBranch {
         d_txs: Option<&mut [[Real; 3]]>,
     ) {
         let batch = sides.len();
-        let stack = |of: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(of).copied().collect() };
+        let stack = |field: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(field).copied().collect() };
         let features = stack(|s| &s.features);
         let d_features = trunk.fold_vjp(weights, &features, d_folded, d_weights);
         let [first, second] = &self.layers;
@@ -75,8 +75,8 @@ impl TxBranch {
         let Some(d_txs) = d_txs else { return };
         let mut d_gamma = vec![0.0; gamma.len()];
         product(MatrixMut::new(&mut d_gamma, batch, first.inputs), StoreMode::Set, d_z, first.weight(weights));
-        let own = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
-        let each = own.zip(d_txs.chunks_mut(1));
+        let rows = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
+        let each = rows.zip(d_txs.chunks_mut(1));
         let encoded = encoding::width(self.frequencies); // the carrier may follow
         each.for_each(|((gamma, d), d_tx)| encode_vjp(&gamma[..encoded], &d[..encoded], self.frequencies, d_tx));
     }

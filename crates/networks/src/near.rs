@@ -60,17 +60,17 @@ pub(super) struct NearLayer {
 impl NearLayer {
     /// Sets the positions of the training set.
     pub(super) fn place(&self, training: &[[Real; 3]], weights: &mut [Real]) {
-        let places = weights[self.positions..][..3 * self.count].as_chunks_mut::<3>().0;
-        places.fill([UNUSED; 3]);
-        places.iter_mut().zip(evenly(training, self.count)).for_each(|(place, z)| *place = z);
+        let positions = weights[self.positions..][..3 * self.count].as_chunks_mut::<3>().0;
+        positions.fill([UNUSED; 3]);
+        positions.iter_mut().zip(evenly(training, self.count)).for_each(|(position, z)| *position = z);
     }
 
     /// Returns the correlations `[count, B]`, times [`GAIN`].
     pub(super) fn correlations(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
         let rows = txs.len();
         let mut all = vec![0.0; self.count * rows];
-        let places = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
-        for (row, z) in all.chunks_exact_mut(rows.max(1)).zip(places) {
+        let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
+        for (row, z) in all.chunks_exact_mut(rows.max(1)).zip(positions) {
             for (value, p) in row.iter_mut().zip(txs.positions()) {
                 let square: Real = (0..3).map(|k| (p[k] - z[k]) * (p[k] - z[k])).sum();
                 if square < (END * self.length) * (END * self.length) {
@@ -114,14 +114,14 @@ impl NearLayer {
         let mut d = vec![0.0; self.count * batch];
         let d_waves = Matrix::new(d_waves, self.waves, batch);
         product(MatrixMut::new(&mut d, self.count, batch), StoreMode::Set, table, d_waves);
-        let places = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
-        for ((d, values), z) in d.chunks_exact(batch).zip(correlations.chunks_exact(batch)).zip(places) {
+        let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
+        for ((d, values), z) in d.chunks_exact(batch).zip(correlations.chunks_exact(batch)).zip(positions) {
             for (((d, value), p), d_tx) in d.iter().zip(values).zip(txs.positions()).zip(d_txs.iter_mut()) {
-                let way: [Real; 3] = std::array::from_fn(|k| p[k] - z[k]);
-                let distance = way.iter().map(|v| v * v).sum::<Real>().sqrt();
+                let offset: [Real; 3] = std::array::from_fn(|k| p[k] - z[k]);
+                let distance = offset.iter().map(|v| v * v).sum::<Real>().sqrt();
                 if *value > 0.0 && distance > 0.0 {
                     let slope = -d * value / (self.length * distance);
-                    d_tx.iter_mut().zip(way).for_each(|(sum, v)| *sum += slope * v);
+                    d_tx.iter_mut().zip(offset).for_each(|(sum, v)| *sum += slope * v);
                 }
             }
         }
@@ -144,13 +144,13 @@ mod tests {
         let mut weights = vec![0.0; plan.numbers()];
         layer.place(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], &mut weights);
         let txs = [[0.0, 0.3, 0.4], [1.0, 0.0, 0.1], [9.0, 0.0, 0.0]];
-        let found = layer.correlations(&weights, Conditions::from(&txs[..]));
+        let computed = layer.correlations(&weights, Conditions::from(&txs[..]));
         let expected = [(-5.0 as Real).exp(), (-(1.01 as Real).sqrt() / 0.1).exp(), 0.0];
-        for (found, expected) in found[..3].iter().zip(expected) {
-            assert!((found - GAIN * expected).abs() < 1e-6, "{found} instead of {GAIN} times {expected}");
+        for (computed, expected) in computed[..3].iter().zip(expected) {
+            assert!((computed - GAIN * expected).abs() < 1e-6, "{computed} instead of {GAIN} times {expected}");
         }
-        assert!((found[4] - GAIN * (-1.0 as Real).exp()).abs() < 1e-5);
-        assert_eq!(found[6..], [0.0; 3]);
+        assert!((computed[4] - GAIN * (-1.0 as Real).exp()).abs() < 1e-5);
+        assert_eq!(computed[6..], [0.0; 3]);
         assert_eq!(plan.layout().groups()[0].range.start, 9, "positions do not learn");
     }
 

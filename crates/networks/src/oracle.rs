@@ -16,10 +16,10 @@ fn rows(values: &[Real]) -> Vec<[Real; 3]> {
 }
 
 /// Returns the largest difference, relative to the largest number.
-fn error(found: &[Real], expected: &[Real]) -> f64 {
-    assert_eq!(found.len(), expected.len());
+fn error(computed: &[Real], expected: &[Real]) -> f64 {
+    assert_eq!(computed.len(), expected.len());
     let largest = expected.iter().fold(0.0, |m: Real, e| m.max(e.abs())).max(1e-300 as Real);
-    f64::from(found.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
+    f64::from(computed.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
 }
 
 #[test]
@@ -36,14 +36,14 @@ fn wrfgs_matches_reference_signals_and_derivatives() {
         let pose = Pose { position, ..Pose::IDENTITY };
 
         let raw = wrfgs.network(&mut LayoutBuilder::default()).raw(&weights, &means, txs[0]);
-        let found = error(raw.as_flattened(), &array(&folder, "out_raw"));
-        assert!(found < signal_tolerance, "{name}: raw outputs: {found}");
+        let computed = error(raw.as_flattened(), &array(&folder, "out_raw"));
+        assert!(computed < signal_tolerance, "{name}: raw outputs: {computed}");
 
         let inputs = DeformationInputs::new(&weights, &means, &txs, &pose);
         let signals = wrfgs.forward(&inputs, &None).signals;
         let first: Vec<Real> = signals.iter().map(|s| s[0]).collect();
-        let found = error(&first, &array(&folder, "out_signal"));
-        assert!(found < signal_tolerance, "{name}: signal: {found}");
+        let computed = error(&first, &array(&folder, "out_signal"));
+        assert!(computed < signal_tolerance, "{name}: signal: {computed}");
         assert!(signals.iter().all(|s| s[1] == 0.0));
 
         let d = array(&folder, "grad_signal").into_iter().map(|d| [d, 0.0]).collect();
@@ -53,8 +53,8 @@ fn wrfgs_matches_reference_signals_and_derivatives() {
         for spec in layout {
             let (these, after) = rest.split_at(spec.len());
             rest = after;
-            let found = error(these, &array(&folder, &format!("gradnet_{}", spec.name)));
-            assert!(found < derivative_tolerance, "{name}: {}: {found}", spec.name);
+            let computed = error(these, &array(&folder, &format!("gradnet_{}", spec.name)));
+            assert!(computed < derivative_tolerance, "{name}: {}: {computed}", spec.name);
         }
     }
 }

@@ -80,10 +80,10 @@ fn quaternion(r: &[[f64; 3]; 3]) -> [f64; 4] {
         return [w, f * (r[2][1] - r[1][2]), f * (r[0][2] - r[2][0]), f * (r[1][0] - r[0][1])];
     }
     let (i, j, k) = (first - 1, first % 3, (first + 1) % 3);
-    let own = 0.5 * (1.0 + r[i][i] - r[j][j] - r[k][k]).max(0.0).sqrt();
-    let f = 0.25 / own;
+    let largest = 0.5 * (1.0 + r[i][i] - r[j][j] - r[k][k]).max(0.0).sqrt();
+    let f = 0.25 / largest;
     let mut q = [f * (r[k][j] - r[j][k]), 0.0, 0.0, 0.0];
-    (q[1 + i], q[1 + j], q[1 + k]) = (own, f * (r[j][i] + r[i][j]), f * (r[k][i] + r[i][k]));
+    (q[1 + i], q[1 + j], q[1 + k]) = (largest, f * (r[j][i] + r[i][j]), f * (r[k][i] + r[i][k]));
     q
 }
 

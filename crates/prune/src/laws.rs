@@ -86,13 +86,13 @@ fn numbers_that_are_not_finite_do_not_panic() {
 /// Returns the scores for statistics that all equal `column`.
 fn scores(pruner: &Plugin<dyn Pruner>, cloud: &GaussianCloud, column: &[Real]) -> Vec<Real> {
     let fisher = column.iter().map(|v| {
-        let mut own = [0.0; 21];
-        let mut place = 0;
+        let mut triangle = [0.0; 21];
+        let mut index = 0;
         for i in 0..6 {
-            own[place] = v + 0.1;
-            place += 6 - i;
+            triangle[index] = v + 0.1;
+            index += 6 - i;
         }
-        own
+        triangle
     });
     let requested = PassStatistics {
         links: 1,

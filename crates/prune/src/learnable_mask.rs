@@ -131,13 +131,13 @@ impl Pruner for LearnableMask {
         let distance = |(lambda, _): &(f64, f64)| (lambda - f64::from(self.lambda as f32)).abs();
         let nearest = PAPER.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
         let (lambda, share) = (nearest.0, nearest.1 / PAPER_START);
-        let place = if distance(nearest) < 1e-6 { "this" } else { "the nearest published" };
+        let lambda_name = if distance(nearest) < 1e-6 { "this" } else { "the nearest published" };
         let fate = match share * initial as f64 {
             few if few < 1.0 => "less than one".to_owned(),
             some => format!("{some:.0}"),
         };
         Some(format!(
-            "LearnableMask: lambda decides a share that falls with the length of pruning; at {place} lambda, {lambda}, the \
+            "LearnableMask: lambda decides a share that falls with the length of pruning; at {lambda_name} lambda, {lambda}, the \
              paper keeps {:.2} % of 190,000 points, which is {fate} of these {initial} Gaussians",
             100.0 * share
         ))
@@ -235,10 +235,10 @@ mod tests {
         assert_eq!(gate.as_vec(), [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
         // Unequal cotangents reveal a wrong order.
         let weights: Vec<Real> = (0..LOGITS.len()).map(|i| i as Real - 2.5).collect();
-        let found = derivative(&traced, (gate * traced.constant(weights.clone())).sum());
-        for ((found, m), weight) in found.iter().zip(LOGITS).zip(weights) {
+        let computed = derivative(&traced, (gate * traced.constant(weights.clone())).sum());
+        for ((computed, m), weight) in computed.iter().zip(LOGITS).zip(weights) {
             let s = sigmoid(m);
-            assert!((found - weight * s * (1.0 - s)).abs() < 1e-6, "m = {m}: {found}");
+            assert!((computed - weight * s * (1.0 - s)).abs() < 1e-6, "m = {m}: {computed}");
         }
     }
 
@@ -250,9 +250,9 @@ mod tests {
         let n = LOGITS.len() as Real;
         let expected = 0.03 * LOGITS.iter().map(|m| sigmoid(*m)).sum::<Real>() / n;
         assert!((penalty.array() - expected).abs() < 1e-7);
-        for (found, m) in derivative(&traced, penalty).iter().zip(LOGITS) {
+        for (computed, m) in derivative(&traced, penalty).iter().zip(LOGITS) {
             let s = sigmoid(m);
-            assert!((found - 0.03 / n * s * (1.0 - s)).abs() < 1e-8, "m = {m}: {found}");
+            assert!((computed - 0.03 / n * s * (1.0 - s)).abs() < 1e-8, "m = {m}: {computed}");
         }
     }
 
@@ -304,25 +304,25 @@ mod tests {
         // dm/dt = −rate·lambda·σ(1−σ), so that t = (eᵐ − e⁻ᵐ + 2m)/(rate·lambda) between the end points.
         let integral = |m: f64| m.exp() - (-m).exp() + 2.0 * m;
         let expected = (integral(1.0) - integral((0.01_f64 / 0.99).ln())) / (5.0 * 0.01);
-        let found = steps(5.0, false).unwrap() as f64;
-        assert!((found / expected - 1.0).abs() < 0.01, "{found} against {expected}");
+        let computed = steps(5.0, false).unwrap() as f64;
+        assert!((computed / expected - 1.0).abs() < 0.01, "{computed} against {expected}");
         assert_eq!(LearnableMask { lambda: 0.0, ..LearnableMask::default() }.steps_to_close([0.9, 0.999]), None);
     }
 
     #[test]
     fn shorter_training_scales_mask_rate_within_limits() {
-        let of = |text: &str, scale| {
+        let shortened = |text: &str, scale| {
             let pruner = pwrfgs_core::Plugin::<dyn Pruner>::parse(text).unwrap();
             pruner.shortened(scale).unwrap().traits().mask_rate().unwrap()
         };
         let near = |a: Real, b: Real| assert!((a - b).abs() < 1e-6, "{a} against {b}");
         for name in ["LearnableMask", "MaskGaussian", "Lp3dgs"] {
-            near(of(&format!("{name}(learning_rate: 0.02)"), 0.25), 0.08);
-            near(of(&format!("{name}(learning_rate: 0.02)"), 0.01), 0.1);
-            near(of(&format!("{name}(learning_rate: 0.3)"), 0.5), 0.3);
+            near(shortened(&format!("{name}(learning_rate: 0.02)"), 0.25), 0.08);
+            near(shortened(&format!("{name}(learning_rate: 0.02)"), 0.01), 0.1);
+            near(shortened(&format!("{name}(learning_rate: 0.3)"), 0.5), 0.3);
         }
-        near(of("LearnableMask(adam: false, learning_rate: 5)", 0.25), 20.0);
-        near(of("LearnableMask(adam: false, learning_rate: 5)", 0.01), 50.0);
+        near(shortened("LearnableMask(adam: false, learning_rate: 5)", 0.25), 20.0);
+        near(shortened("LearnableMask(adam: false, learning_rate: 5)", 0.01), 50.0);
     }
 
     #[test]

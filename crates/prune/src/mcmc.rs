@@ -144,17 +144,17 @@ fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng
 /// Returns the opacity of each of `k` Gaussians that share a position, and the factor on their scales.
 fn share_out(opacity: f64, k: usize) -> (f64, f64) {
     let k = k.min(50); // for larger k, rounding dominates the alternating sum
-    let own = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
+    let shared = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
     let mut sum = 0.0;
     for i in 1..=k {
         let mut binomial = 1.0;
         for j in 0..i {
             let sign = if j % 2 == 0 { 1.0 } else { -1.0 };
-            sum += sign * binomial * own.powi(j as i32 + 1) / ((j + 1) as f64).sqrt();
+            sum += sign * binomial * shared.powi(j as i32 + 1) / ((j + 1) as f64).sqrt();
             binomial *= (i - 1 - j) as f64 / (j + 1) as f64;
         }
     }
-    (own, if sum > 0.0 { opacity / sum } else { 1.0 })
+    (shared, if sum > 0.0 { opacity / sum } else { 1.0 })
 }
 
 #[cfg(test)]
@@ -165,9 +165,9 @@ mod tests {
     fn copies_preserve_opacity_of_original() {
         // Amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
         for opacity in [0.05, 0.3, 0.8] {
-            let (own, shrink) = share_out(opacity, 2);
-            assert!((1.0 - (1.0 - own).powi(2) - opacity).abs() < 1e-12);
-            assert!((shrink * (2.0 * own - own * own / 2f64.sqrt()) - opacity).abs() < 1e-12, "{opacity}");
+            let (shared, shrink) = share_out(opacity, 2);
+            assert!((1.0 - (1.0 - shared).powi(2) - opacity).abs() < 1e-12);
+            assert!((shrink * (2.0 * shared - shared * shared / 2f64.sqrt()) - opacity).abs() < 1e-12, "{opacity}");
         }
         assert!((share_out(0.3, 1).1 - 1.0).abs() < 1e-12);
     }

@@ -56,10 +56,10 @@ impl Pruner for Pup3dgs {
 /// to its diagonal; −∞ for zeros. Uses the Cholesky decomposition.
 fn log_det(triangle: &[Real; 21], ridge: f64) -> f64 {
     let mut a = [[0.0f64; 6]; 6];
-    let mut own = triangle.iter();
+    let mut entries = triangle.iter();
     for i in 0..6 {
         for j in i..6 {
-            let v = f64::from(*own.next().expect("twenty-one numbers"));
+            let v = f64::from(*entries.next().expect("twenty-one numbers"));
             (a[i][j], a[j][i]) = (v, v);
         }
     }
@@ -89,10 +89,10 @@ mod tests {
         // diag(1, 2, .., 6) has determinant 720; that of a product of two known factors is the squared product of the
         // diagonal.
         let mut diagonal = [0.0; 21];
-        let mut place = 0;
+        let mut index = 0;
         for i in 0..6 {
-            diagonal[place] = (i + 1) as Real;
-            place += 6 - i;
+            diagonal[index] = (i + 1) as Real;
+            index += 6 - i;
         }
         assert!((log_det(&diagonal, 1e-12) - 720f64.ln()).abs() < 1e-6);
         let factor = |i: usize, j: usize| match i.cmp(&j) {
@@ -101,10 +101,10 @@ mod tests {
             std::cmp::Ordering::Less => 0.0,
         };
         let mut full = [0.0; 21];
-        let mut own = full.iter_mut();
+        let mut entries = full.iter_mut();
         for i in 0..6 {
             for j in i..6 {
-                *own.next().unwrap() = (0..6).map(|k| factor(i, k) * factor(j, k)).sum::<f64>() as Real;
+                *entries.next().unwrap() = (0..6).map(|k| factor(i, k) * factor(j, k)).sum::<f64>() as Real;
             }
         }
         assert!((log_det(&full, 1e-12) - 2.0 * 720f64.ln()).abs() < 1e-3);

@@ -40,8 +40,8 @@ pub(crate) fn shortened_rate(rate: Real, adam: bool, scale: f64) -> Real {
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
-    let place = share_of(sorted.len(), q).ceil() as usize;
-    sorted.get(place.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
+    let rank = share_of(sorted.len(), q).ceil() as usize;
+    sorted.get(rank.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
 }
 
 /// Draws `n` samples of the logistic distribution, each the difference of two Gumbel samples.

@@ -88,8 +88,8 @@ impl Pruner for RadSplat {
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<bool> {
-        let known = stats.requested.largest_weight.len() == cloud.len();
-        (0..cloud.len()).map(|i| !known || stats.requested.largest_weight[i] >= self.threshold).collect()
+        let is_requested = stats.requested.largest_weight.len() == cloud.len();
+        (0..cloud.len()).map(|i| !is_requested || stats.requested.largest_weight[i] >= self.threshold).collect()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
