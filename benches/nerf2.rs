@@ -32,7 +32,7 @@ fn main() {
     let links: Vec<Link> = (0..RAYS).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
     let some = |count: usize| LinkInputs {
         values: conditions[..3 * count].to_vec(),
-        links: links[..count].to_vec(),
+        pairs: links[..count].to_vec(),
         ..LinkInputs::of(3, &setup)
     };
     let [all, one, five] = [RAYS, 1, 5].map(some);
@@ -62,8 +62,8 @@ fn step(method: &Plugin<dyn Method>, call: &Call<'_>, random: &mut rng::Rng) {
     let most = method.cost(call.setup, RAYS, 1).links_at_once;
     let (_, seconds) = timed(3, || {
         let mut sums = MethodVjp::zeros(call, WantedInputs::default());
-        for (links, pixels) in call.links.links.chunks(most).zip(pixels.chunks(most)) {
-            let links = &LinkInputs { links: links.to_vec(), ..call.links.clone() };
+        for (links, pixels) in call.links.pairs.chunks(most).zip(pixels.chunks(most)) {
+            let links = &LinkInputs { pairs: links.to_vec(), ..call.links.clone() };
             let part = Call { links, pixels: &PixelSubset::Each(pixels.into()), ..*call };
             let observed = method.forward(&part, &None);
             let d = observed.numbers.clone();

@@ -231,7 +231,7 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
     let numbers = LINKS.len() * stages.setup.numbers();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
-    let inputs = LinkInputs { values: conditions, links: LINKS.to_vec(), ..LinkInputs::of(width, &stages.setup) };
+    let inputs = LinkInputs { values: conditions, pairs: LINKS.to_vec(), ..LinkInputs::of(width, &stages.setup) };
     step.batch = Batch { inputs, truths, ..Batch::default() };
     step.stages = Arc::new(stages);
     step.objective = objective;
@@ -335,7 +335,7 @@ fn virtual_transmitters_differentiate() {
         stages.method = plugin(&format!("VirtualTransmitters(order: {order})"));
         stages.setup.receivers.truncate(1);
         step.weights = Vec::new();
-        step.batch.inputs.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+        step.batch.inputs.pairs = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
         step.batch.truths.truncate(3 * stages.setup.numbers());
         step.cloud.complete(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);

@@ -57,7 +57,7 @@ impl Room {
 
     fn links(&self, links: &[Link]) -> LinkInputs {
         let (width, values) = (self.method.traits().inputs, self.conditions.clone());
-        LinkInputs { values, links: links.to_vec(), ..LinkInputs::of(width, &self.setup) }
+        LinkInputs { values, pairs: links.to_vec(), ..LinkInputs::of(width, &self.setup) }
     }
 
     fn numbers(&self, weights: &[Real], links: &[Link], pixels: &PixelSubset) -> Vec<Real> {

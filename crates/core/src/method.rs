@@ -91,14 +91,10 @@ impl MeasurementSetup {
             let carrier = carriers.get(receiver);
             let input = (query.tx, query.features, query.orientation, carrier);
             if last != Some(input) {
+                let position = self.origin.local(query.tx);
                 all.carriers.extend(carrier);
-                if query.features.is_empty() {
-                    let position = self.origin.local(query.tx);
-                    all.values.extend(position);
-                    all.moved_to(self, position, query.orientation);
-                } else {
-                    all.values.extend_from_slice(query.features);
-                }
+                all.values.extend_from_slice(if query.features.is_empty() { &position } else { query.features });
+                all.moved_to(self, position, query.orientation);
             }
             all.link(self, receiver);
             last = Some(input);
@@ -119,8 +115,8 @@ pub struct LinkInputs {
     pub carriers: Vec<Real>,
     /// Receivers: all of the setup, or a moving one at one pose after another.
     pub receivers: Vec<ReceiverState>,
-    /// Links as rows of `values` and of `receivers`.
-    pub links: Vec<Link>,
+    /// Links: pairs of a row of `values` and a row of `receivers`.
+    pub pairs: Vec<Link>,
 }
 
 /// A receiver at a pose.
@@ -152,7 +148,7 @@ impl LinkInputs {
     /// Adds the link of the last transmitter with a receiver of `setup`, or with the last pose of a moving one.
     pub fn link(&mut self, setup: &MeasurementSetup, receiver: usize) {
         let receiver = if setup.moves { self.receivers.len() - 1 } else { receiver };
-        self.links.push(Link { transmitter: self.values.len() / self.width.max(1) - 1, receiver });
+        self.pairs.push(Link { transmitter: self.values.len() / self.width.max(1) - 1, receiver });
     }
 
     /// Borrows the network inputs.
@@ -458,5 +454,17 @@ mod tests {
     fn receiver_out_of_range_is_not_replaced_by_another() {
         let setup = MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, ImagePlane::plain(1, 1));
         setup.inputs(3, std::iter::once(Query::at([0.0; 3], 1)));
+    }
+
+    #[test]
+    fn moving_receiver_has_a_pose_in_links_with_features_too() {
+        let plane = ImagePlane::plain(1, 1);
+        let setup = MeasurementSetup { moves: true, ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
+        for features in [&[][..], &[0.5, 1.0, 2.0]] {
+            let links = setup.inputs(3, std::iter::once(Query { features, ..Query::at([1.0; 3], 0) }));
+            let pose = Pose { position: [1.0; 3], ..Pose::IDENTITY };
+            assert_eq!(links.receivers, [ReceiverState { receiver: 0, pose }]);
+            assert_eq!(links.pairs, [Link { transmitter: 0, receiver: 0 }]);
+        }
     }
 }

@@ -23,7 +23,7 @@ pub(crate) struct ReceiverGroup {
 
 impl ReceiverGroup {
     /// Groups all links by receiver; one group per link if links do not `share` a geometry.
-    pub(crate) fn all(LinkInputs { receivers, links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
+    pub(crate) fn all(LinkInputs { receivers, pairs: links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
         for (row, state) in receivers.iter().enumerate() {
             let own: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();

@@ -91,7 +91,7 @@ impl SplattedChannel {
         let of_network = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = groups::terms(&*self.deformation, &inputs, of_network, is_training);
         let network = start.elapsed().as_secs_f64();
-        let mut numbers = vec![0.0; links.links.len() * setup.numbers()];
+        let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
         let mut received = Vec::new();
         for group in ReceiverGroup::all(links, true) {
             let fresh = || Arc::new(Waves::new(setup, group.state, p.cloud, p.gate));

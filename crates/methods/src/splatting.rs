@@ -74,7 +74,7 @@ pub struct Geometry {
     pub splats: Splats,
     /// Opacities `[N]` before the existence factor, if the rasterizer does not support it and it was multiplied into
     /// them.
-    pub opacities_alone: Vec<Real>,
+    pub opacities_without_existence: Vec<Real>,
     /// Cache of the rasterizer for these splats.
     pub cache: Cache,
     /// Seconds of activation and projection, and of the rasterizer.
@@ -176,11 +176,11 @@ impl Splatting {
         let primitives = self.activation().geometry(p.cloud, deltas, b, p.gate);
         let whole = view.plane.whole();
         let mut splats = self.projector.project(&primitives, &view.pose, &whole).sampled(&view.plane);
-        let mut opacities_alone = Vec::new();
+        let mut opacities_without_existence = Vec::new();
         match p.existence {
             Some(existence) if self.rasterizer.blends() => splats.existence = existence.to_vec(),
             Some(existence) => {
-                opacities_alone.clone_from(&splats.opacities);
+                opacities_without_existence.clone_from(&splats.opacities);
                 splats.opacities.iter_mut().zip(existence).for_each(|(o, m)| *o *= m);
             }
             None => {}
@@ -188,7 +188,7 @@ impl Splatting {
         let projected = Instant::now();
         let cache = self.rasterizer.prepare(&splats, &view.plane);
         let seconds = [projected - start, projected.elapsed()].map(|time| time.as_secs_f64());
-        Geometry { primitives, splats, opacities_alone, cache, seconds }
+        Geometry { primitives, splats, opacities_without_existence, cache, seconds }
     }
 
     /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `shared_geometry` is that
@@ -224,8 +224,9 @@ impl Splatting {
         let (activation, splats) = (self.activation(), &geometry.splats);
         let channels = activation.channels * batch.len();
         let mut d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
-        if let Some(existence) = p.existence.filter(|_| !geometry.opacities_alone.is_empty()) {
-            d.splats.existence = d.splats.opacities.iter().zip(&geometry.opacities_alone).map(|(d, o)| d * o).collect();
+        if let Some(existence) = p.existence.filter(|_| !geometry.opacities_without_existence.is_empty()) {
+            d.splats.existence =
+                d.splats.opacities.iter().zip(&geometry.opacities_without_existence).map(|(d, o)| d * o).collect();
             d.splats.opacities.iter_mut().zip(existence).for_each(|(d, m)| *d *= m);
         }
         let d_primitives = self.project_vjp(view, geometry, &d.splats);

@@ -78,7 +78,7 @@ pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
 /// Returns the links of each carrier, each with the positions of the moving node.
 fn groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
-    let position = |i: &usize| txs.get(links.links[*i].transmitter).copied();
+    let position = |i: &usize| txs.get(links.pairs[*i].transmitter).copied();
     let with_positions = |group: ReceiverGroup| {
         let own = group.links.iter().filter_map(position).collect();
         (group, own)
@@ -116,7 +116,7 @@ impl Method for VirtualTransmitters {
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
         let Call { setup, parameters: p, links, .. } = *call;
         let antennas = array(&setup.receivers[0]);
-        let mut numbers = vec![0.0; links.links.len() * setup.numbers()];
+        let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
         for (group, positions) in groups(links) {
             let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
@@ -145,7 +145,7 @@ impl Method for VirtualTransmitters {
                 }
                 sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
                 if let Some(d_positions) = &mut sums.positions {
-                    let d_position = &mut d_positions[links.links[*link].transmitter];
+                    let d_position = &mut d_positions[links.pairs[*link].transmitter];
                     found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }

@@ -52,6 +52,17 @@ fn returns_mask_and_score_per_gaussian() {
     }
 }
 
+#[test]
+fn initial_cloud_is_kept() {
+    for name in ["LearnableMask", "OpacityThreshold", "TopK"] {
+        let pruner = plugin(&format!("{name}()"));
+        for n in [0, 1, 7] {
+            let cloud = with_columns(&*pruner, cloud(&vec![0.0; n]), |_| 1.0);
+            assert_eq!(pruner.keep(&cloud, &CloudStats::zeros(n), &context(Phase::Prune)), vec![true; n], "{name}");
+        }
+    }
+}
+
 /// A Gaussian that a gate of the whole Gaussian closes is removed, and no other.
 #[test]
 fn keeps_drawn_gaussians() {
@@ -77,7 +88,7 @@ fn keeps_drawn_gaussians() {
 #[test]
 fn numbers_that_are_not_finite_do_not_panic() {
     let odd = cloud(&[Real::NAN, 0.0, Real::INFINITY, Real::NEG_INFINITY]);
-    for (name, pruner) in all() {
+    for (name, pruner) in all().into_iter().chain([("OpacityVolume", plugin("TopK(score: OpacityVolume)"))]) {
         let cloud = with_columns(&*pruner, odd.clone(), |i| odd.opacity_logits[i]);
         assert_eq!(pruner.keep(&cloud, &CloudStats::zeros(4), &context(Phase::Prune)).len(), 4, "{name}");
     }
@@ -134,7 +145,7 @@ fn deterministic_pruners_ignore_order_of_gaussians() {
 
 #[test]
 fn unrelated_gaussians_are_removed_first() {
-    let by_pictures = [
+    let by_statistics = [
         "GreedyElimination",
         "LightGaussian",
         "MiniSplatting",
@@ -144,7 +155,7 @@ fn unrelated_gaussians_are_removed_first() {
         "SignalContribution",
         "SpeedySplat",
     ];
-    for name in by_pictures {
+    for name in by_statistics {
         let column = [0.4, 0.0, 0.7, 0.9, 0.0, 0.2];
         let kept = best(4, &scores(&plugin(&format!("{name}()")), &random_cloud(6, 1), &column), |_| true);
         assert_eq!(kept, [true, false, true, true, false, true], "{name}");

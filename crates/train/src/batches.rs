@@ -125,6 +125,7 @@ fn observed(
         let carrier = carriers.get(query.receiver);
         if !query.features.is_empty() {
             inputs.values.extend_from_slice(query.features); // one per link
+            inputs.moved_to(&stages.setup, data.scene.origin.local(query.tx), query.orientation);
             inputs.carriers.extend(carrier);
         } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !each) || carrier != last {
             let position = data.scene.origin.local(query.tx).map(&mut *moved);

@@ -38,9 +38,9 @@ impl Batch {
     /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
     fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
         let PixelSubset::Each(pixels) = &self.pixels else { return None };
-        let parts = self.inputs.links.chunks(most).zip(pixels.chunks(most)).zip(self.truths.chunks(most));
+        let parts = self.inputs.pairs.chunks(most).zip(pixels.chunks(most)).zip(self.truths.chunks(most));
         let part = |((links, pixels), truths): ((&[_], &[usize]), &[Real])| Self {
-            inputs: LinkInputs { links: links.to_vec(), ..self.inputs.clone() },
+            inputs: LinkInputs { pairs: links.to_vec(), ..self.inputs.clone() },
             pixels: PixelSubset::Each(pixels.into()),
             truths: truths.to_vec(),
         };
@@ -134,7 +134,7 @@ pub fn loss_and_gradients(
 ) -> Result<LossAndGradients> {
     let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
     let pixels = batch.pixels.of_link(stages.numbers());
-    let at_once = stages.method.cost(&stages.setup, batch.inputs.links.len(), pixels).links_at_once;
+    let at_once = stages.method.cost(&stages.setup, batch.inputs.pairs.len(), pixels).links_at_once;
     let Some(parts) = batch.parts(at_once) else { return of(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,
@@ -144,7 +144,7 @@ pub fn loss_and_gradients(
         stats: CloudStats::zeros(cloud.len()),
     };
     for part in parts {
-        let (gradients, share) = (of(&part)?, part.inputs.links.len() as Real / batch.inputs.links.len() as Real);
+        let (gradients, share) = (of(&part)?, part.inputs.pairs.len() as Real / batch.inputs.pairs.len() as Real);
         let add = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
         sum.loss += share * gradients.loss;
         sum.penalty = gradients.penalty;
@@ -317,17 +317,17 @@ mod tests {
         let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
         let pixels = PixelSubset::Each((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
-        let inputs = LinkInputs { values: vec![1.0; 21], width: 3, links, ..LinkInputs::default() };
+        let inputs = LinkInputs { values: vec![1.0; 21], width: 3, pairs: links, ..LinkInputs::default() };
         let batch = Batch { inputs, pixels, truths };
         assert!(batch.parts(20).is_none() && Batch { pixels: PixelSubset::All, ..batch.clone() }.parts(7).is_none());
         let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
-        assert_eq!(parts.iter().map(|part| part.inputs.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
+        assert_eq!(parts.iter().map(|part| part.inputs.pairs.len()).collect::<Vec<_>>(), [7, 7, 6]);
         let pixels = |part: &Batch| match &part.pixels {
             PixelSubset::Each(pixels) => pixels.to_vec(),
             _ => Vec::new(),
         };
         assert_eq!(parts.iter().flat_map(pixels).collect::<Vec<_>>(), pixels(&batch));
-        assert_eq!(parts.iter().flat_map(|part| part.inputs.links.clone()).collect::<Vec<_>>(), batch.inputs.links);
+        assert_eq!(parts.iter().flat_map(|part| part.inputs.pairs.clone()).collect::<Vec<_>>(), batch.inputs.pairs);
         assert_eq!(parts.iter().flat_map(|part| part.truths.clone()).collect::<Vec<_>>(), batch.truths);
     }
 }

@@ -242,9 +242,9 @@ fn loss_of(scene: &PassContext<'_>, p: &Parameters<'_>, some: &[usize], batches:
     let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
         let size = (setup.plane.width, setup.plane.height);
         let numbers = method.forward(&batch.call(setup, parameters), &None).numbers;
-        scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.inputs.links.len() as Real
+        scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.inputs.pairs.len() as Real
     };
-    let links: usize = batches.iter().map(|(_, batch)| batch.inputs.links.len()).sum();
+    let links: usize = batches.iter().map(|(_, batch)| batch.inputs.pairs.len()).sum();
     batches.iter().map(loss).sum::<Real>() / links.max(1) as Real
 }
 

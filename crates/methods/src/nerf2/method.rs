@@ -74,7 +74,7 @@ impl Nerf2 {
     ) -> Vec<RayGroup<'a>> {
         let Call { setup, links: inputs, .. } = *call;
         let of = |receiver: usize| {
-            let links = inputs.links.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
+            let links = inputs.pairs.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
             let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.transmitter)).collect();
             if links.is_empty() {
                 return None;
@@ -125,7 +125,7 @@ impl Nerf2 {
     ) -> Vec<[Real; 2]> {
         let setup = call.setup;
         let of_link = if setup.task.has_pixels { call.pixels.of_link(setup.numbers()) } else { bands(setup) };
-        let mut totals = vec![[0.0; 2]; call.links.links.len() * of_link];
+        let mut totals = vec![[0.0; 2]; call.links.pairs.len() * of_link];
         for (group, rays, passes) in chunks {
             let bands = bands(setup);
             for (pass, sums) in passes.into_iter().enumerate() {
@@ -246,7 +246,7 @@ impl Method for Nerf2 {
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
         let groups = self.groups(call, (&network, p.weights), &emission);
         let d_totals = Self::observations_vjp(setup, totals, d);
-        let of_link = totals.len() / links.links.len().max(1);
+        let of_link = totals.len() / links.pairs.len().max(1);
         let parts = sum_groups(chunks, &mut sums.weights, |chunks, weights| {
             let mut into = Sums { weights, emission: vec![0.0; emission.len()] };
             let mut scratch = GroupScratch::default();

@@ -119,7 +119,7 @@ impl Splatting {
         let drawn: Vec<_> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
         let (mut all, mut drawings) = (Vec::new(), Vec::new());
-        all.resize(if is_alone { 0 } else { links.links.len() * numbers }, 0.0);
+        all.resize(if is_alone { 0 } else { links.pairs.len() * numbers }, 0.0);
         for (own, [projection, sort, blending], drawing, group) in drawn {
             times.projection += projection;
             times.sort += sort;
