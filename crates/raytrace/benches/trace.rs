@@ -17,7 +17,7 @@ const EMPTY_ROOM: &str = r#"(name: "empty", carrier_hz: 920e6,
     transmitter: (positions: Uniform(low: (-2.5, -2, 0.5), high: (2.5, 2, 2.5))),
     propagation: (order: 3, room_order: 3, diffraction: false))"#;
 
-/// A room of 10 x 8 x 3 m with 30 boxes in three rows: 186 planes.
+/// Returns a room of 10 x 8 x 3 m with 30 boxes in three rows: 186 planes.
 fn thirty_boxes() -> SceneFile {
     let object = |i: usize| {
         let (x, y) = (0.5 + 0.9 * (i % 10) as f64, 1.0 + 2.5 * (i / 10) as f64);
@@ -58,7 +58,7 @@ fn main() {
         };
         let mut group = criterion.benchmark_group(name);
         group.bench_function("paths", |b| b.iter(|| simulator.trace(black_box(tx()))));
-        group.bench_function("spectrum", |b| b.iter(|| simulator.listeners()[0].spectrum(black_box(tx()), Some(0))));
+        group.bench_function("spectrum", |b| b.iter(|| simulator.receivers()[0].spectrum(black_box(tx()), Some(0))));
         group.bench_function("new scene", |b| b.iter(|| Simulator::new(black_box(&scene))));
         group.finish();
     }

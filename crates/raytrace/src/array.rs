@@ -84,22 +84,24 @@ impl Check for Array {
 }
 
 impl Array {
-    /// Number of elements K.
+    /// Returns the number of elements K.
     pub fn elements(&self) -> usize {
         self.rows * self.columns
     }
 
-    /// Positions of the elements `[K]` relative to the centre of the array: receiver frame, metres. `wavelength` in
-    /// metres.
+    /// Returns the positions of the elements `[K]` relative to the centre of the array: receiver frame, metres.
+    /// `wavelength` in metres.
     pub fn offsets(&self, wavelength: f64) -> Vec<DVec3> {
         let spacing = self.spacing_wavelengths * wavelength;
-        let place = |index: usize, count: usize| (index as f64 - (count as f64 - 1.0) / 2.0) * spacing;
+        let coordinate = |index: usize, count: usize| (index as f64 - (count as f64 - 1.0) / 2.0) * spacing;
         (0..self.elements())
-            .map(|k| DVec3::new(place(k % self.columns, self.columns), place(k / self.columns, self.rows), 0.0))
+            .map(|k| {
+                DVec3::new(coordinate(k % self.columns, self.columns), coordinate(k / self.columns, self.rows), 0.0)
+            })
             .collect()
     }
 
-    /// Channel h `[K]`: the sum over paths, eq. (1), at each element.
+    /// Returns the channel h `[K]`: the sum over paths, eq. (1), at each element.
     ///
     /// `center` is the receiver position, metres; the columns of `world_from_receiver` are its axes in the world. The
     /// paths lead to `center`; their gains include both antenna patterns. [`ArrayWavefront::Traced`] needs separate paths
@@ -117,8 +119,8 @@ impl Array {
     }
 }
 
-/// Channel `[elements, wavelengths]` at antennas near `center`, all in metres. Each wavelength has its own wavenumber,
-/// so delays are exact; gains are common to all. See [`Array::channel`].
+/// Returns the channel `[elements, wavelengths]` at antennas near `center`, all in metres. Each wavelength has its own
+/// wavenumber, so delays are exact; gains are common to all. See [`Array::channel`].
 pub fn band_at(
     paths: &[PropagationPath],
     elements: &[DVec3],
@@ -174,7 +176,7 @@ impl Element {
     }
 }
 
-/// Amplitude of an antenna towards `direction`, and the unit vector of its electric field there.
+/// Returns the amplitude of an antenna towards `direction`, and the unit vector of its electric field there.
 ///
 /// `axis` is its polarisation axis ê and `direction` is r, away from the antenna, both unit vectors in its own frame.
 /// The field points along -(ê - (ê·r)r), normalised: for ê = z that is θ̂ of spherical coordinates, down the meridian.

@@ -24,22 +24,22 @@ impl Triangle {
         Self { corner: a, sides: [b - a, c - a], face: u32::MAX }
     }
 
-    /// Unit normal by the order of its corners.
+    /// Returns the unit normal by the order of its corners.
     pub(crate) fn normal(&self) -> DVec3 {
         self.sides[0].cross(self.sides[1]).normalize()
     }
 
-    /// Corner positions, metres.
+    /// Returns the corner positions, metres.
     pub fn corners(&self) -> [DVec3; 3] {
         [self.corner, self.corner + self.sides[0], self.corner + self.sides[1]]
     }
 
-    /// Area, m².
+    /// Returns the area, m².
     pub fn area(&self) -> f64 {
         0.5 * self.sides[0].cross(self.sides[1]).length()
     }
 
-    /// Whether a point in its plane lies inside, border included.
+    /// Returns whether a point in its plane lies inside, border included.
     pub(crate) fn contains(&self, point: DVec3) -> bool {
         const BORDER: f64 = 1e-12;
         let n = self.sides[0].cross(self.sides[1]);
@@ -69,27 +69,28 @@ struct Node {
 }
 
 impl Node {
+    /// Creates the padded box of a triangle.
     fn of(index: usize, triangle: &Triangle) -> Self {
         let [a, b, c] = triangle.corners();
         let (low, high) = (a.min(b).min(c) - PADDING, a.max(b).max(c) + PADDING);
         Self { low, high, triangle: index as u32, exit: 0 }
     }
 
-    /// Bounding box of both.
+    /// Returns the bounding box of both.
     fn join(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high), triangle: u32::MAX, exit: 0 }
     }
 
-    /// Half of its surface area, m².
+    /// Returns the half of its surface area, m².
     fn area(&self) -> f64 {
         let size = self.high - self.low;
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
-    /// Slab test. Along an axis without motion, `inverse` is infinite: a start on the padded border gives NaN, for
-    /// which either result is correct, since no triangle reaches the padding. Comparisons take one instruction each,
-    /// `f64::min` and `f64::max` three.
-    fn is_met(&self, from: DVec3, inverse: DVec3) -> bool {
+    /// Returns whether a segment meets the box (slab test). Along an axis without motion, `inverse` is infinite: a
+    /// start on the padded border gives NaN, for which either result is correct, since no triangle reaches the padding.
+    /// Comparisons take one instruction each, `f64::min` and `f64::max` three.
+    fn is_crossed(&self, from: DVec3, inverse: DVec3) -> bool {
         let (mut enter, mut leave) = (0.0, 1.0);
         for k in 0..3 {
             let one = (self.low[k] - from[k]) * inverse[k];
@@ -103,22 +104,24 @@ impl Node {
 }
 
 impl Hierarchy {
+    /// Builds the tree over `triangles`.
     pub(crate) fn new(triangles: &[Triangle]) -> Self {
         let mut leaves: Vec<Node> = triangles.iter().enumerate().map(|(i, t)| Node::of(i, t)).collect();
         let mut nodes = Vec::with_capacity(2 * leaves.len());
-        grow(&mut nodes, &mut leaves, 0);
+        append_subtree(&mut nodes, &mut leaves, 0);
         Self { nodes }
     }
 
-    /// Candidates that include all triangles crossed by the segment from `from` to `from + span`; unordered indices.
+    /// Returns the candidates that include all triangles crossed by the segment from `from` to `from + span`; unordered
+    /// indices.
     pub(super) fn candidates(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
         let inverse = 1.0 / span;
-        self.leaves(move |_, node| node.is_met(from, inverse))
+        self.leaves(move |_, node| node.is_crossed(from, inverse))
     }
 
-    /// Candidates that include all triangles closer than `reach` to the point; unordered indices. Subtrees whose box
-    /// index `is_wanted` rejects are skipped.
-    pub(crate) fn around(
+    /// Returns the candidates that include all triangles closer than `reach` to the point; unordered indices. Subtrees
+    /// whose box index `is_wanted` rejects are skipped.
+    pub(crate) fn near_point(
         &self,
         point: DVec3,
         reach: f64,
@@ -128,12 +131,12 @@ impl Hierarchy {
         self.leaves(move |number, node| is_near(node) && is_wanted(number))
     }
 
-    /// Candidates that include all triangles that touch the box between two corners; unordered indices.
-    pub(super) fn touching(&self, [low, high]: [DVec3; 2]) -> impl Iterator<Item = usize> {
+    /// Returns the candidates that include all triangles that touch the box between two corners; unordered indices.
+    pub(super) fn in_box(&self, [low, high]: [DVec3; 2]) -> impl Iterator<Item = usize> {
         self.leaves(move |_, node| node.low.cmple(high).all() && node.high.cmpge(low).all())
     }
 
-    /// Owner of each box if all its triangles have the same owner.
+    /// Returns the owner of each box if all its triangles have the same owner.
     pub(super) fn owners(&self, owner_of: impl Fn(usize) -> usize) -> Vec<Option<usize>> {
         let mut owners = vec![None; self.nodes.len()];
         for (i, node) in self.nodes.iter().enumerate().rev() {
@@ -147,13 +150,13 @@ impl Hierarchy {
         owners
     }
 
-    /// Triangles in the boxes that are hit.
+    /// Returns the triangles in the boxes that satisfy `is_hit`.
     #[inline(always)]
-    fn leaves(&self, is_met: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
+    fn leaves(&self, is_hit: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
         let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
         std::iter::from_fn(move || {
             while let Some(node) = self.nodes.get(next) {
-                if is_met(next, node) {
+                if is_hit(next, node) {
                     next += 1;
                     if node.triangle != u32::MAX {
                         return Some(node.triangle as usize);
@@ -168,39 +171,39 @@ impl Hierarchy {
 }
 
 /// Appends the subtree over `leaves`.
-fn grow(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
+fn append_subtree(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
     let Some(all) = leaves.iter().copied().reduce(Node::join) else { return };
     let index = nodes.len();
     nodes.push(all);
     if leaves.len() > 1 {
-        let middle = if depth < DEEP { cheapest_cut(leaves) } else { leaves.len() / 2 };
+        let middle = if depth < DEEP { cheapest_split(leaves) } else { leaves.len() / 2 };
         let (one, other) = leaves.split_at_mut(middle);
-        grow(nodes, one, depth + 1);
-        grow(nodes, other, depth + 1);
+        append_subtree(nodes, one, depth + 1);
+        append_subtree(nodes, other, depth + 1);
     }
     nodes[index].exit = nodes.len() as u32;
 }
 
 /// Sorts `leaves` along an axis and returns the split that minimises the sum of surface area times number (surface area
 /// heuristic, Goldsmith and Salmon, 1987).
-fn cheapest_cut(leaves: &mut [Node]) -> usize {
+fn cheapest_split(leaves: &mut [Node]) -> usize {
     let count = leaves.len();
     let sort = |leaves: &mut [Node], axis: usize| {
         leaves.sort_unstable_by(|a, b| (a.low[axis] + a.high[axis]).total_cmp(&(b.low[axis] + b.high[axis])));
     };
-    let mut behind = vec![0.0; count];
+    let mut cost_after = vec![0.0; count];
     let mut best = (f64::INFINITY, 0, count / 2);
     for axis in 0..3 {
         sort(leaves, axis);
         let mut part = leaves[count - 1];
         for i in (1..count).rev() {
             part = part.join(leaves[i]);
-            behind[i] = part.area() * (count - i) as f64;
+            cost_after[i] = part.area() * (count - i) as f64;
         }
         part = leaves[0];
         for i in 1..count {
             part = part.join(leaves[i - 1]);
-            let cost = part.area() * i as f64 + behind[i];
+            let cost = part.area() * i as f64 + cost_after[i];
             if cost < best.0 {
                 best = (cost, axis, i);
             }
@@ -210,7 +213,8 @@ fn cheapest_cut(leaves: &mut [Node]) -> usize {
     best.2
 }
 
-/// Intersection of a segment and a triangle (Möller and Trumbore, 1997), borders included; none for coplanar segments.
+/// Returns the intersection of a segment and a triangle (Möller and Trumbore, 1997), borders included; none for
+/// coplanar segments.
 pub(super) fn crossing(triangle: &Triangle, from: DVec3, span: DVec3) -> Option<f64> {
     const BORDER: f64 = 1e-12;
     let [a, b] = triangle.sides;
@@ -236,7 +240,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Points of a coarse grid: faces along the axes, triangles twice, segments in their planes and along the axes.
+    /// Returns the points of a coarse grid: faces along the axes, triangles twice, segments in their planes and along
+    /// the axes.
     fn point() -> impl Strategy<Value = DVec3> {
         prop_oneof![
             prop::array::uniform3(-2..=2_i8).prop_map(|p| DVec3::from(p.map(f64::from))),
@@ -255,10 +260,10 @@ mod tests {
             let hierarchy = Hierarchy::new(&triangles);
             for [from, to] in segments {
                 let is_crossed = |i: &usize| crossing(&triangles[*i], from, to - from).is_some();
-                let mut found: Vec<usize> = hierarchy.candidates(from, to - from).filter(is_crossed).collect();
-                found.sort_unstable();
+                let mut crossed: Vec<usize> = hierarchy.candidates(from, to - from).filter(is_crossed).collect();
+                crossed.sort_unstable();
                 let all: Vec<usize> = (0..triangles.len()).filter(is_crossed).collect();
-                prop_assert_eq!(found, all);
+                prop_assert_eq!(crossed, all);
             }
         }
     }

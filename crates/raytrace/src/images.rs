@@ -55,21 +55,21 @@ pub struct ImageTree {
 
 impl ImageTree {
     /// Builds the tree of the point `origin`; `None` if it would exceed two million images or take minutes.
-    pub fn grow(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
+    pub fn build(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
         let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
         // Faces of the room come first, in case their reflection limit is higher.
-        let of_room = world.faces.iter().take_while(|f| f.is_room()).count() as u32;
+        let room_faces = world.faces.iter().take_while(|f| f.is_room()).count() as u32;
         let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
         let (mut trials, mut corners) = (0, 0_usize);
         for order in 1..=orders.all.max(orders.room) {
             let mut next = Vec::new();
             let any_face = order <= orders.all;
-            let candidates = if any_face { world.faces.len() as u32 } else { of_room };
+            let candidates = if any_face { world.faces.len() as u32 } else { room_faces };
             trials += beams.len() * candidates as usize;
             let hulls: usize = world.faces[..candidates as usize].iter().map(|face| face.hull.len()).sum();
             corners += beams.iter().map(|(_, _, beam, _)| beam.len() + 1).sum::<usize>().saturating_mul(hulls);
             if trials > MOST_TRIALS || corners > MOST_CORNERS {
-                return None; // known before any of them
+                return None; // refused before any of them is tested
             }
             if beams.len() * candidates as usize > SLOW_TRIALS {
                 tracing::warn!(
@@ -79,7 +79,7 @@ impl ImageTree {
             }
             for (parent, image, beam, room_only) in &beams {
                 for face in 0..candidates {
-                    let is_room = *room_only && face < of_room;
+                    let is_room = *room_only && face < room_faces;
                     if !(any_face || is_room && order <= orders.room) {
                         continue;
                     }
@@ -101,27 +101,27 @@ impl ImageTree {
         Some(tree)
     }
 
-    /// Approximate memory use, bytes.
+    /// Returns the approximate memory use, bytes.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<Plane>()
     }
 
-    /// Calls `see` with each geometrically possible sequence of faces and its reflection points, in order of travel
+    /// Calls `visit` with each geometrically possible sequence of faces and its reflection points, in order of travel
     /// from `tx`. The caller tests for obstacles. The first sequence is empty (line of sight).
-    pub fn candidates(&self, world: &World, tx: DVec3, mut see: impl FnMut(&[u32], &[DVec3])) {
-        see(&[], &[]);
+    pub fn candidates(&self, world: &World, tx: DVec3, mut visit: impl FnMut(&[u32], &[DVec3])) {
+        visit(&[], &[]);
         let (mut faces, mut points) = (Vec::new(), Vec::new());
         for node in &self.nodes {
             let planes = &self.planes[node.planes.start as usize..node.planes.end as usize];
             if planes.iter().all(|(normal, offset)| normal.dot(tx) > *offset)
                 && self.unfold(world, node, tx, &mut faces, &mut points)
             {
-                see(&faces, &points);
+                visit(&faces, &points);
             }
         }
     }
 
-    /// Receiver position.
+    /// Returns the receiver position.
     pub fn origin(&self) -> DVec3 {
         self.origin
     }
@@ -172,7 +172,7 @@ impl ImageTree {
     }
 }
 
-/// Image of `image` in `face`, and the part of the face inside the beam; `None` if there is none.
+/// Returns the image of `image` in `face`, and the part of the face inside the beam; `None` if there is none.
 fn reflect(world: &World, face: u32, image: DVec3, beam: &[Plane]) -> Option<(DVec3, Vec<DVec3>)> {
     let face = &world.faces[face as usize];
     if face.height(image).abs() < THIN {

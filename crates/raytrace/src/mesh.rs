@@ -40,13 +40,13 @@ pub struct Mesh {
 pub fn read(path: &Path) -> Result<Mesh> {
     let bytes = fs::metadata(path).map_err(|e| Error::read(path, e))?.len();
     if bytes > MOST_BYTES {
-        let what = format!("has {} MB, and at most {} can be read; simplify it", bytes >> 20, MOST_BYTES >> 20);
-        return Err(Error::input(path, what));
+        let problem = format!("has {} MB, and at most {} can be read; simplify it", bytes >> 20, MOST_BYTES >> 20);
+        return Err(Error::input(path, problem));
     }
     let (vertices, triangles) = pwrfgs_data::read_mesh(path)?;
     if triangles.len() > MOST_TRIANGLES {
-        let what = format!("has {} triangles; simplify it to {MOST_TRIANGLES} at most", triangles.len());
-        return Err(Error::input(path, what));
+        let problem = format!("has {} triangles; simplify it to {MOST_TRIANGLES} at most", triangles.len());
+        return Err(Error::input(path, problem));
     }
     let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();
     mesh.check(path)?;
@@ -76,11 +76,11 @@ pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -
         mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
     }
     if solid && !mesh.is_closed() {
-        let open = mesh.boundary_edges();
+        let edges = mesh.boundary_edges();
         return Err(Error::input(
             file,
             format!(
-                "the surface of `{name}` is open ({open} sides of triangles have no neighbour), and a solid needs a closed \
+                "the surface of `{name}` is open ({edges} sides of triangles have no neighbour), and a solid needs a closed \
                  one; close it, or give its finish a `thickness_m` to make it a thin sheet"
             ),
         ));
@@ -88,7 +88,7 @@ pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -
     Ok(mesh)
 }
 
-/// Whether neighbouring triangles traverse their common edge in opposite directions.
+/// Returns whether neighbouring triangles traverse their common edge in opposite directions.
 fn is_consistent(mesh: &Mesh) -> bool {
     let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
     edges.sort_unstable();
@@ -97,8 +97,8 @@ fn is_consistent(mesh: &Mesh) -> bool {
     edges == reversed
 }
 
-/// Whether a part of a triangle remains outside the triangles that `hiding` finds for its pieces.
-fn is_seen(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Triangle>) -> bool {
+/// Returns whether a part of a triangle remains outside the triangles that `hiding` finds for its pieces.
+fn has_visible_part(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Triangle>) -> bool {
     let mut rest = vec![*triangle];
     for _ in 0..MOST_PIECES {
         let Some(piece) = rest.pop() else { return false };
@@ -109,7 +109,7 @@ fn is_seen(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Triangle>) 
     true
 }
 
-/// Volume of a closed surface, m³; negative if the normals point inwards.
+/// Returns the volume of a closed surface, m³; negative if the normals point inwards.
 fn volume(mesh: &Mesh) -> f64 {
     let origin = mesh.vertices.first().copied().unwrap_or_default();
     let corner = |i: u32| mesh.vertices[i as usize] - origin;
@@ -135,9 +135,9 @@ impl Mesh {
             let hiding = |piece: &Triangle| {
                 let middle = piece.corners().iter().sum::<DVec3>() / 3.0;
                 let reach = EQUAL * (piece.sides[0].length() + piece.sides[1].length());
-                hierarchy.around(middle, reach, count).find(|&k| k < i && is_kept[k] && hides(k, middle))
+                hierarchy.near_point(middle, reach, count).find(|&k| k < i && is_kept[k] && hides(k, middle))
             };
-            is_kept[i] = is_seen(&all[i], |piece| hiding(piece).map(|k| all[k]));
+            is_kept[i] = has_visible_part(&all[i], |piece| hiding(piece).map(|k| all[k]));
         }
         if trials.get() >= MOST_TRIALS {
             return None;
@@ -164,10 +164,10 @@ impl Mesh {
             return Err(Error::input(path, "holds no triangle; export a surface with faces"));
         }
         for (number, triangle) in (1..).zip(&self.triangles) {
-            let fault = |what: String| Err(Error::input(path, format!("triangle {number} {what}")));
+            let fault = |problem: String| Err(Error::input(path, format!("triangle {number} {problem}")));
             if let Some(vertex) = triangle.iter().find(|&&v| v as usize >= self.vertices.len()) {
-                let what = "counted from 0; correct the index";
-                return fault(format!("names vertex {vertex} of {}, {what}", self.vertices.len()));
+                let advice = "counted from 0; correct the index";
+                return fault(format!("names vertex {vertex} of {}, {advice}", self.vertices.len()));
             }
             let [a, b, c] = self.corners(*triangle);
             if !(a.is_finite() && b.is_finite() && c.is_finite()) {
@@ -176,14 +176,14 @@ impl Mesh {
             let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
             // Twice the area over the squared longest side is the height relative to that side.
             if (b - a).cross(c - a).length() <= FLAT * longest {
-                let what = "remove degenerate faces in the modelling program";
-                return fault(format!("at ({}, {}, {}) has no area; {what}", a.x, a.y, a.z));
+                let advice = "remove degenerate faces in the modelling program";
+                return fault(format!("at ({}, {}, {}) has no area; {advice}", a.x, a.y, a.z));
             }
         }
         match self.edges().max() {
             Some(shared) if shared > MOST_SHARED => {
-                let what = format!("has an edge that {shared} triangles share; remove double faces");
-                Err(Error::input(path, what))
+                let problem = format!("has an edge that {shared} triangles share; remove double faces");
+                Err(Error::input(path, problem))
             }
             _ => Ok(()),
         }
@@ -206,12 +206,12 @@ impl Mesh {
         Self { vertices, triangles }
     }
 
-    /// Number of edges of only one triangle: the rim of an open surface. Weld the mesh first.
+    /// Returns the number of edges of only one triangle: the rim of an open surface. Weld the mesh first.
     pub fn boundary_edges(&self) -> usize {
         self.edges().filter(|triangles| *triangles == 1).count()
     }
 
-    /// Whether the surface is closed: every edge belongs to an even number of triangles. Weld the mesh first.
+    /// Returns whether the surface is closed: every edge belongs to an even number of triangles. Weld the mesh first.
     pub fn is_closed(&self) -> bool {
         !self.triangles.is_empty() && self.edges().all(|triangles| triangles % 2 == 0)
     }
@@ -229,11 +229,12 @@ impl Mesh {
         self
     }
 
+    /// Returns the corners of a triangle, metres.
     fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
         triangle.map(|v| self.vertices[v as usize])
     }
 
-    /// Number of triangles at each edge.
+    /// Returns the number of triangles at each edge.
     fn edges(&self) -> impl Iterator<Item = usize> {
         let ends = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]].map(|[u, v]| (u.min(v), u.max(v)));
         let mut edges: Vec<(u32, u32)> = self.triangles.iter().flat_map(ends).collect();
@@ -243,7 +244,7 @@ impl Mesh {
     }
 }
 
-/// Rotation about +z by degrees, exact for quarter turns.
+/// Returns the rotation about +z by degrees, exact for quarter turns.
 fn turn(degrees: f64) -> DMat3 {
     let (quarters, rest) = ((degrees / 90.0).round(), degrees - 90.0 * (degrees / 90.0).round());
     let (sin, cos) = rest.to_radians().sin_cos();

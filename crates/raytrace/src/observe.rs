@@ -43,7 +43,7 @@ pub enum ObservationKind {
 }
 
 impl ObservationKind {
-    /// Task of the data set.
+    /// Returns the task of the data set.
     pub fn task(&self) -> Task {
         match self {
             Self::Spectrum => Task::Spectrum,
@@ -81,7 +81,7 @@ pub enum SimulatedObservation {
 }
 
 impl SimulatedObservation {
-    /// Whether all numbers are finite.
+    /// Returns whether all numbers are finite.
     pub(crate) fn is_finite(&self) -> bool {
         match self {
             Self::Spectrum(spectrum) => spectrum.power.is_finite() && spectrum.high.is_finite(),
@@ -100,8 +100,8 @@ pub struct ReceiverObservation {
     pub paths: Vec<PropagationPath>,
 }
 
-/// Reading in dBm of a channel at a transmit power of `sent_dbm`. `draw` selects the random error of `noise_db` with
-/// its seed; `None`: no error.
+/// Returns the reading in dBm of a channel at a transmit power of `sent_dbm`. `draw` selects the random error of
+/// `noise_db` with its seed; `None`: no error.
 pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, NoiseDraw<'_>)>) -> f64 {
     let power = mean_power(channel);
     if power.is_nan() {
@@ -123,9 +123,9 @@ pub(crate) struct NoiseDraw<'a> {
 }
 
 impl NoiseDraw<'_> {
-    /// Random stream `what` of this receiver and sample.
-    pub(crate) fn stream(&self, seed: u64, what: &str) -> Rng {
-        rng::stream(seed, &self.receiver.stream(what), self.sample)
+    /// Returns the random stream `purpose` of this receiver and sample.
+    pub(crate) fn stream(&self, seed: u64, purpose: &str) -> Rng {
+        rng::stream(seed, &self.receiver.stream_name(purpose), self.sample)
     }
 }
 
@@ -148,7 +148,7 @@ pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usi
     }
 }
 
-/// Mean of |h|²; 0 for an empty channel.
+/// Returns the mean of |h|²; 0 for an empty channel.
 pub(crate) fn mean_power(channel: &[Complex]) -> f64 {
     channel.iter().map(Complex::norm_sqr).sum::<f64>() / channel.len().max(1) as f64
 }

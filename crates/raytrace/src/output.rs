@@ -75,31 +75,31 @@ pub fn write_as(
     layout.check(recipe, paths)?;
     refuse_occupied(out)?; // before the scene is prepared
     let simulator = Simulator::new(&recipe.scene)?; // reports errors of all receivers before the first is simulated
-    let making = NewFolder::begin(out)?;
+    let new_folder = NewFolder::begin(out)?;
     if layout == OutputLayout::DeepMimo {
-        deepmimo::write(recipe, &simulator, making.path(), progress, stop)?;
-        making.put(MANIFEST, recipe.to_json())?;
-        return making.publish();
+        deepmimo::write(recipe, &simulator, new_folder.path(), progress, stop)?;
+        new_folder.put(MANIFEST, recipe.to_json())?;
+        return new_folder.publish();
     }
     let receivers = recipe.scene.receivers().count();
     if receivers == 1 || layout == OutputLayout::Rssi {
-        fill(recipe, &simulator, layout, paths, making.path(), progress, stop)?;
+        fill(recipe, &simulator, layout, paths, new_folder.path(), progress, stop)?;
         if layout == OutputLayout::Rssi {
-            check_powers(making.path())?;
+            check_powers(new_folder.path())?;
         }
-        return making.publish();
+        return new_folder.publish();
     }
     drop(simulator);
     for (i, receiver) in recipe.scene.receivers().enumerate() {
         let recipe = recipe.with_receiver(receiver);
         let simulator = Simulator::new(&recipe.scene)?;
-        let folder = making.path().join(&receiver.name);
+        let folder = new_folder.path().join(&receiver.name);
         fs::create_dir(&folder).map_err(|e| Error::write(&folder, e))?;
         let progress = |done, all| progress(i * all + done, receivers * all);
         fill(&recipe, &simulator, layout, paths, &folder, &progress, stop)?;
     }
-    making.put(MANIFEST, recipe.to_json())?;
-    making.publish()
+    new_folder.put(MANIFEST, recipe.to_json())?;
+    new_folder.publish()
 }
 
 /// Simulates `recipe` into the new folder `out` as arrays and tables of all links; the receivers of a transmitter are
@@ -108,14 +108,14 @@ pub fn write_as(
 /// # Errors
 /// Same as [`write_as`].
 pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progress<'_>) -> Result<()> {
-    let (simulator, making) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
+    let (simulator, new_folder) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
     let layout = match recipe.observe {
         ObservationKind::Spectrum => OutputLayout::Array,
         ObservationKind::Power { .. } => OutputLayout::Rssi,
         ObservationKind::Channel { .. } => OutputLayout::Channels,
     };
-    fill(recipe, &simulator, layout, false, making.path(), progress, &AtomicBool::new(false))?;
-    making.publish()
+    fill(recipe, &simulator, layout, false, new_folder.path(), progress, &AtomicBool::new(false))?;
+    new_folder.publish()
 }
 
 /// Simulates `recipe` into the existing, empty `folder`.
@@ -129,32 +129,33 @@ fn fill(
     stop: &AtomicBool,
 ) -> Result<()> {
     let &SimulationRecipe { samples, seed, observe, .. } = recipe;
-    let mut written = Files::begin(folder, simulator, layout, samples, paths)?;
-    simulate_links(simulator, &SimulationRequest { what: observe, samples, seed }, stop, |i, tx, received| {
+    let mut files = Files::begin(folder, simulator, layout, samples, paths)?;
+    simulate_links(simulator, &SimulationRequest { kind: observe, samples, seed }, stop, |i, tx, received| {
         check_stopped(stop)?;
         let pose = recipe.scene.moved_receiver(i, tx, seed).map(|receiver| receiver.pose());
-        let place = pose.map_or_else(
+        let row = pose.map_or_else(
             || format!("{},{},{}\n", tx.x, tx.y, tx.z),
             |Pose { position, orientation }| pose_row(position, orientation),
         );
-        written.add(i, &place, &received)?;
+        files.add(i, &row, &received)?;
         progress(i + 1, samples);
         Ok(())
     })?;
-    written.finish(samples)?;
+    files.finish(samples)?;
     write_points(recipe, simulator, folder)?;
     write(&folder.join(MANIFEST), recipe.to_json())?;
     check_stopped(stop)
 }
 
+/// Writes the point cloud of the scene.
 fn write_points(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
     let path = folder.join(POINTS);
-    let written = fs::File::create(&path).and_then(|file| {
+    let result = fs::File::create(&path).and_then(|file| {
         let mut file = BufWriter::new(file);
         surface_points::write_ply(&cloud, &comment, &mut file)?;
         file.flush()
     });
-    written.map_err(|e| Error::write(&path, e))
+    result.map_err(|e| Error::write(&path, e))
 }

@@ -18,8 +18,8 @@ pub(crate) struct Patch {
     pub(crate) phase: f64,
 }
 
-/// Patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per patch and face, so that
-/// adding a face changes no other.
+/// Returns the patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per patch and
+/// face, so that adding a face changes no other.
 pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     let mut all = Vec::new();
     for (index, face) in world.faces.iter().enumerate() {
@@ -43,7 +43,7 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
         fresh.retain(|patch| {
             [1.0, -1.0]
                 .into_iter()
-                .any(|side| world.counting(patch.face, patch.point, patch.point + side * face.normal) == patch.face)
+                .any(|side| world.front_face(patch.face, patch.point, patch.point + side * face.normal) == patch.face)
         });
         fresh.iter_mut().for_each(|patch| patch.area = share);
         all.append(&mut fresh);
@@ -51,7 +51,7 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     all
 }
 
-/// Number of cells of the bounding rectangle that [`patches`] tests.
+/// Returns the number of cells of the bounding rectangle that [`patches`] tests.
 pub(crate) fn cells(face: &Face, side: f64) -> f64 {
     Lattice::new(&face.hull, face.normal, side).map_or(0.0, |l| l.columns * l.rows)
 }
@@ -70,6 +70,7 @@ struct Lattice {
 }
 
 impl Lattice {
+    /// Creates the grid of cells of about `side` metres; `None` without extent.
     fn new(hull: &[DVec3], normal: DVec3, side: f64) -> Option<Self> {
         let longest = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
         let u = longest.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
@@ -82,7 +83,7 @@ impl Lattice {
         Some(Self { u, v, level: normal * normal.dot(hull[0]), extent, columns, rows })
     }
 
-    /// Centres of the cells, metres, row by row.
+    /// Returns the centres of the cells, metres, row by row.
     fn middles(&self) -> impl Iterator<Item = DVec3> {
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let middle = |(low, high): (f64, f64), i: usize, n: usize| low + (high - low) * (i as f64 + 0.5) / n as f64;

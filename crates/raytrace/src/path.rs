@@ -37,7 +37,7 @@ pub enum Interaction {
 }
 
 impl Interaction {
-    /// Position, metres, world frame.
+    /// Returns the position, metres, world frame.
     pub fn point(&self) -> DVec3 {
         match *self {
             Self::Reflection { point, .. }
@@ -70,23 +70,24 @@ pub struct PropagationPath {
 }
 
 impl PropagationPath {
-    /// Delay, seconds.
+    /// Returns the delay, seconds.
     pub fn delay(&self) -> f64 {
         self.length / SPEED_OF_LIGHT
     }
 
-    /// Gain including the phase of the carrier delay: the contribution at the receiver. `wavelength` in metres.
+    /// Returns the gain including the phase of the carrier delay: the contribution at the receiver. `wavelength` in
+    /// metres.
     pub fn baseband(&self, wavelength: f64) -> Complex {
         self.gain * Complex::cis(-std::f64::consts::TAU * self.length / wavelength)
     }
 
-    /// Length of the path to a point near the receiver with the same interactions, metres.
+    /// Returns the length of the path to a point near the receiver with the same interactions, metres.
     pub fn length_to(&self, point: DVec3) -> f64 {
         self.before + point.distance(self.source)
     }
 }
 
-/// Azimuth and elevation of a unit vector, degrees; azimuth from 0 to 360 as in a spectrum.
+/// Returns the azimuth and elevation of a unit vector, degrees; azimuth from 0 to 360 as in a spectrum.
 pub(crate) fn angles(direction: DVec3) -> (f64, f64) {
     let azimuth = direction.y.atan2(direction.x).to_degrees();
     let elevation = direction.z.clamp(-1.0, 1.0).asin().to_degrees();

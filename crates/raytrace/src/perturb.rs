@@ -23,7 +23,7 @@ pub(crate) struct SceneErrors {
 /// keep their positions, which are usually measured best.
 pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
     let mut wrong = scene.clone();
-    finishes(&mut wrong, errors);
+    perturb_materials(&mut wrong, errors);
     if errors.positions_m > 0.0 {
         let mut rng = rng::stream(errors.seed, "wrong places", errors.draw);
         let mut error = || errors.positions_m * rng::normal(&mut rng) as f64;
@@ -37,7 +37,7 @@ pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
 }
 
 /// Gives each finish its own perturbed material.
-fn finishes(scene: &mut SceneFile, errors: &SceneErrors) {
+fn perturb_materials(scene: &mut SceneFile, errors: &SceneErrors) {
     if errors.materials == 0.0 {
         return;
     }
@@ -55,6 +55,7 @@ fn finishes(scene: &mut SceneFile, errors: &SceneErrors) {
     }
 }
 
+/// Moves each wall or corner by its own error.
 fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
     match outline {
         Outline::Box { low, high } => {
@@ -71,14 +72,15 @@ fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
     }
 }
 
+/// Moves an object horizontally.
 fn move_object(object: &mut Object, by: [f64; 2]) {
     let (first, second): (&mut [f64], Option<&mut [f64]>) = match object {
         Object::Box { low, high, .. } => (low, Some(high)),
         Object::Panel { from, to, .. } | Object::Opening { from, to, .. } => (from, Some(to)),
         Object::Mesh { shift, .. } => (shift, None),
     };
-    for place in [Some(first), second].into_iter().flatten() {
-        place.iter_mut().zip(by).for_each(|(v, error)| *v += error);
+    for corner in [Some(first), second].into_iter().flatten() {
+        corner.iter_mut().zip(by).for_each(|(v, error)| *v += error);
     }
 }
 
@@ -91,21 +93,21 @@ fn move_openings(truth: &SceneFile, wrong: &mut SceneFile) {
     };
     for k in 0..truth.objects.len() {
         let Object::Opening { from, to, heights, .. } = &truth.objects[k] else { continue };
-        let (old, new) = (uprights(truth, k), uprights(wrong, k));
-        let shares = |side: &[DVec2; 2]| Some([share(side, *from)?, share(side, *to)?]);
+        let (old, new) = (upright_sides(truth, k), upright_sides(wrong, k));
+        let shares = |side: &[DVec2; 2]| Some([position_along(side, *from)?, position_along(side, *to)?]);
         let host = old.iter().enumerate().rev().find_map(|(i, side)| Some((new[i], shares(side)?)));
         let Some(([a, b], shares)) = host else { continue };
-        let places = shares.map(|t| a.lerp(b, t).to_array());
+        let corners = shares.map(|t| a.lerp(b, t).to_array());
         let upper = if heights[1] <= top(truth) { heights[1].min(top(wrong)) } else { heights[1] };
         if let Object::Opening { from, to, heights, .. } = &mut wrong.objects[k] {
-            [*from, *to] = places;
+            [*from, *to] = corners;
             heights[1] = upper;
         }
     }
 }
 
-/// Upright sides of the room and of the first `count` objects as seen from above, in a fixed order.
-fn uprights(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
+/// Returns the upright sides of the room and of the first `count` objects as seen from above, in a fixed order.
+fn upright_sides(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
     let ring = |corners: &[DVec2]| -> Vec<[DVec2; 2]> {
         (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]).collect()
     };
@@ -129,8 +131,8 @@ fn uprights(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
     sides
 }
 
-/// Position of a point along a side, from 0 to 1; `None` if it is not on the side.
-fn share([a, b]: &[DVec2; 2], point: [f64; 2]) -> Option<f64> {
+/// Returns the position of a point along a side, from 0 to 1; `None` if it is not on the side.
+fn position_along([a, b]: &[DVec2; 2], point: [f64; 2]) -> Option<f64> {
     let (along, to) = (*b - *a, DVec2::from(point) - *a);
     let t = to.dot(along) / along.length_squared();
     let reach = TOUCHING / along.length();

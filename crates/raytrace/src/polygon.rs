@@ -34,13 +34,13 @@ pub(crate) fn clip(polygon: &[DVec3], (normal, offset): Plane) -> Vec<DVec3> {
     kept
 }
 
-/// Area of a convex polygon, m².
+/// Returns the area of a convex polygon, m².
 pub(crate) fn area(polygon: &[DVec3]) -> f64 {
     let Some((first, rest)) = polygon.split_first() else { return 0.0 };
     0.5 * rest.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
 }
 
-/// Planes through the sides of a convex polygon, perpendicular to its plane.
+/// Returns the planes through the sides of a convex polygon, perpendicular to its plane.
 pub(crate) fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Plane; N] {
     let middle = corners.iter().sum::<DVec3>() / N as f64;
     std::array::from_fn(|i| {
@@ -50,7 +50,7 @@ pub(crate) fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Pla
     })
 }
 
-/// Interval, from 0 to 1, in which a segment is more than `least` metres inside.
+/// Returns the interval, from 0 to 1, in which a segment is more than `least` metres inside.
 pub(crate) fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<(f64, f64)> {
     let (mut start, mut end) = (0.0_f64, 1.0_f64);
     for (normal, offset) in sides {
@@ -65,7 +65,7 @@ pub(crate) fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<
     (start < end).then_some((start, end))
 }
 
-/// Part of a triangle outside a convex polygon in its plane, as triangles.
+/// Returns the part of a triangle outside a convex polygon in its plane, as triangles.
 pub(crate) fn outside(triangle: &Triangle, sides: &[Plane]) -> Vec<Triangle> {
     let mut rest = triangle.corners().to_vec();
     let mut pieces = Vec::new();
@@ -78,8 +78,9 @@ pub(crate) fn outside(triangle: &Triangle, sides: &[Plane]) -> Vec<Triangle> {
     }
     let fan = |piece: Vec<DVec3>| {
         let (first, rest) = piece.split_first().map_or((DVec3::ZERO, &[][..]), |(first, rest)| (*first, rest));
-        let of = |w: &[DVec3]| Triangle { corner: first, sides: [w[0] - first, w[1] - first], face: triangle.face };
-        rest.windows(2).map(of).filter(|t| t.area() > LEAST_AREA).collect::<Vec<_>>()
+        let triangle_of =
+            |w: &[DVec3]| Triangle { corner: first, sides: [w[0] - first, w[1] - first], face: triangle.face };
+        rest.windows(2).map(triangle_of).filter(|t| t.area() > LEAST_AREA).collect::<Vec<_>>()
     };
     pieces.into_iter().flat_map(fan).collect()
 }

@@ -40,96 +40,96 @@ impl PreparedReceiver {
     /// # Errors
     /// An antenna inside an object, too many images or too much memory.
     pub(crate) fn new(scene: &Arc<SceneFile>, receiver: &SceneReceiver, world: &Arc<World>) -> Result<Self> {
-        let places = places(scene, receiver, world)?;
+        let points = traced_points(scene, receiver, world)?;
         let antennas = antennas(scene, receiver);
-        let tracer = |place: &DVec3| {
+        let tracer = |point: &DVec3| {
             let (world, antennas) = (Arc::clone(world), antennas.clone());
-            Tracer::new(world, scene.wavelength(), antennas, *place, &scene.propagation)
+            Tracer::new(world, scene.wavelength(), antennas, *point, &scene.propagation)
         };
-        let tracer = |place: &DVec3| {
-            tracer(place).ok_or_else(|| {
+        let tracer = |point: &DVec3| {
+            tracer(point).ok_or_else(|| {
                 Error::Config(format!(
                     "scene `{}`: its {} faces give {} too many images; lower `order` of its propagation, or simplify its \
                      meshes",
                     scene.name,
                     world.faces.len(),
-                    receiver.called("the receiver")
+                    receiver.describe("the receiver")
                 ))
             })
         };
-        let mut tracers = vec![tracer(&places[0])?];
-        let bytes = tracers[0].bytes().saturating_mul(places.len());
+        let mut tracers = vec![tracer(&points[0])?];
+        let bytes = tracers[0].bytes().saturating_mul(points.len());
         if bytes > MOST_BYTES {
             return Err(Error::Config(format!(
                 "scene `{}`: tracing to each of {} antennas would take {} GB; use the wavefront `Spherical`, fewer rows and \
                  columns, or a lower `order`",
                 scene.name,
-                places.len() - 1,
+                points.len() - 1,
                 bytes >> 30
             )));
         }
-        for place in &places[1..] {
-            tracers.push(tracer(place)?);
+        for point in &points[1..] {
+            tracers.push(tracer(point)?);
         }
         let beamformer = Beamformer::new(&receiver.array, WIDTH, HEIGHT);
         Ok(Self { scene: Arc::clone(scene), receiver: receiver.clone(), tracers, beamformer })
     }
 
-    /// Receiver description of the scene.
+    /// Returns the receiver description of the scene.
     pub fn receiver(&self) -> &SceneReceiver {
         &self.receiver
     }
 
-    /// Receiver pose, world frame.
+    /// Returns the receiver pose, world frame.
     pub fn pose(&self) -> Pose {
         self.receiver.pose()
     }
 
-    /// Antenna positions `[A]`, world frame, metres.
+    /// Returns the antenna positions `[A]`, world frame, metres.
     pub fn antennas(&self) -> Vec<DVec3> {
         elements(&self.scene, &self.receiver)
     }
 
-    /// Rotation from the receiver axes to the world axes.
+    /// Returns the rotation from the receiver axes to the world axes.
     pub fn world_from_receiver(&self) -> DMat3 {
         world_from_receiver(&self.pose())
     }
 
-    /// Approximate memory use of the tracers, bytes.
+    /// Returns the approximate memory use of the tracers, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.tracers.iter().map(Tracer::bytes).sum()
     }
 
-    /// Paths from `tx` to the centre of the array.
+    /// Returns the paths from `tx` to the centre of the array.
     pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         self.tracers[0].trace(tx)
     }
 
-    /// Channel h `[antennas, frequencies]` without receiver errors, from the paths of `tx`; frequencies in Hz. Each
-    /// frequency has its own wavenumber; path gains are those at the carrier.
+    /// Returns the channel h `[antennas, frequencies]` without receiver errors, from the paths of `tx`; frequencies in
+    /// Hz. Each frequency has its own wavenumber; path gains are those at the carrier.
     pub fn channel(&self, tx: DVec3, paths: &[PropagationPath], frequencies: &[f64]) -> Vec<Complex> {
         let wavelengths: Vec<f64> = frequencies.iter().map(|f| SPEED_OF_LIGHT / f).collect();
         if self.tracers.len() == 1 {
             let center = DVec3::from(self.receiver.position);
             return array::band_at(paths, &self.antennas(), center, &wavelengths, self.receiver.array.wavefront);
         }
-        let of_element = |tracer: &Tracer| {
+        let element_channel = |tracer: &Tracer| {
             let paths = tracer.trace(tx);
             let sum = |wavelength: &f64| paths.iter().map(|path| path.baseband(*wavelength)).sum();
             wavelengths.iter().map(sum).collect::<Vec<Complex>>()
         };
-        self.tracers[1..].iter().flat_map(of_element).collect()
+        self.tracers[1..].iter().flat_map(element_channel).collect()
     }
 
-    /// Spectrum of `tx`. `sample` selects the random receiver errors of the scene; `None`: no errors.
+    /// Returns the spectrum of `tx`. `sample` selects the random receiver errors of the scene; `None`: no errors.
     pub fn spectrum(&self, tx: DVec3, sample: Option<u64>) -> ReceivedPaths {
         let (channel, paths) = self.receive(tx, &[self.scene.carrier_hz], &self.scene.noise, sample);
         ReceivedPaths { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
     }
 
-    /// Observation of `tx`. `sample` selects the random errors; `None`: no errors.
-    pub fn observe(&self, tx: DVec3, what: &ObservationKind, sample: Option<u64>) -> ReceiverObservation {
-        match *what {
+    /// Returns the observation of `tx`. `sample` selects the random errors; `None`: no errors.
+    pub fn observe(&self, tx: DVec3, kind: &ObservationKind, sample: Option<u64>) -> ReceiverObservation {
+        match *kind {
             ObservationKind::Spectrum => {
                 let ReceivedPaths { spectrum, paths } = self.spectrum(tx, sample);
                 ReceiverObservation { observed: SimulatedObservation::Spectrum(spectrum), paths }
@@ -149,7 +149,7 @@ impl PreparedReceiver {
         }
     }
 
-    /// Channel `[antennas, frequencies]` with errors, and its paths.
+    /// Returns the channel `[antennas, frequencies]` with errors, and its paths.
     fn receive(
         &self,
         tx: DVec3,
@@ -166,37 +166,41 @@ impl PreparedReceiver {
     }
 }
 
-/// Array centre; if each element is traced, followed by the elements. All must be in free space.
-fn places(scene: &SceneFile, receiver: &SceneReceiver, world: &World) -> Result<Vec<DVec3>> {
+/// Returns the array centre; if each element is traced, followed by the elements. All must be in free space.
+fn traced_points(scene: &SceneFile, receiver: &SceneReceiver, world: &World) -> Result<Vec<DVec3>> {
     let center = DVec3::from(receiver.position);
-    world.check_free(center).map_err(|what| {
-        let subject = receiver.called("the receiver");
-        Error::Config(format!("scene `{}`: {subject} at {:?} is {what}; move it", scene.name, receiver.position))
+    world.check_free(center).map_err(|obstacle| {
+        let subject = receiver.describe("the receiver");
+        Error::Config(format!("scene `{}`: {subject} at {:?} is {obstacle}; move it", scene.name, receiver.position))
     })?;
-    let mut places = vec![center];
+    let mut points = vec![center];
     if receiver.array.wavefront == ArrayWavefront::Traced {
-        places.extend(elements(scene, receiver));
+        points.extend(elements(scene, receiver));
     }
-    for place in &places {
-        world.check_free(*place).map_err(|what| {
-            Error::Config(format!("scene `{}`: an antenna of the array, at {place}, is {what}; move it", scene.name))
+    for point in &points {
+        world.check_free(*point).map_err(|obstacle| {
+            Error::Config(format!(
+                "scene `{}`: an antenna of the array, at {point}, is {obstacle}; move it",
+                scene.name
+            ))
         })?;
     }
-    Ok(places)
+    Ok(points)
 }
 
-/// Antenna positions `[A]`, world frame, metres. Their spacing refers to the carrier wavelength.
+/// Returns the antenna positions `[A]`, world frame, metres. Their spacing refers to the carrier wavelength.
 fn elements(scene: &SceneFile, receiver: &SceneReceiver) -> Vec<DVec3> {
     let (center, turn) = (DVec3::from(receiver.position), world_from_receiver(&receiver.pose()));
     receiver.array.offsets(scene.wavelength()).into_iter().map(|offset| center + turn * offset).collect()
 }
 
+/// Returns the rotation from the receiver axes to the world axes.
 fn world_from_receiver(pose: &Pose) -> DMat3 {
     let [x, y, z, w] = pose.orientation;
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
 }
 
-/// Antennas of transmitter and receiver.
+/// Returns the antennas of transmitter and receiver.
 fn antennas(scene: &SceneFile, receiver: &SceneReceiver) -> Antennas {
     let array = &receiver.array;
     let transmitter = Antenna {

@@ -48,10 +48,10 @@ pub struct RayTracing {
 }
 
 impl RayTracing {
-    /// Note that explains the name.
+    /// Returns the note that explains the name.
     fn note(&self, is_oracle: bool, task: Task) -> String {
         let things = task.plural;
-        let what = match (&self.scene, self.is_exact() && is_oracle) {
+        let content = match (&self.scene, self.is_exact() && is_oracle) {
             (_, true) => {
                 let errors = if self.noise {
                     "with the phase errors of the antennas, and with new random noise"
@@ -72,28 +72,29 @@ impl RayTracing {
                 )
             }
         };
-        format!("«{}» is {what}", self.name())
+        format!("«{}» is {content}", self.name())
     }
 
+    /// Returns whether the scene has no errors.
     fn is_exact(&self) -> bool {
         self.material_error == 0.0 && self.position_error_m == 0.0
     }
 
-    /// Scene of this baseline, and whether it is that of the data.
+    /// Returns the scene of this baseline, and whether it is that of the data.
     fn scene(&self, data: &Dataset) -> Result<(SceneFile, bool)> {
-        let of_data = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
-        let of_data = of_data.and_then(|text| SceneFile::parse(text, Path::new("scene of the data")).ok());
-        match (&self.scene, of_data) {
-            (Some(path), of_data) => {
+        let data_scene = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
+        let data_scene = data_scene.and_then(|text| SceneFile::parse(text, Path::new("scene of the data")).ok());
+        match (&self.scene, data_scene) {
+            (Some(path), data_scene) => {
                 let scene = SceneFile::read(path)?;
-                let is_oracle = of_data.is_some_and(|of_data| of_data.portable() == scene.portable());
+                let is_oracle = data_scene.is_some_and(|data_scene| data_scene.portable() == scene.portable());
                 Ok((scene, is_oracle))
             }
             (None, Some(scene)) => Ok((scene, true)),
             (None, None) => {
-                let what = "RayTracing: these data are not simulated from a scene; name one in `scene`, such as \
+                let problem = "RayTracing: these data are not simulated from a scene; name one in `scene`, such as \
                             \"scenes/lab-s23.ron\"";
-                Err(Error::Config(what.into()))
+                Err(Error::Config(problem.into()))
             }
         }
     }
@@ -110,10 +111,10 @@ impl RayTracing {
                 seed: self.seed,
                 draw,
             };
-            let wrong = perturbed(scene, &errors);
-            match wrong.fault() {
+            let scene = perturbed(scene, &errors);
+            match scene.fault() {
                 Some(fault) => Err(Error::Config(format!("RayTracing: {fault}; lower its errors"))),
-                None => Simulator::new(&wrong),
+                None => Simulator::new(&scene),
             }
         };
         (0..DRAWS).find_map(|draw| attempt(draw).ok()).map_or_else(|| attempt(DRAWS), Ok)
@@ -141,15 +142,15 @@ impl Baseline for RayTracing {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        self.fit(data, FittingSet::train(&[])).map(|_| ()) // it learns nothing, and reads all that can be missing
+        self.fit(data, FittingSet::train(&[])).map(|_| ()) // it learns nothing, but reads every file that may be missing
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         let (scene, is_oracle) = self.scene(data)?;
-        let what = required_observation(data, &scene)?;
-        let listeners = receivers(data, &scene)?;
+        let kind = required_observation(data, &scene)?;
+        let receivers = receivers(data, &scene)?;
         let (simulator, note) = (self.simulator(&scene)?, self.note(is_oracle, data.task()));
-        Ok(Box::new(TracedBaseline { simulator, listeners, what, noise: self.noise, seed: self.seed, note, is_oracle }))
+        Ok(Box::new(TracedBaseline { simulator, receivers, kind, noise: self.noise, seed: self.seed, note, is_oracle }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -162,9 +163,9 @@ impl Baseline for RayTracing {
     }
 }
 
-/// Observation type of the data; an error if this scene cannot provide it.
+/// Returns the observation type of the data; an error if this scene cannot provide it.
 fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<ObservationKind> {
-    let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
+    let refuse = |problem: String| Err(Error::Config(format!("RayTracing: {problem}; leave it out")));
     if data.orientations.is_some() {
         return refuse("the receiver of these data moves".into());
     }
@@ -174,14 +175,14 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
         }
         let (width, height) = (data.width, data.height);
         if (width, height) != (WIDTH, HEIGHT) {
-            let what = format!("have {width}x{height} pixels, but RayTracing makes {WIDTH}x{HEIGHT}");
-            return refuse(format!("spectra of this data set {what}"));
+            let problem = format!("have {width}x{height} pixels, but RayTracing makes {WIDTH}x{HEIGHT}");
+            return refuse(format!("spectra of this data set {problem}"));
         }
         if data.elevation != Elevation::UPPER {
             let Elevation { first, last } = data.elevation;
-            let what =
+            let problem =
                 format!("spectra of this data set cover elevations {first} to {last}, but RayTracing makes 0 to 90");
-            return refuse(what);
+            return refuse(problem);
         }
         return Ok(ObservationKind::Spectrum);
     };
@@ -197,37 +198,39 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
     Ok(ObservationKind::Channel { snr_db: None })
 }
 
-/// Index in the scene of each receiver of the data: by name, or the only one.
+/// Returns the index in the scene of each receiver of the data: by name, or the only one.
 fn receivers(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
-    let of_data = &data.scene.receivers;
+    let data_receivers = &data.scene.receivers;
     let is_same = |a: f64, b: f64| (a / b - 1.0).abs() < SAME_FREQUENCY;
     if !scene.carriers_hz.is_empty() {
-        let find = |hz: f64| scene.carriers_hz.iter().position(|own| is_same(*own, hz));
+        let find = |hz: f64| scene.carriers_hz.iter().position(|carrier| is_same(*carrier, hz));
         let absent =
             || Error::Config("RayTracing: a carrier of the data is not in `carriers_hz` of the scene; add it".into());
-        return of_data.iter().map(|receiver| receiver.carrier_hz.and_then(find).ok_or_else(absent)).collect();
+        return data_receivers.iter().map(|receiver| receiver.carrier_hz.and_then(find).ok_or_else(absent)).collect();
     }
-    if let Some(hz) = of_data.iter().filter_map(|own| own.carrier_hz).find(|hz| !is_same(*hz, scene.carrier_hz)) {
-        let own = scene.carrier_hz;
+    if let Some(hz) =
+        data_receivers.iter().filter_map(|receiver| receiver.carrier_hz).find(|hz| !is_same(*hz, scene.carrier_hz))
+    {
+        let carrier = scene.carrier_hz;
         return Err(Error::Config(format!(
-            "RayTracing: the carrier of the data is {hz} Hz, and that of the scene {own} Hz; correct one of them"
+            "RayTracing: the carrier of the data is {hz} Hz, and that of the scene {carrier} Hz; correct one of them"
         )));
     }
     let find = |name: &str| scene.receivers().position(|receiver| receiver.name == name);
-    let only = (of_data.len() == 1).then_some(0);
-    let which = |name: &str| {
+    let only = (data_receivers.len() == 1).then_some(0);
+    let index_of = |name: &str| {
         find(name).or(only).ok_or_else(|| {
             Error::Config(format!("RayTracing: the scene has no receiver `{name}`; name its receivers as the data do"))
         })
     };
-    of_data.iter().map(|receiver| which(&receiver.name)).collect()
+    data_receivers.iter().map(|receiver| index_of(&receiver.name)).collect()
 }
 
 struct TracedBaseline {
     simulator: Simulator,
-    /// Index of the listener of each receiver of the data.
-    listeners: Vec<usize>,
-    what: ObservationKind,
+    /// Index in the simulator of each receiver of the data.
+    receivers: Vec<usize>,
+    kind: ObservationKind,
     noise: bool,
     seed: u64,
     note: String,
@@ -241,14 +244,14 @@ impl Predict for TracedBaseline {
         let draw = tx
             .iter()
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
-        let listener = &self.simulator.listeners()[self.listeners.get(query.receiver).copied().unwrap_or(0)];
-        match listener.observe(DVec3::from(tx), &self.what, self.noise.then_some(draw | 1 << 63)).observed {
+        let receiver = &self.simulator.receivers()[self.receivers.get(query.receiver).copied().unwrap_or(0)];
+        match receiver.observe(DVec3::from(tx), &self.kind, self.noise.then_some(draw | 1 << 63)).observed {
             SimulatedObservation::Spectrum(spectrum) => Image::from_bytes(WIDTH, HEIGHT, &spectrum.pixels),
             SimulatedObservation::Power(dbm) => Image { width: 1, height: 1, pixels: vec![dbm as Real] },
             SimulatedObservation::Channel(channel) => {
                 let gains = channel.iter().map(|h| [h.re as Real, h.im as Real]).collect();
                 let frequencies_hz = self.simulator.scene().frequencies();
-                let antennas = listener.receiver().array.elements();
+                let antennas = receiver.receiver().array.elements();
                 Observations::from(Channels { antennas, frequencies_hz, gains }).image(0)
             }
         }

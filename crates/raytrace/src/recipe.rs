@@ -40,13 +40,13 @@ impl SimulationRecipe {
     /// # Errors
     /// An invalid scene, with line and column, or a mesh that cannot be read.
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
-        check(samples, points).map_err(Error::Config)?;
+        check_counts(samples, points).map_err(Error::Config)?;
         let scene = SceneFile::read(scene)?;
         let receivers = scene.receivers().count() * scene.carriers_hz.len().max(1);
         if samples * receivers > MOST_SAMPLES {
-            let what = format!("more than {MOST_SAMPLES} links; give fewer samples");
+            let problem = format!("more than {MOST_SAMPLES} links; give fewer samples");
             let subject = format!("{samples} samples at {receivers} receivers");
-            return Err(Error::Config(format!("scene `{}`: {subject} are {what}", scene.name)));
+            return Err(Error::Config(format!("scene `{}`: {subject} are {problem}", scene.name)));
         }
         let file = |object: &Object| match object {
             Object::Mesh { file, .. } => Some(file.clone()),
@@ -54,8 +54,8 @@ impl SimulationRecipe {
         };
         let mut hashes = BTreeMap::new(); // many objects may have one mesh
         let hash = |file: std::path::PathBuf| {
-            if let Some(known) = hashes.get(&file) {
-                return Ok(String::clone(known));
+            if let Some(hash) = hashes.get(&file) {
+                return Ok(String::clone(hash));
             }
             let bytes = files::read_at_most(&file, mesh::MOST_BYTES).map_err(|e| Error::read(&file, e))?;
             Ok(hashes.entry(file).or_insert(format!("{:016x}", fnv(&bytes))).clone())
@@ -71,12 +71,13 @@ impl SimulationRecipe {
     pub fn observing(self, observe: ObservationKind) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
         if self.scene.moving_receiver.is_some() && observe != ObservationKind::Spectrum {
-            let what = "its receiver moves, which only spectra support; remove `moving_receiver`";
-            return Err(Error::Config(format!("scene `{}`: {what}", self.scene.name)));
+            let problem = "its receiver moves, which only spectra support; remove `moving_receiver`";
+            return Err(Error::Config(format!("scene `{}`: {problem}", self.scene.name)));
         }
         if !self.scene.carriers_hz.is_empty() && observe != ObservationKind::Spectrum {
-            let what = "it has several carriers, which only spectra support; remove `carriers_hz` or set --carrier-hz";
-            return Err(Error::Config(format!("scene `{}`: {what}", self.scene.name)));
+            let problem =
+                "it has several carriers, which only spectra support; remove `carriers_hz` or set --carrier-hz";
+            return Err(Error::Config(format!("scene `{}`: {problem}", self.scene.name)));
         }
         if let ObservationKind::Channel { .. } = observe {
             check_channels(&self.scene, self.samples)?;
@@ -89,7 +90,7 @@ impl SimulationRecipe {
         Self { scene: self.scene.with_receiver(receiver), ..self.clone() }
     }
 
-    /// Manifest as JSON: recipes with equal manifests give equal data sets.
+    /// Returns the manifest as JSON: recipes with equal manifests give equal data sets.
     pub fn to_json(&self) -> String {
         let mut manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
@@ -101,24 +102,24 @@ impl SimulationRecipe {
             "seed": self.seed,
             "points": self.points,
             "mesh_hashes": self.meshes,
-            "scene": self.scene.portable().to_ron(), // the hashes say which meshes
+            "scene": self.scene.portable().to_ron(), // the hashes identify the meshes
         });
         if self.observe != ObservationKind::Spectrum {
-            manifest["observe"] = serde_json::json!(self.observe); // spectra of before keep their name
+            manifest["observe"] = serde_json::json!(self.observe); // without the field, data sets of spectra keep their folder name
         }
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }
 
-    /// Folder name, unique per manifest.
+    /// Returns the folder name, unique per manifest.
     pub fn folder_name(&self) -> String {
-        let good = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' };
-        let name: String = self.scene.name.chars().map(good).take(40).collect();
+        let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' };
+        let name: String = self.scene.name.chars().map(plain).take(40).collect();
         format!("{name}-{:016x}", fnv(self.to_json().as_bytes()))
     }
 }
 
 /// Returns an error for numbers out of range.
-pub(crate) fn check(samples: usize, points: usize) -> Result<(), String> {
+pub(crate) fn check_counts(samples: usize, points: usize) -> Result<(), String> {
     if !(5..=MOST_SAMPLES).contains(&samples) {
         return Err(format!("`samples` is {samples}; give 5 to {MOST_SAMPLES}"));
     }
@@ -156,7 +157,7 @@ fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
     Ok(())
 }
 
-/// 64-bit FNV-1a hash: equal on every machine and in every version.
+/// Returns the 64-bit FNV-1a hash: equal on every machine and in every version.
 fn fnv(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
 }

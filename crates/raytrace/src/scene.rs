@@ -118,13 +118,13 @@ impl SceneFile {
         scene.with_meshes(MitsubaScene::read(&folder.join(file))?, (path, &text))
     }
 
-    /// Scene of a Mitsuba file, with isotropic antennas at positions that suit its size.
+    /// Returns the scene of a Mitsuba file, with isotropic antennas at positions that suit its size.
     fn read_mitsuba(path: &Path) -> Result<Self> {
         let meshes = MitsubaScene::read(path)?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
         // Sionna RT and Blender name files `scene.xml`.
         let folder =
-            path.parent().and_then(Path::file_name).filter(|_| path.file_stem().is_some_and(|own| own == "scene"));
+            path.parent().and_then(Path::file_name).filter(|_| path.file_stem().is_some_and(|stem| stem == "scene"));
         scene.name = folder.or(path.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
         let [receiver, low, high] = meshes.antennas()?;
         scene.receiver.position = receiver;
@@ -132,14 +132,15 @@ impl SceneFile {
         scene.with_meshes(meshes, (path, &files::read_text(path)?))
     }
 
-    /// The scene of the file `path` with the meshes and materials of a Mitsuba file; its own materials have precedence.
+    /// Returns the scene of the file `path` with the meshes and materials of a Mitsuba file; its own materials have
+    /// precedence.
     fn with_meshes(mut self, meshes: MitsubaScene, (path, text): (&Path, &str)) -> Result<Self> {
         self.objects.extend(meshes.objects);
         self.materials = meshes.materials.into_iter().chain(self.materials).collect();
         self.check_in(path, text)
     }
 
-    /// The scene with another carrier and another position of the first receiver, if given.
+    /// Returns the scene with another carrier and another position of the first receiver, if given.
     ///
     /// # Errors
     /// A value out of range.
@@ -148,7 +149,7 @@ impl SceneFile {
             (self.carrier_hz, self.carriers_hz) = (only, Vec::new());
         }
         self.receiver.position = receiver.unwrap_or(self.receiver.position);
-        let fault = self.fault().map(|what| Error::Config(format!("scene `{}`: {what}", self.name)));
+        let fault = self.fault().map(|problem| Error::Config(format!("scene `{}`: {problem}", self.name)));
         fault.map_or(Ok(self), Err)
     }
 
@@ -162,20 +163,20 @@ impl SceneFile {
 
     /// Checks the scene in the file `path` with content `text`.
     fn check_in(self, path: &Path, text: &str) -> Result<Self> {
-        self.check_names().and_then(|()| self.check()).map_err(|fault| match place(text, &fault.near) {
-            Some((line, column)) => Error::at(path, line, column, fault.what),
-            None => Error::input(path, fault.what),
+        self.check_names().and_then(|()| self.check()).map_err(|fault| match position_of(text, &fault.near) {
+            Some((line, column)) => Error::at(path, line, column, fault.message),
+            None => Error::input(path, fault.message),
         })?;
         Ok(self)
     }
 
-    /// Scene as RON text, with every default written out.
+    /// Returns the scene as RON text, with every default written out.
     pub fn to_ron(&self) -> String {
         let config = ron::ser::PrettyConfig::new().struct_names(true);
         pwrfgs_core::plugin::ron_options().to_string_pretty(self, config).expect("a scene is plain data")
     }
 
-    /// The scene with mesh file names instead of paths, independent of the folder.
+    /// Returns the scene with mesh file names instead of paths, independent of the folder.
     pub(crate) fn portable(&self) -> Self {
         let mut scene = self.clone();
         for object in &mut scene.objects {
@@ -186,22 +187,22 @@ impl SceneFile {
         scene
     }
 
-    /// Material called `name`: the scene's own, else that of ITU-R P.2040.
+    /// Returns the material called `name`: the scene's own, else that of ITU-R P.2040.
     pub fn material(&self, name: &str) -> Option<Material> {
         self.materials.get(name).cloned().or_else(|| material::named(name))
     }
 
-    /// Carrier wavelength, metres.
+    /// Returns the carrier wavelength, metres.
     pub fn wavelength(&self) -> f64 {
         SPEED_OF_LIGHT / self.carrier_hz
     }
 
-    /// Pose of the first receiver.
+    /// Returns the pose of the first receiver.
     pub fn pose(&self) -> Pose {
         self.receiver.pose()
     }
 
-    /// All receivers: `receiver` first, then `more_receivers`.
+    /// Returns all receivers: `receiver` first, then `more_receivers`.
     pub fn receivers(&self) -> impl Iterator<Item = &SceneReceiver> + Clone {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
     }
@@ -216,8 +217,8 @@ impl SceneFile {
         Some(SceneReceiver { position: position.to_array(), orientation, ..self.receiver.clone() })
     }
 
-    /// The scene at each of its carriers, with a receiver of this name, which sets its noise; the scene itself if it has
-    /// one carrier.
+    /// Returns the scene at each of its carriers, with a receiver of this name, which sets its noise; the scene itself
+    /// if it has one carrier.
     pub(crate) fn per_carrier(&self) -> Vec<Self> {
         let at = |hz: &f64| {
             let mut receiver = self.receiver.clone();
@@ -227,7 +228,7 @@ impl SceneFile {
         if self.carriers_hz.is_empty() { vec![self.clone()] } else { self.carriers_hz.iter().map(at).collect() }
     }
 
-    /// The scene with only one of its receivers.
+    /// Returns the scene with only one of its receivers.
     pub fn with_receiver(&self, receiver: &SceneReceiver) -> Self {
         Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
     }
@@ -237,25 +238,25 @@ impl SceneFile {
         self.subcarriers.as_ref().map_or_else(|| vec![self.carrier_hz], |band| band.frequencies(self.carrier_hz))
     }
 
-    /// All finishes, with the names of their objects.
+    /// Returns all finishes, with the names of their objects.
     pub(crate) fn finishes(&self) -> impl Iterator<Item = (&str, &Finish)> {
         let room = self.room.iter();
         let room = room.flat_map(|room| [("walls", &room.walls), ("floor", &room.floor), ("ceiling", &room.ceiling)]);
         room.chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
-    /// The first problem of the scene, in words.
+    /// Returns the first problem of the scene, in words.
     pub(crate) fn fault(&self) -> Option<String> {
-        self.check().err().map(|fault| fault.what)
+        self.check().err().map(|fault| fault.message)
     }
 
     /// Checks that every name is printable.
     fn check_names(&self) -> Result<(), SceneFault> {
         let is_plain = |name: &str| !name.chars().any(char::is_control) && name.chars().count() <= LONGEST_NAME;
-        let fault = |what: String| {
-            let what =
-                format!("{what} holds control characters or more than {LONGEST_NAME} letters; give a plain name");
-            Err(SceneFault::of(what, "name"))
+        let fault = |subject: String| {
+            let message =
+                format!("{subject} holds control characters or more than {LONGEST_NAME} letters; give a plain name");
+            Err(SceneFault::of(message, "name"))
         };
         if self.name.trim().is_empty() {
             return Err(SceneFault::of("`name` is empty; give a plain name", "name"));
@@ -273,13 +274,14 @@ impl SceneFile {
         Ok(())
     }
 
+    /// Checks all values.
     fn check(&self) -> Result<(), SceneFault> {
         if !(1e6..=1e12).contains(&self.carrier_hz) {
-            let what = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
-            return Err(SceneFault::of(what, "carrier_hz"));
+            let problem = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
+            return Err(SceneFault::of(problem, "carrier_hz"));
         }
         let is_fixed = self.more_receivers.is_empty() && self.moving_receiver.is_none();
-        check_carriers(&self.carriers_hz, is_fixed).map_err(|what| SceneFault::of(what, "carriers_hz"))?;
+        check_carriers(&self.carriers_hz, is_fixed).map_err(|problem| SceneFault::of(problem, "carriers_hz"))?;
         for (name, material) in &self.materials {
             material
                 .check()
@@ -289,7 +291,7 @@ impl SceneFile {
             self.finishes().try_for_each(|(owner, finish)| self.check_finish(owner, finish, hz))?;
         }
         if let Some(room) = &self.room {
-            room.outline.check().map_err(|what| SceneFault::of(what, "outline"))?;
+            room.outline.check().map_err(|problem| SceneFault::of(problem, "outline"))?;
         } else if self.objects.is_empty() && self.mitsuba.is_none() {
             return Err(SceneFault::of("the scene is empty; give it a `room`, `objects` or `mitsuba`", "receiver"));
         }
@@ -298,67 +300,72 @@ impl SceneFile {
             let quoted = format!("\"{}\"", object.name());
             object.check().map_err(|why| SceneFault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
             if !names.insert(object.name()) {
-                let what = format!("two objects are called `{}`; give each a unique name", object.name());
-                return Err(SceneFault::of(what, &quoted));
+                let problem = format!("two objects are called `{}`; give each a unique name", object.name());
+                return Err(SceneFault::of(problem, &quoted));
             }
         }
         self.check_receivers()?;
         if let Some(band) = &self.subcarriers {
-            band.check_around(self.carrier_hz).map_err(|what| SceneFault::of(what, "subcarriers"))?;
+            band.check_around(self.carrier_hz).map_err(|problem| SceneFault::of(problem, "subcarriers"))?;
         }
-        self.transmitter.check().map_err(|what| SceneFault::of(what, "transmitter"))?;
-        self.transmitter.positions.check().map_err(|what| SceneFault::of(what, "positions"))
+        self.transmitter.check().map_err(|problem| SceneFault::of(problem, "transmitter"))?;
+        self.transmitter.positions.check().map_err(|problem| SceneFault::of(problem, "positions"))
     }
 
+    /// Checks the receivers, and that their names are unique.
     fn check_receivers(&self) -> Result<(), SceneFault> {
         if self.receivers().count() > MOST_RECEIVERS {
-            let what = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
-            return Err(SceneFault::of(what, "more_receivers"));
+            let problem = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
+            return Err(SceneFault::of(problem, "more_receivers"));
         }
-        self.receiver.check().map_err(|what| SceneFault::of(what, "receiver"))?;
+        self.receiver.check().map_err(|problem| SceneFault::of(problem, "receiver"))?;
         if let Some(moving) = &self.moving_receiver {
-            moving.check(!self.more_receivers.is_empty()).map_err(|what| SceneFault::of(what, "moving_receiver"))?;
+            moving
+                .check(!self.more_receivers.is_empty())
+                .map_err(|problem| SceneFault::of(problem, "moving_receiver"))?;
         }
         let mut names = BTreeSet::new();
         for receiver in self.receivers() {
             let quoted = format!("\"{}\"", receiver.name);
-            receiver.check_name().map_err(|what| SceneFault::of(what, &quoted))?;
-            receiver.check().map_err(|what| SceneFault::of(what, &quoted))?;
+            receiver.check_name().map_err(|problem| SceneFault::of(problem, &quoted))?;
+            receiver.check().map_err(|problem| SceneFault::of(problem, &quoted))?;
             // Folder names are not case-sensitive on some systems.
             if !names.insert(receiver.name.to_ascii_lowercase()) {
-                let what = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
-                return Err(SceneFault::of(what, "more_receivers"));
+                let problem = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
+                return Err(SceneFault::of(problem, "more_receivers"));
             }
         }
         Ok(())
     }
 
+    /// Checks a finish: its material at this carrier, thickness and roughness.
     fn check_finish(&self, owner: &str, finish: &Finish, carrier_hz: f64) -> Result<(), SceneFault> {
         let name = &finish.material;
         let quoted = format!("\"{name}\"");
         let Some(material) = self.material(name) else {
-            let mut known: Vec<&str> = material::names();
-            known.extend(self.materials.keys().map(String::as_str));
-            let hint = did_you_mean(name, known.iter().copied());
-            known.truncate(material::names().len() + LISTED);
-            let what = format!("unknown material `{name}`{hint}; known are {}", known.join(", "));
-            return Err(SceneFault::of(what, &quoted));
+            let mut names: Vec<&str> = material::names();
+            names.extend(self.materials.keys().map(String::as_str));
+            let hint = did_you_mean(name, names.iter().copied());
+            names.truncate(material::names().len() + LISTED);
+            let problem = format!("unknown material `{name}`{hint}; known are {}", names.join(", "));
+            return Err(SceneFault::of(problem, &quoted));
         };
         let eta = material.permittivity(carrier_hz);
         if !(eta.re >= LEAST_PERMITTIVITY && eta.norm() <= MOST_PERMITTIVITY) {
-            let what = format!(
+            let problem = format!(
                 "material `{name}` has a relative permittivity of {:e} and {:e} at {} GHz; correct its `a`, `b`, `c` and `d`",
                 eta.re,
                 eta.im,
                 carrier_hz / 1e9
             );
-            return Err(SceneFault::of(what, &quoted));
+            return Err(SceneFault::of(problem, &quoted));
         }
         if let Some(thickness) = finish.thickness_m
             && !(thickness > 0.0 && thickness <= 10.0)
         {
-            let what = format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
-            return Err(SceneFault::of(what, &quoted));
+            let problem =
+                format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
+            return Err(SceneFault::of(problem, &quoted));
         }
         match finish.roughness {
             Some(s) if !(0.0..=1.0).contains(&s) => {
@@ -371,18 +378,18 @@ impl SceneFile {
 
 /// Problem, with a word of the file near it.
 struct SceneFault {
-    what: String,
+    message: String,
     near: String,
 }
 
 impl SceneFault {
-    fn of(what: impl Into<String>, near: &str) -> Self {
-        Self { what: what.into(), near: near.into() }
+    fn of(message: impl Into<String>, near: &str) -> Self {
+        Self { message: message.into(), near: near.into() }
     }
 }
 
-/// Line and column of the first occurrence of `word` outside comments.
-fn place(text: &str, word: &str) -> Option<(usize, usize)> {
+/// Returns the line and column of the first occurrence of `word` outside comments.
+fn position_of(text: &str, word: &str) -> Option<(usize, usize)> {
     text.lines().enumerate().find_map(|(i, line)| {
         let code = line.split("//").next().unwrap_or_default();
         code.find(word).map(|at| (i + 1, code[..at].chars().count() + 1))

@@ -74,14 +74,14 @@ impl Simulated {
     /// Reads a data set written by [`crate::output::write_links`].
     fn read(&self, recipe: &SimulationRecipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| folder.join(POINTS));
-        let one = self.observe == ObservationKind::Spectrum && recipe.scene.more_receivers.is_empty();
-        let mut data = if one {
+        let is_single = self.observe == ObservationKind::Spectrum && recipe.scene.more_receivers.is_empty();
+        let mut data = if is_single {
             Arrays { root: folder.to_owned(), points, elevation: None }.load(Path::new(""), &|_, _| {})?
         } else {
             links(recipe, folder, points)?
         };
         let links = self.samples * recipe.scene.carriers_hz.len().max(1);
-        if (one && data.len() != links) || data.scene.points.len() != self.points {
+        if (is_single && data.len() != links) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds an unexpected number of spectra or points"));
         }
         data.title = strip_control(&format!("{} (simulated)", recipe.scene.name));
@@ -93,19 +93,19 @@ impl Simulated {
 /// Reads powers or channels: all received links of all receivers.
 fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
-    let receivers: Vec<Receiver> = scene.receivers().map(|receiver| of_data(scene, receiver)).collect();
+    let receivers: Vec<Receiver> = scene.receivers().map(|receiver| data_receiver(scene, receiver)).collect();
     let (transmitters, mut observations) = read_links(recipe, folder)?;
     let pairs = transmitters.iter().enumerate().flat_map(|(t, tx)| (0..receivers.len()).map(move |r| (t, *tx, r)));
     let mut samples: Vec<Sample> = pairs.map(|(t, tx, receiver)| Sample { id: t as u32 + 1, tx, receiver }).collect();
     if let Observations::Powers(all) = &mut observations {
-        let is_heard = |dbm: &Real| f64::from(*dbm) > SILENT_DBM;
-        let mut received = all.iter().map(is_heard);
+        let is_received = |dbm: &Real| f64::from(*dbm) > SILENT_DBM;
+        let mut received = all.iter().map(is_received);
         samples.retain(|_| received.next().unwrap_or(false));
-        all.retain(is_heard);
+        all.retain(is_received);
     }
     if samples.is_empty() {
-        let what = "no receiver receives any transmitter; raise `power_dbm` of its transmitter";
-        return Err(Error::Config(format!("scene `{}`: {what}", scene.name)));
+        let problem = "no receiver receives any transmitter; raise `power_dbm` of its transmitter";
+        return Err(Error::Config(format!("scene `{}`: {problem}", scene.name)));
     }
     let (test, train) = (0..samples.len()).partition(|&i| is_test(samples[i].id as usize - 1));
     let points = points.map_or_else(|| Ok(Vec::new()), |path| read_points(&path))?;
@@ -113,9 +113,9 @@ fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> R
     Ok(Dataset { official: Some((train, test)), ..data })
 }
 
-/// Transmitter positions and observations of every link of a cached folder; the link of a pair has index `transmitter *
-/// receivers + receiver`. Only files written by this program version are valid: others count as damaged, and the cache
-/// is rebuilt.
+/// Returns the transmitter positions and observations of every link of a cached folder; the link of a pair has index
+/// `transmitter * receivers + receiver`. Only files written by this program version are valid: others count as damaged,
+/// and the cache is rebuilt.
 fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<[f64; 3]>, Observations)> {
     let (scene, samples) = (&recipe.scene, recipe.samples);
     let receivers = scene.receivers().count();
@@ -131,16 +131,18 @@ fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<[f64; 3]>
             Channels { antennas, frequencies_hz, gains }.into()
         }
     };
-    let places = table(&folder.join(POSITIONS), samples, 3)?;
-    Ok((places.as_chunks().0.to_vec(), observations))
+    let positions = table(&folder.join(POSITIONS), samples, 3)?;
+    Ok((positions.as_chunks().0.to_vec(), observations))
 }
 
+/// Opens the array of spectra.
 fn spectra(path: &Path, links: usize) -> Result<Spectra> {
     let shape = [links, HEIGHT, WIDTH];
     let spectra = Spectra::open(path, npy_header(Number::U8, &shape).len() as u64, Number::U8, shape)?;
     if (links * HEIGHT * WIDTH) as u64 <= IN_MEMORY { spectra.into_memory() } else { Ok(spectra) }
 }
 
+/// Reads the array of channels `[links, antennas, subcarriers]`.
 fn channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
     let header = npy_header_as("<c8", &shape);
     let length = header.len() + 8 * shape.iter().product::<usize>();
@@ -154,19 +156,19 @@ fn channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
     }
 }
 
-/// Numbers `[rows, columns]` of a table with a header.
+/// Returns the numbers `[rows, columns]` of a table with a header.
 fn table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
     let text = files::read_text(path)?;
     let cells = text.lines().skip(1).flat_map(|row| row.split(','));
     let numbers = cells.map(|cell| cell.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<_>>>();
     // The last number of a truncated file may still be a valid number.
-    let whole = numbers.filter(|numbers| numbers.len() == rows * columns && text.ends_with('\n'));
-    whole.ok_or_else(|| Error::input(path, "holds an unexpected table"))
+    let complete = numbers.filter(|numbers| numbers.len() == rows * columns && text.ends_with('\n'));
+    complete.ok_or_else(|| Error::input(path, "holds an unexpected table"))
 }
 
 /// Converts a receiver of a scene to one of a data set.
-fn of_data(scene: &SceneFile, receiver: &scene::SceneReceiver) -> Receiver {
-    let antennas = receiver.array.offsets(scene.wavelength()).into_iter().map(|place| place.to_array()).collect();
+fn data_receiver(scene: &SceneFile, receiver: &scene::SceneReceiver) -> Receiver {
+    let antennas = receiver.array.offsets(scene.wavelength()).into_iter().map(|offset| offset.to_array()).collect();
     Receiver { antennas, ..Receiver::new(receiver.name.clone(), receiver.pose()) }
 }
 
@@ -186,12 +188,12 @@ impl DataSource for Simulated {
     }
 
     fn check(&self) -> Result<(), String> {
-        recipe::check(self.samples, self.points)?;
+        recipe::check_counts(self.samples, self.points)?;
         self.observe.check().map_err(|why| format!("observe: {why}"))
     }
 }
 
-/// Cache folder: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` if there is none.
+/// Returns the cache folder: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` if there is none.
 pub fn cache_root() -> Option<PathBuf> {
     match std::env::var_os("PWRFGS_CACHE") {
         Some(path) if !path.is_empty() => Some(path.into()),
@@ -199,7 +201,7 @@ pub fn cache_root() -> Option<PathBuf> {
     }
 }
 
-/// Result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
+/// Returns the result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
 ///
 /// An entry is a folder made by [`output::write_as`], with one array or table of all links; the receivers of a
 /// transmitter are consecutive. It is used only if its manifest equals that of the recipe and `read` succeeds;
@@ -215,10 +217,10 @@ pub fn open_or_make<T>(
     progress: Progress<'_>,
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
-    let Some(root) = root else { return make_for_now(recipe, progress, read) };
+    let Some(root) = root else { return simulate_temporarily(recipe, progress, read) };
     NewFolder::clear(root);
     let folder = root.join(recipe.folder_name());
-    if is_of(&folder, recipe) {
+    if is_made_by(&folder, recipe) {
         match read(&folder) {
             Ok(data) => return Ok(data),
             Err(e) => tracing::warn!("cached data set {} is damaged ({e}); simulating it again", folder.display()),
@@ -226,30 +228,35 @@ pub fn open_or_make<T>(
     }
     if let Err(e) = files::check_place(&folder) {
         tracing::warn!("cannot cache simulated data: {e}");
-        return make_for_now(recipe, progress, read);
+        return simulate_temporarily(recipe, progress, read);
     }
     let cleared = if folder.exists() { NewFolder::remove(&folder) } else { Ok(()) }; // a damaged entry
-    let made = cleared.and_then(|()| output::write_links(recipe, &folder, progress));
-    match made {
+    let result = cleared.and_then(|()| output::write_links(recipe, &folder, progress));
+    match result {
         Ok(()) => read(&folder),
         // Another process finished first.
-        Err(_) if is_of(&folder, recipe) => read(&folder),
+        Err(_) if is_made_by(&folder, recipe) => read(&folder),
         Err(e @ Error::Write { .. }) => {
             tracing::warn!("cannot cache simulated data: {e}");
-            make_for_now(recipe, progress, read)
+            simulate_temporarily(recipe, progress, read)
         }
         Err(e) => Err(e),
     }
 }
 
-/// Whether the folder holds the data set of the recipe according to its manifest.
-fn is_of(folder: &Path, recipe: &SimulationRecipe) -> bool {
+/// Returns whether the folder holds the data set of the recipe according to its manifest.
+fn is_made_by(folder: &Path, recipe: &SimulationRecipe) -> bool {
     files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
 }
 
-fn make_for_now<T>(recipe: &SimulationRecipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
-    let making = NewFolder::next_to(&std::env::temp_dir().join("pwrfgs"))?;
-    let folder = making.path().join("data");
+/// Returns the result of `read` on a temporary folder, which is then deleted.
+fn simulate_temporarily<T>(
+    recipe: &SimulationRecipe,
+    progress: Progress<'_>,
+    read: impl Fn(&Path) -> Result<T>,
+) -> Result<T> {
+    let temporary = NewFolder::next_to(&std::env::temp_dir().join("pwrfgs"))?;
+    let folder = temporary.path().join("data");
     output::write_links(recipe, &folder, progress)?;
     read(&folder)
 }

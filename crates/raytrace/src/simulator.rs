@@ -22,7 +22,7 @@ pub struct Simulator {
     scene: Arc<SceneFile>,
     world: Arc<World>,
     /// Receivers, at least one; with several carriers, one per carrier.
-    listeners: Vec<PreparedReceiver>,
+    receivers: Vec<PreparedReceiver>,
 }
 
 impl Simulator {
@@ -34,32 +34,36 @@ impl Simulator {
     pub fn new(scene: &SceneFile) -> Result<Self> {
         let (scene, world) = (Arc::new(scene.clone()), Arc::new(world::from_scene(scene)?));
         check_patches(&scene, &world)?;
-        let mut listeners: Vec<PreparedReceiver> = Vec::new();
-        for own in scene.per_carrier() {
-            let own_world =
-                if scene.carriers_hz.is_empty() { Arc::clone(&world) } else { Arc::new(world::from_scene(&own)?) };
-            let own = Arc::new(own);
-            for receiver in own.receivers() {
-                listeners.push(PreparedReceiver::new(&own, receiver, &own_world)?);
-                check_memory(&scene, &listeners)?;
+        let mut receivers: Vec<PreparedReceiver> = Vec::new();
+        for carrier_scene in scene.per_carrier() {
+            let carrier_world = if scene.carriers_hz.is_empty() {
+                Arc::clone(&world)
+            } else {
+                Arc::new(world::from_scene(&carrier_scene)?)
+            };
+            let carrier_scene = Arc::new(carrier_scene);
+            for receiver in carrier_scene.receivers() {
+                receivers.push(PreparedReceiver::new(&carrier_scene, receiver, &carrier_world)?);
+                check_memory(&scene, &receivers)?;
             }
         }
-        Ok(Self { scene, world, listeners })
+        Ok(Self { scene, world, receivers })
     }
 
-    /// The scene.
+    /// Returns the scene.
     pub fn scene(&self) -> &SceneFile {
         &self.scene
     }
 
-    /// Geometry of the scene.
+    /// Returns the geometry of the scene.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// Receivers, in the order of the scene; the first is `receiver`. With several carriers, one per carrier.
-    pub fn listeners(&self) -> &[PreparedReceiver] {
-        &self.listeners
+    /// Returns the receivers, in the order of the scene; the first is `receiver`. With several carriers, one per
+    /// carrier.
+    pub fn receivers(&self) -> &[PreparedReceiver] {
+        &self.receivers
     }
 
     /// Prepares the first receiver of the scene at another position (metres, world frame).
@@ -70,9 +74,9 @@ impl Simulator {
         PreparedReceiver::new(&self.scene, &SceneReceiver { position, ..self.scene.receiver.clone() }, &self.world)
     }
 
-    /// Paths from `tx` to the centre of the first receiver's array.
+    /// Returns the paths from `tx` to the centre of the first receiver's array.
     pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
-        self.listeners[0].trace(tx)
+        self.receivers[0].trace(tx)
     }
 
     /// Draws the positions of `count` transmitters.
@@ -88,20 +92,23 @@ impl Simulator {
 
     /// Returns an error for a transmitter at an antenna, where the gain is infinite.
     fn check_apart(&self, positions: &[DVec3]) -> Result<()> {
-        for listener in &self.listeners {
-            let mut places = listener.antennas();
-            places.push(DVec3::from(listener.receiver().position));
-            let is_in = |tx: &DVec3| places.iter().any(|place| place.distance(*tx) < MARGIN);
+        for receiver in &self.receivers {
+            let mut antennas = receiver.antennas();
+            antennas.push(DVec3::from(receiver.receiver().position));
+            let is_in = |tx: &DVec3| antennas.iter().any(|antenna| antenna.distance(*tx) < MARGIN);
             if let Some(i) = positions.iter().position(is_in) {
-                let (DVec3 { x, y, z }, subject) = (positions[i], listener.receiver().called("the receiver"));
-                let what = "move the transmitters or the receiver";
-                return Err(Error::Config(format!("transmitter {} at ({x}, {y}, {z}) is in {subject}; {what}", i + 1)));
+                let (DVec3 { x, y, z }, subject) = (positions[i], receiver.receiver().describe("the receiver"));
+                let advice = "move the transmitters or the receiver";
+                return Err(Error::Config(format!(
+                    "transmitter {} at ({x}, {y}, {z}) is in {subject}; {advice}",
+                    i + 1
+                )));
             }
         }
         Ok(())
     }
 
-    /// `count` points on all surfaces, with normals.
+    /// Returns `count` points on all surfaces, with normals.
     pub fn surface_points(&self, count: usize, seed: u64) -> SurfacePoints {
         let triangles: Vec<[DVec3; 3]> = self.world.triangles.iter().map(Triangle::corners).collect();
         let normals: Vec<DVec3> =
@@ -114,7 +121,7 @@ impl Simulator {
 #[derive(Clone, Copy, Debug)]
 pub struct SimulationRequest {
     /// Observation type.
-    pub what: ObservationKind,
+    pub kind: ObservationKind,
     /// Number of transmitters.
     pub samples: usize,
     /// Random seed of positions and errors.
@@ -133,17 +140,19 @@ pub fn simulate_links(
     stop: &AtomicBool,
     mut each: impl FnMut(usize, DVec3, Vec<ReceiverObservation>) -> Result<()>,
 ) -> Result<()> {
-    let &SimulationRequest { what, samples, seed } = request;
+    let &SimulationRequest { kind, samples, seed } = request;
     let (positions, scene) = (simulator.positions(samples, seed)?, &simulator.scene);
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
         let receive = |(i, tx): (usize, &DVec3)| {
             check_stopped(stop)?;
             match scene.moved_receiver(c * CHUNK + i, *tx, seed) {
-                None => Ok(simulator.listeners.iter().map(|own| own.observe(*tx, &what, Some(draw(i)))).collect()),
+                None => {
+                    Ok(simulator.receivers.iter().map(|receiver| receiver.observe(*tx, &kind, Some(draw(i)))).collect())
+                }
                 Some(receiver) => {
-                    let listener = PreparedReceiver::new(scene, &receiver, &simulator.world)?;
-                    Ok(vec![listener.observe(scene.receiver.position.into(), &what, Some(draw(i)))])
+                    let receiver = PreparedReceiver::new(scene, &receiver, &simulator.world)?;
+                    Ok(vec![receiver.observe(scene.receiver.position.into(), &kind, Some(draw(i)))])
                 }
             }
         };
@@ -151,8 +160,8 @@ pub fn simulate_links(
         for ((i, tx), received) in chunk.iter().enumerate().zip(all) {
             if !received.iter().all(|received| received.observed.is_finite()) {
                 let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);
-                let what = "gives a field that is not finite; correct materials and positions";
-                return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {what}")));
+                let problem = "gives a field that is not finite; correct materials and positions";
+                return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {problem}")));
             }
             each(c * CHUNK + i, *tx, received)?;
         }
@@ -161,15 +170,15 @@ pub fn simulate_links(
 }
 
 /// Returns an error if the receivers together need too much memory.
-fn check_memory(scene: &SceneFile, listeners: &[PreparedReceiver]) -> Result<()> {
-    let bytes: usize = listeners.iter().map(PreparedReceiver::bytes).sum();
+fn check_memory(scene: &SceneFile, receivers: &[PreparedReceiver]) -> Result<()> {
+    let bytes: usize = receivers.iter().map(PreparedReceiver::bytes).sum();
     if bytes <= MOST_BYTES {
         return Ok(());
     }
     Err(Error::Config(format!(
         "scene `{}`: images for {} of its {} receivers take more than {} GB already; give fewer receivers or a lower `order`",
         scene.name,
-        listeners.len(),
+        receivers.len(),
         scene.receivers().count() * scene.carriers_hz.len().max(1),
         MOST_BYTES >> 30
     )))

@@ -79,7 +79,7 @@ impl Beamformer {
         Self { steering, columns: array.columns, pixels: width * height }
     }
 
-    /// |aᴴh|/K at every pixel, row-major, from the channel h of the K elements.
+    /// Returns |aᴴh|/K at every pixel, row-major, from the channel h of the K elements.
     pub fn amplitude(&self, channel: &[Complex]) -> Vec<f64> {
         let mut amplitude = self.steering.magnitude(channel, self.columns);
         amplitude.truncate(self.pixels);
@@ -88,7 +88,7 @@ impl Beamformer {
         amplitude
     }
 
-    /// Spectrum of the channel h as an image.
+    /// Returns the spectrum of the channel h as an image.
     pub fn spectrum(&self, channel: &[Complex], kind: SpectrumKind) -> Spectrum {
         let elements = channel.len().max(1) as f64;
         let mut values = self.amplitude(channel);
@@ -105,13 +105,13 @@ impl Beamformer {
     }
 }
 
-/// Smallest and largest value; zeros if there are none.
+/// Returns the smallest and largest value; zeros if there are none.
 fn range(values: &[f64]) -> (f64, f64) {
     let first = values.first().copied().unwrap_or(0.0);
     values.iter().fold((first, first), |(low, high), v| (low.min(*v), high.max(*v)))
 }
 
-/// Quantised values ⌊255 (v - black)/(white - black)⌋.
+/// Returns the quantised values ⌊255 (v - black)/(white - black)⌋.
 fn stretch(values: &[f64], black: f64, white: f64) -> Vec<u8> {
     let contrast = white - black;
     if contrast.is_nan() || contrast <= NO_CONTRAST * white {
@@ -157,7 +157,7 @@ impl Steering {
         Self { x, y }
     }
 
-    /// |aᴴh| for every direction, padded to a multiple of `LANES`. `channel` has rows of `columns`.
+    /// Returns |aᴴh| for every direction, padded to a multiple of `LANES`. `channel` has rows of `columns`.
     fn magnitude(&self, channel: &[Complex], columns: usize) -> Vec<f64> {
         let mut magnitude = vec![0.0; self.x.re.len()];
         Arch::new().dispatch(Horner { steering: self, channel, columns, magnitude: &mut magnitude });
@@ -199,7 +199,8 @@ impl WithSimd for Horner<'_> {
     }
 }
 
-/// a·b + c with separate rounding of multiplication and addition, so that all processors give identical results.
+/// Returns a·b + c with separate rounding of multiplication and addition, so that all processors give identical
+/// results.
 #[inline(always)]
 fn multiply_add<S: Simd>(
     simd: S,

@@ -37,28 +37,29 @@ pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u
             cumulated
         })
         .collect();
-    let mut found = SurfacePoints::default();
+    let mut cloud = SurfacePoints::default();
     if !(cumulated > 0.0 && cumulated.is_finite()) {
-        return found;
+        return cloud;
     }
-    found.points.reserve_exact(count);
-    found.normals.reserve_exact(count);
+    cloud.points.reserve_exact(count);
+    cloud.normals.reserve_exact(count);
     let mut random = rng::stream(seed, "surface", 0);
     let comb = rng::uniform_f64(&mut random);
     for ((triangle, normal), area) in triangles.iter().zip(normals).zip(areas) {
         // Tooth k of the comb is at k + comb of `count` equal parts of the area; the last part ends at exactly 1.
         let end = (area / cumulated * count as f64 - comb).ceil().max(0.0) as usize;
-        let share = end.saturating_sub(found.points.len());
+        let share = end.saturating_sub(cloud.points.len());
         // Offsets apply to digits of the lattice only; further digits would move points from cell centres to corners.
         let lattice = 1 << (2 * (share.max(1).ilog2() / 2));
         let offsets = rng::below(&mut random, lattice);
-        found.points.extend((0..share).map(|k| in_triangle(triangle, k, offsets)));
-        found.normals.resize(found.points.len(), *normal);
+        cloud.points.extend((0..share).map(|k| in_triangle(triangle, k, offsets)));
+        cloud.normals.resize(cloud.points.len(), *normal);
     }
-    found
+    cloud
 }
 
-/// Point `number` of the sequence in a triangle: the centre of the smallest triangle selected by its digits.
+/// Returns the point `number` of the sequence in a triangle: the centre of the smallest triangle selected by its
+/// digits.
 fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
     let [mut a, mut b, mut c] = *corners;
     for level in 0..LEVELS {
@@ -87,8 +88,8 @@ pub fn write_ply(points: &SurfacePoints, comment: &str, file: &mut impl Write) -
         lines.extend("comment ".chars().chain(line.chars().map(to_ascii)).chain(['\n']));
     }
     let is_far = points.points.iter().any(|p| p.abs().max_element() > 1e3);
-    let places = if is_far { "double" } else { "float" };
-    let properties = ["x", "y", "z"].map(|name| format!("property {places} {name}\n")).concat()
+    let kind = if is_far { "double" } else { "float" };
+    let properties = ["x", "y", "z"].map(|name| format!("property {kind} {name}\n")).concat()
         + &["nx", "ny", "nz"].map(|name| format!("property float {name}\n")).concat();
     let count = points.points.len();
     write!(file, "ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n")?;

@@ -40,7 +40,7 @@ pub struct Antennas {
 }
 
 impl Antenna {
-    /// Field, world frame, radiated towards or received from the unit vector `direction`.
+    /// Returns the field, world frame, radiated towards or received from the unit vector `direction`.
     fn field(&self, direction: DVec3) -> DVec3 {
         let local = self.world_from_antenna.transpose() * direction;
         let (amplitude, polarization) = array::response(&self.element, self.axis, local);
@@ -71,25 +71,25 @@ impl Tracer {
         propagation: &Propagation,
     ) -> Option<Self> {
         let orders = Orders { all: propagation.order, room: propagation.room_order };
-        let tree = ImageTree::grow(&world, position, orders)?;
-        let mut met = Vec::new();
+        let tree = ImageTree::build(&world, position, orders)?;
+        let mut sheets = Vec::new();
         let mut patches = patches(&world, propagation.patch_m, propagation.seed);
         patches.retain(|patch| {
-            world.pass(patch.point, position, [&[patch.face], &[]], &mut met)
-                && (propagation.transmission || met.is_empty())
+            world.collect_sheets(patch.point, position, [&[patch.face], &[]], &mut sheets)
+                && (propagation.transmission || sheets.is_empty())
         });
         Some(Self { world, wavelength, transmitter, receiver, tree, propagation: propagation.clone(), patches })
     }
 
-    /// Approximate memory use, bytes.
+    /// Returns the approximate memory use, bytes.
     pub fn bytes(&self) -> usize {
         self.tree.bytes() + self.patches.len() * size_of::<Patch>()
     }
 
-    /// All paths from `tx`: specular by image order, then diffracted, then scattered.
+    /// Returns all paths from `tx`: specular by image order, then diffracted, then scattered.
     pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         let mut walk =
-            TraceWalk { tracer: self, tx, rx: self.tree.origin(), met: Vec::new(), interactions: Vec::new() };
+            TraceWalk { tracer: self, tx, rx: self.tree.origin(), sheets: Vec::new(), interactions: Vec::new() };
         let mut paths = Vec::new();
         self.tree.candidates(&self.world, tx, |faces, points| paths.extend(walk.specular(faces, points)));
         if self.propagation.diffraction {
@@ -99,7 +99,7 @@ impl Tracer {
         paths
     }
 
-    /// Amplitude between isotropic antennas at 1 m, λ/4π.
+    /// Returns the amplitude between isotropic antennas at 1 m, λ/4π.
     fn unit_gain(&self) -> f64 {
         self.wavelength / (4.0 * PI)
     }
@@ -110,16 +110,23 @@ struct TraceWalk<'a> {
     tracer: &'a Tracer,
     tx: DVec3,
     rx: DVec3,
-    met: Vec<(f64, u32)>,
+    sheets: Vec<(f64, u32)>,
     interactions: Vec<Interaction>,
 }
 
 impl TraceWalk<'_> {
-    /// Ray after the straight segment from `from` to `to` through sheets, each end with the faces at it; `None` if it
-    /// is blocked.
-    fn go(&mut self, ray: Ray, (from, left): (DVec3, &[u32]), (to, reached): (DVec3, &[u32])) -> Option<Ray> {
-        let Self { tracer, met, interactions, .. } = self;
-        if !tracer.world.pass(from, to, [left, reached], met) || !(tracer.propagation.transmission || met.is_empty()) {
+    /// Returns the ray after the straight segment from `from` to `to` through sheets. Each end has the faces that it
+    /// lies on; `None` if it is blocked.
+    fn propagate(
+        &mut self,
+        ray: Ray,
+        (from, start_faces): (DVec3, &[u32]),
+        (to, end_faces): (DVec3, &[u32]),
+    ) -> Option<Ray> {
+        let Self { tracer, sheets, interactions, .. } = self;
+        if !tracer.world.collect_sheets(from, to, [start_faces, end_faces], sheets)
+            || !(tracer.propagation.transmission || sheets.is_empty())
+        {
             return None;
         }
         let through = |ray: Ray, &(at, face): &(f64, u32)| {
@@ -127,19 +134,19 @@ impl TraceWalk<'_> {
             let normal = tracer.world.faces[face as usize].normal;
             ray.transmitted(tracer.world.surface_of(face), normal, tracer.wavelength)
         };
-        let ray = met.iter().try_fold(ray, through)?;
+        let ray = sheets.iter().try_fold(ray, through)?;
         (ray.power() > NEGLIGIBLE * NEGLIGIBLE).then_some(ray)
     }
 
-    /// Ray that leaves the transmitter towards `to`.
+    /// Returns the ray that leaves the transmitter towards `to`.
     fn emit_ray(&mut self, to: DVec3) -> Option<Ray> {
         self.interactions.clear();
         let direction = (to - self.tx).try_normalize()?;
         Some(Ray::new(direction, self.tracer.transmitter.field(direction)))
     }
 
-    /// Path that ends with `ray`; `gain` is its spreading factor.
-    fn arrive(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> PropagationPath {
+    /// Returns the path that ends with `ray`; `gain` is its spreading factor.
+    fn finish_path(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> PropagationPath {
         let arrival = -ray.direction;
         let field = self.tracer.receiver.field(arrival);
         PropagationPath {
@@ -153,31 +160,33 @@ impl TraceWalk<'_> {
         }
     }
 
+    /// Returns the path that reflects at `points` on `faces`; `None` if it is blocked.
     fn specular(&mut self, faces: &[u32], points: &[DVec3]) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let first = points.first().copied().unwrap_or(self.rx);
         let mut ray = self.emit_ray(first)?;
         let (departure, mut from, mut source) = (ray.direction, self.tx, self.tx);
-        let mut left: &[u32] = &[];
+        let mut start_faces: &[u32] = &[];
         for (on, &point) in faces.chunks(1).zip(points) {
             let face = on[0];
-            if tracer.world.counting(face, point, from) != face {
+            if tracer.world.front_face(face, point, from) != face {
                 return None;
             }
-            ray = self.go(ray, (from, left), (point, on))?;
+            ray = self.propagate(ray, (from, start_faces), (point, on))?;
             let plane = &tracer.world.faces[face as usize];
             self.interactions.push(Interaction::Reflection { face, point });
             ray = ray.reflected(tracer.world.surface_of(face), plane.normal, tracer.wavelength);
-            (from, left, source) = (point, on, plane.mirror(source));
+            (from, start_faces, source) = (point, on, plane.mirror(source));
         }
-        ray = self.go(ray, (from, left), (self.rx, &[]))?;
+        ray = self.propagate(ray, (from, start_faces), (self.rx, &[]))?;
         if ray.power() <= NEGLIGIBLE * NEGLIGIBLE {
             return None;
         }
         let gain = tracer.unit_gain() / self.rx.distance(source);
-        Some(self.arrive(ray, gain, departure, (source, 0.0)))
+        Some(self.finish_path(ray, gain, departure, (source, 0.0)))
     }
 
+    /// Returns the path that diffracts at `edge`; `None` if it is blocked or misses the edge.
     fn diffracted(&mut self, index: u32, edge: &Edge) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let [a, b] = edge.ends;
@@ -189,18 +198,18 @@ impl TraceWalk<'_> {
         let wedge = self.wedge(edge, point)?;
         let ray = self.emit_ray(point)?;
         let departure = ray.direction;
-        let ray = self.go(ray, (self.tx, &[]), (point, &edge.faces))?;
+        let ray = self.propagate(ray, (self.tx, &[]), (point, &edge.faces))?;
         self.interactions.push(Interaction::Diffraction { edge: index, point });
         let out = (self.rx - point).try_normalize()?;
         let ray = ray.diffracted((b - a).normalize(), out, &wedge);
-        let ray = self.go(ray, (point, &edge.faces), (self.rx, &[]))?;
+        let ray = self.propagate(ray, (point, &edge.faces), (self.rx, &[]))?;
         let (before, after) = (self.tx.distance(point), self.rx.distance(point));
         let gain = tracer.unit_gain() / (before * after * (before + after)).sqrt();
-        Some(self.arrive(ray, gain, departure, (point, before)))
+        Some(self.finish_path(ray, gain, departure, (point, before)))
     }
 
-    /// Diffraction coefficients at a point of an edge; `None` if transmitter or receiver is inside the wedge or on the
-    /// line of the edge.
+    /// Returns the diffraction coefficients at a point of an edge; `None` if transmitter or receiver is inside the
+    /// wedge or on the line of the edge.
     fn wedge(&self, edge: &Edge, point: DVec3) -> Option<fresnel::Polarized> {
         let Tracer { world, wavelength, .. } = self.tracer;
         let direction = (edge.ends[1] - edge.ends[0]).normalize();
@@ -221,17 +230,17 @@ impl TraceWalk<'_> {
         let at = |k: usize, grazing: f64| {
             let face = edge.faces[k];
             // Face that covers the one next to the edge, if any.
-            let counting = world.counting(face, point + BESIDE * inwards[k], self.tx);
+            let front = world.front_face(face, point + BESIDE * inwards[k], self.tx);
             let cosine = (grazing.sin() * sine).abs();
             let through = |face: u32| {
                 let surface = world.surface_of(face);
                 let slab = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
                 surface.thickness.map_or(fresnel::Polarized::NOTHING, slab)
             };
-            let surface = world.surface_of(counting);
+            let surface = world.surface_of(front);
             let reflected = fresnel::reflection(surface.eta, surface.thickness, cosine, *wavelength);
             let alone = through(face);
-            (reflected, if counting == face { alone } else { alone.times(through(counting)) })
+            (reflected, if front == face { alone } else { alone.times(through(front)) })
         };
         let (r0, t0) = at(0, phi_in.min(phi_out));
         let (rn, tn) = at(1, whole - phi_in.max(phi_out));
@@ -243,6 +252,7 @@ impl TraceWalk<'_> {
         Some(diffraction::wedge(edge.outer_angle, k, distances, angles, sine, &sides))
     }
 
+    /// Returns the path that scatters at `patch`; `None` if it is blocked.
     fn scattered(&mut self, patch: &Patch) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let surface = tracer.world.surface_of(patch.face);
@@ -254,10 +264,10 @@ impl TraceWalk<'_> {
         if cos_in * cos_out <= 0.0 {
             return None; // it scatters back to the side that the wave came from
         }
-        if tracer.world.counting(patch.face, patch.point, self.tx) != patch.face {
+        if tracer.world.front_face(patch.face, patch.point, self.tx) != patch.face {
             return None;
         }
-        let ray = self.go(ray, (self.tx, &[]), (patch.point, &[patch.face]))?;
+        let ray = self.propagate(ray, (self.tx, &[]), (patch.point, &[patch.face]))?;
         let r = fresnel::reflection(surface.eta, surface.thickness, cos_in.abs(), tracer.wavelength);
         let reflected = (0.5 * (r.te.norm_sqr() + r.tm.norm_sqr())).sqrt();
         let specular = departure - 2.0 * departure.dot(normal) * normal;
@@ -270,7 +280,7 @@ impl TraceWalk<'_> {
         let gain = amplitude(roughness, reflected, density, area, cos_in.abs(), distances, wavelength);
         self.interactions.push(Interaction::Scattering { face: patch.face, point: patch.point });
         let ray = ray.scattered(out, Complex::cis(patch.phase));
-        let ray = self.go(ray, (patch.point, &[patch.face]), (self.rx, &[]))?;
-        Some(self.arrive(ray, gain, departure, (patch.point, before)))
+        let ray = self.propagate(ray, (patch.point, &[patch.face]), (self.rx, &[]))?;
+        Some(self.finish_path(ray, gain, departure, (patch.point, before)))
     }
 }

@@ -29,7 +29,7 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Whether another surface has the same properties; names of objects may differ.
+    /// Returns whether another surface has the same properties; names of objects may differ.
     pub(crate) fn is_like(&self, other: &Self) -> bool {
         let properties = |s: &Self| (s.eta, s.thickness, s.roughness, s.lobe);
         properties(self) == properties(other)
@@ -47,70 +47,70 @@ pub(crate) struct Ray {
 }
 
 impl Ray {
-    /// A ray with a real field.
+    /// Returns a ray with a real field.
     pub(crate) fn new(direction: DVec3, field: DVec3) -> Self {
         Self { direction, re: field, im: DVec3::ZERO }
     }
 
-    /// Component of the field along a real unit vector.
+    /// Returns the component of the field along a real unit vector.
     pub(crate) fn along(&self, axis: DVec3) -> Complex {
         Complex::new(self.re.dot(axis), self.im.dot(axis))
     }
 
-    /// Power |E|².
+    /// Returns the power |E|².
     pub(crate) fn power(&self) -> f64 {
         self.re.length_squared() + self.im.length_squared()
     }
 
-    /// Ray along `direction` with the field a·`p` + b·`q`.
-    fn made_of(direction: DVec3, (a, p): (Complex, DVec3), (b, q): (Complex, DVec3)) -> Self {
+    /// Returns the ray along `direction` with the field a·`p` + b·`q`.
+    fn from_components(direction: DVec3, (a, p): (Complex, DVec3), (b, q): (Complex, DVec3)) -> Self {
         Self { direction, re: a.re * p + b.re * q, im: a.im * p + b.im * q }
     }
 
-    /// Ray after a specular reflection at a plane with unit normal `normal`. Rough surfaces reflect only √(1 - S²) of
-    /// the amplitude specularly (Degli-Esposti et al., 2007).
+    /// Returns the ray after a specular reflection at a plane with unit normal `normal`. Rough surfaces reflect only
+    /// √(1 - S²) of the amplitude specularly (Degli-Esposti et al., 2007).
     pub(crate) fn reflected(&self, surface: &Surface, normal: DVec3, wavelength: f64) -> Self {
         let cosine = self.direction.dot(normal);
         let out = self.direction - 2.0 * cosine * normal;
         let r = fresnel::reflection(surface.eta, surface.thickness, cosine.abs(), wavelength);
         let smooth = (1.0 - surface.roughness * surface.roughness).sqrt();
-        let s = across(self.direction, normal);
+        let s = unit_cross(self.direction, normal);
         let (te, tm) = (self.along(s), self.along(s.cross(self.direction)));
-        Self::made_of(out, (r.te * te * smooth, s), (r.tm * tm * smooth, s.cross(out)))
+        Self::from_components(out, (r.te * te * smooth, s), (r.tm * tm * smooth, s.cross(out)))
     }
 
-    /// Ray after straight transmission through a sheet; `None` for a solid.
+    /// Returns the ray after straight transmission through a sheet; `None` for a solid.
     pub(crate) fn transmitted(&self, surface: &Surface, normal: DVec3, wavelength: f64) -> Option<Self> {
         let cosine = self.direction.dot(normal).abs();
         let t = fresnel::transmission(surface.eta, surface.thickness?, cosine, wavelength);
-        let s = across(self.direction, normal);
+        let s = unit_cross(self.direction, normal);
         let p = s.cross(self.direction);
-        Some(Self::made_of(self.direction, (t.te * self.along(s), s), (t.tm * self.along(p), p)))
+        Some(Self::from_components(self.direction, (t.te * self.along(s), s), (t.tm * self.along(p), p)))
     }
 
-    /// Ray after diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′` in the
-    /// ray-fixed axes of Kouyoumjian and Pathak (1974).
+    /// Returns the ray after diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′`
+    /// in the ray-fixed axes of Kouyoumjian and Pathak (1974).
     pub(crate) fn diffracted(&self, edge: DVec3, out: DVec3, d: &Polarized) -> Self {
-        let phi_in = across(-edge, self.direction);
-        let phi_out = across(edge, out);
+        let phi_in = unit_cross(-edge, self.direction);
+        let phi_out = unit_cross(edge, out);
         let (beta_in, beta_out) = (phi_in.cross(self.direction), phi_out.cross(out));
-        Self::made_of(out, (-d.te * self.along(beta_in), beta_out), (-d.tm * self.along(phi_in), phi_out))
+        Self::from_components(out, (-d.te * self.along(beta_in), beta_out), (-d.tm * self.along(phi_in), phi_out))
     }
 
-    /// Ray after diffuse scattering into `out` with the given complex gain. The polarisation is projected onto the new
-    /// transverse plane; the field is zero if nothing remains.
+    /// Returns the ray after diffuse scattering into `out` with the given complex gain. The polarisation is projected
+    /// onto the new transverse plane; the field is zero if nothing remains.
     pub(crate) fn scattered(&self, out: DVec3, gain: Complex) -> Self {
-        let bent = |v: DVec3| v - v.dot(out) * out;
-        let (re, im) = (bent(self.re), bent(self.im));
-        let left = re.length_squared() + im.length_squared();
-        let scale = if left > 0.0 { (self.power() / left).sqrt() } else { 0.0 };
+        let transverse = |v: DVec3| v - v.dot(out) * out;
+        let (re, im) = (transverse(self.re), transverse(self.im));
+        let remaining = re.length_squared() + im.length_squared();
+        let scale = if remaining > 0.0 { (self.power() / remaining).sqrt() } else { 0.0 };
         let gain = gain * scale;
         Self { direction: out, re: gain.re * re - gain.im * im, im: gain.re * im + gain.im * re }
     }
 }
 
-/// Unit vector a × b / |a × b|; an arbitrary unit vector perpendicular to `a` if both are parallel.
-fn across(a: DVec3, b: DVec3) -> DVec3 {
+/// Returns the unit vector a × b / |a × b|; an arbitrary unit vector perpendicular to `a` if both are parallel.
+fn unit_cross(a: DVec3, b: DVec3) -> DVec3 {
     let c = a.cross(b);
     let length = c.length();
     if length > 1e-12 { c / length } else { a.any_orthonormal_vector() }

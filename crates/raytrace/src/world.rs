@@ -53,12 +53,12 @@ pub enum SurfaceLayer {
 }
 
 impl Face {
-    /// Whether it belongs to the room rather than to an object.
+    /// Returns whether it belongs to the room rather than to an object.
     pub fn is_room(&self) -> bool {
         self.layer == SurfaceLayer::Room
     }
 
-    /// Distance of a point from the plane, metres, positive on the side of the normal.
+    /// Returns the distance of a point from the plane, metres, positive on the side of the normal.
     pub fn height(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset
     }
@@ -85,7 +85,7 @@ pub struct Edge {
 }
 
 impl Edge {
-    /// Unit vectors in its faces, perpendicular to the edge and away from it.
+    /// Returns the unit vectors in its faces, perpendicular to the edge and away from it.
     pub fn inwards(&self) -> [DVec3; 2] {
         let (sin, cos) = (self.outer_angle * PI).sin_cos();
         let is_rim = self.faces[0] == self.faces[1];
@@ -102,9 +102,9 @@ struct SolidBody {
 }
 
 impl SolidBody {
-    /// Whether a ray from the point crosses the surface an odd number of times. The ray direction is oblique to typical
-    /// faces.
-    fn holds(&self, point: DVec3) -> bool {
+    /// Returns whether a ray from the point crosses the surface an odd number of times. The ray direction is oblique to
+    /// typical faces.
+    fn contains(&self, point: DVec3) -> bool {
         let [low, high] = self.bounds;
         let reach = DVec3::new(0.311, 0.577, 0.813) * 4.0 * (high - low).length();
         let in_box = point.cmpge(low).all() && point.cmple(high).all();
@@ -129,25 +129,25 @@ pub struct World {
 }
 
 impl World {
-    /// Surface properties of a face.
+    /// Returns the surface properties of a face.
     pub fn surface_of(&self, face: u32) -> &Surface {
         &self.surfaces[self.faces[face as usize].surface as usize]
     }
 
-    /// Whether a point in the plane of a face lies on it.
+    /// Returns whether a point in the plane of a face lies on it.
     pub fn is_on(&self, face: u32, point: DVec3) -> bool {
         self.triangles[self.faces[face as usize].triangles.clone()].iter().any(|t| t.contains(point))
     }
 
-    /// Frontmost face at a point in the plane of `face`, for a wave that comes from `from`: another face if that covers
-    /// it.
-    pub fn counting(&self, face: u32, point: DVec3, from: DVec3) -> u32 {
+    /// Returns the frontmost face at a point in the plane of `face`, for a wave that comes from `from`: another face if
+    /// that covers it.
+    pub fn front_face(&self, face: u32, point: DVec3, from: DVec3) -> u32 {
         let lies_on = |best: u32, twin: u32| self.overrides_face(twin, best, from) && self.is_on(twin, point);
         self.faces[face as usize].twins.iter().fold(face, |best, &twin| if lies_on(best, twin) { twin } else { best })
     }
 
-    /// Whether `one` covers `other` in a common plane, as seen from `from`: the later layer in front, the earlier
-    /// behind; within a layer the first.
+    /// Returns whether `one` covers `other` in a common plane, as seen from `from`: the later layer in front, the
+    /// earlier behind; within a layer the first.
     fn overrides_face(&self, one: u32, other: u32, from: DVec3) -> bool {
         let [a, b] = [one, other].map(|face| &self.faces[face as usize]);
         match a.layer.cmp(&b.layer) {
@@ -157,11 +157,11 @@ impl World {
         }
     }
 
-    /// Collects the faces between `from` and `to` in `met` (cleared first), nearest first. Returns whether the segment
-    /// is free; if a solid face blocks it, `met` is undefined. `ends` are the faces of the two end points: faces in
-    /// their planes do not count as obstacles.
-    pub fn pass(&self, from: DVec3, to: DVec3, ends: [&[u32]; 2], met: &mut Vec<(f64, u32)>) -> bool {
-        met.clear();
+    /// Collects the sheets between `from` and `to` in `sheets`, with their position on the segment from 0 to 1 (cleared
+    /// first), nearest first. Returns whether the segment is free; if a solid face blocks it, `sheets` is undefined.
+    /// `ends` are the faces of the two end points: faces in their planes do not count as obstacles.
+    pub fn collect_sheets(&self, from: DVec3, to: DVec3, ends: [&[u32]; 2], sheets: &mut Vec<(f64, u32)>) -> bool {
+        sheets.clear();
         let span = to - from;
         let margin = MARGIN / span.length().max(MARGIN);
         let is_at_end = |face: u32| ends.into_iter().flatten().any(|f| self.faces[*f as usize].twins.contains(&face));
@@ -173,11 +173,11 @@ impl World {
             if self.surface_of(triangle.face).thickness.is_none() {
                 return false;
             }
-            met.push((at, triangle.face));
+            sheets.push((at, triangle.face));
         }
-        met.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        sheets.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         // On the seam of two triangles of a face both are hit.
-        met.dedup_by(|b, a| a.1 == b.1 && b.0 - a.0 < margin);
+        sheets.dedup_by(|b, a| a.1 == b.1 && b.0 - a.0 < margin);
         true
     }
 
@@ -188,10 +188,10 @@ impl World {
     pub fn check_free(&self, point: DVec3) -> Result<(), String> {
         let has_room = self.faces.first().is_some_and(Face::is_room);
         let (room, objects) = self.bodies.split_at(usize::from(has_room));
-        if room.iter().any(|room| !room.holds(point)) {
+        if room.iter().any(|room| !room.contains(point)) {
             return Err("outside the room".into());
         }
-        match objects.iter().find(|body| body.holds(point)) {
+        match objects.iter().find(|body| body.contains(point)) {
             Some(body) => Err(format!("inside `{}`", body.name)),
             None => Ok(()),
         }

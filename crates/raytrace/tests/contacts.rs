@@ -33,7 +33,7 @@ fn refused(objects: &str) -> String {
     error.to_string()
 }
 
-/// The paths that are reflected once, at x = `x`.
+/// Returns the paths that are reflected once, at x = `x`.
 fn bounced(paths: &[PropagationPath], x: f64) -> Vec<&PropagationPath> {
     let is_there = |p: &&PropagationPath| match p.interactions[..] {
         [Interaction::Reflection { point, .. }] => (point.x - x).abs() < 1e-3,
@@ -42,14 +42,14 @@ fn bounced(paths: &[PropagationPath], x: f64) -> Vec<&PropagationPath> {
     paths.iter().filter(is_there).collect()
 }
 
-/// The path from (4, -y) by the plane x = 10 to (4, y), at one height: TE, with this gain.
+/// Returns the path from (4, -y) by the plane x = 10 to (4, y), at one height: TE, with this gain.
 fn expected(material: &str, thickness: Option<f64>, y: f64) -> Complex {
     let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
     let length = 2.0 * 6.0_f64.hypot(y);
     reflection(eta, thickness, 6.0 / 6.0_f64.hypot(y), WAVELENGTH).te * WAVELENGTH / (4.0 * PI * length)
 }
 
-/// The gain of the only such path.
+/// Returns the gain of the only such path.
 fn gain(objects: &str, y: f64, z: f64) -> Complex {
     let paths = simulator(objects, [4.0, y, z], ONCE).trace(DVec3::new(4.0, -y, z));
     let [path] = bounced(&paths, 10.0)[..] else { panic!("one path, not {:?}", bounced(&paths, 10.0)) };
@@ -186,7 +186,7 @@ fn opening_removes_patches_points_and_area() {
 const AIR: &str = "(outline: Box(low: (-10, -50, -50), high: (10, 50, 50)), walls: (material: \"vacuum\", thickness_m: 0.1), \
                    floor: (material: \"vacuum\", thickness_m: 0.1), ceiling: (material: \"vacuum\", thickness_m: 0.1))";
 
-/// Field at a receiver behind the plane x = 0, in a room of air.
+/// Returns the field at a receiver behind the plane x = 0, in a room of air.
 fn field_behind(objects: &str, tx: DVec3) -> Complex {
     let simulator = Simulator::new(&scene(AIR, objects, [4.0, -1.5, 0.3], "order: 1, room_order: 0")).unwrap();
     simulator.trace(tx).iter().map(|p| p.baseband(WAVELENGTH)).sum()

@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// A small room with one of everything; `more` are further fields of the scene.
+/// Returns a small room with one of everything; `more` are further fields of the scene.
 fn scene_text(more: &str) -> String {
     format!(
         r#"(
@@ -67,7 +67,7 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
         let place = scene.receiver.position;
         scene.receiver.position = data.transmitters[i].position;
         scene.receiver.orientation = Orientation::Quaternion(*x, *y, *z, *w);
-        let there = Simulator::new(&scene).unwrap().listeners()[0].spectrum(place.into(), None).spectrum;
+        let there = Simulator::new(&scene).unwrap().receivers()[0].spectrum(place.into(), None).spectrum;
         assert_eq!(*data.observations.raw(i), there.pixels, "pose {i}");
         let upright =
             data.query(i).orientation.map(|turn| Pose { orientation: turn, ..Pose::IDENTITY }.turned([0.0, 1.0, 0.0]));
@@ -169,7 +169,7 @@ fn simulates_shipped_scenes() {
     for name in ["office", "conference", "lab-s23"] {
         let simulator = Simulator::new(&SceneFile::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
         for tx in simulator.positions(2, 0).unwrap() {
-            let reception = simulator.listeners()[0].spectrum(tx, Some(0));
+            let reception = simulator.receivers()[0].spectrum(tx, Some(0));
             assert!(reception.paths.len() > 50, "{name}: {} paths", reception.paths.len());
             let (low, high) = (reception.spectrum.pixels.iter().min(), reception.spectrum.pixels.iter().max());
             assert_eq!((low, high), (Some(&0), Some(&255)), "{name}");

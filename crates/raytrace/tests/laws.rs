@@ -61,19 +61,19 @@ fn cluttered(rx: [f64; 3], propagation: &str) -> Simulator {
 const PAIRS: [([f64; 3], [f64; 3]); 3] =
     [([-6.0, 1.0, 1.2], [5.0, -3.0, 2.2]), ([0.3, 4.0, 0.4], [-4.0, -5.0, 5.0]), ([2.5, 3.0, 1.0], [2.4, -0.5, 1.1])];
 
-/// Paths from `a` to `b` and from `b` to `a`.
+/// Returns the paths from `a` to `b` and from `b` to `a`.
 fn both_ways((a, b): ([f64; 3], [f64; 3]), propagation: &str) -> [Vec<PropagationPath>; 2] {
     [(a, b), (b, a)].map(|(from, to)| cluttered(to, propagation).trace(DVec3::from(from)))
 }
 
-/// Length and gain of every path, sorted, for comparison of sets.
+/// Returns the length and gain of every path, sorted, for comparison of sets.
 fn sorted(paths: &[PropagationPath]) -> Vec<(f64, Complex)> {
     let mut all: Vec<(f64, Complex)> = paths.iter().map(|p| (p.length, p.gain)).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.norm().total_cmp(&b.1.norm())));
     all
 }
 
-/// Both sets have the same lengths and gains, to rounding.
+/// Asserts that both sets have the same lengths and gains, to rounding.
 fn assert_same(there: &[PropagationPath], back: &[PropagationPath]) {
     assert_eq!(there.len(), back.len());
     for (x, y) in sorted(there).into_iter().zip(sorted(back)) {
@@ -81,7 +81,7 @@ fn assert_same(there: &[PropagationPath], back: &[PropagationPath]) {
     }
 }
 
-/// The field of all paths, of the carrier of [`scene`].
+/// Returns the field of all paths, of the carrier of [`scene`].
 fn field(paths: &[PropagationPath]) -> Complex {
     paths.iter().map(|p| p.baseband(299_792_458.0 / 2e9)).sum()
 }
@@ -144,7 +144,7 @@ fn solid_blocks_line_of_sight_and_sheet_attenuates_it() {
     assert!(line_of_sight(&closed, DVec3::new(0.0, 0.1, 1.0)).is_none());
 }
 
-/// Field at the receiver behind the rim of a board, in a room of air.
+/// Returns the field at the receiver behind the rim of a board, in a room of air.
 fn behind_a_board(material: &str, tx: DVec3) -> Complex {
     let air = "(material: \"vacuum\", thickness_m: 0.1)";
     let room =
@@ -227,10 +227,11 @@ fn finds_all_visible_image_sequences_in_cluttered_room() {
                     return;
                 }
                 let point = from.lerp(images[k], h / (h - g));
-                open &= world.is_on(f, point) && world.pass(from, point, [&[], &[]], &mut met) && met.is_empty();
+                open &=
+                    world.is_on(f, point) && world.collect_sheets(from, point, [&[], &[]], &mut met) && met.is_empty();
                 from = point;
             }
-            open &= world.pass(from, tx, [&[], &[]], &mut met) && met.is_empty();
+            open &= world.collect_sheets(from, tx, [&[], &[]], &mut met) && met.is_empty();
             count += usize::from(open);
         };
         check(&[]);

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 const ROOM: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
                     floor: (material: \"concrete\"), ceiling: (material: \"concrete\"))";
 
-/// The error for the scene with `from` replaced by `to`, within seconds.
+/// Returns the error for the scene with `from` replaced by `to`, within seconds.
 fn shown(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     let begun = Instant::now();

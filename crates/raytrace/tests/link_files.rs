@@ -20,7 +20,7 @@ fn recipe(folder: &Path, text: &str, observe: ObservationKind) -> SimulationReci
     SimulationRecipe::read(&path, 10, 7, 50).unwrap().observing(observe).unwrap()
 }
 
-/// Every file of a folder with its bytes.
+/// Returns every file of a folder with its bytes.
 fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut all = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -100,7 +100,7 @@ fn files_hold_simulated_observations() {
     let text = small_room(CSI).replace("transmitter: (", "transmitter: (power_dbm: -50, ");
     let received = |observe| {
         let mut all = Vec::new();
-        let request = SimulationRequest { what: observe, samples: 10, seed: 7 };
+        let request = SimulationRequest { kind: observe, samples: 10, seed: 7 };
         let each = |_, _, received: Vec<ReceiverObservation>| {
             all.extend(received.into_iter().map(|received| received.observed));
             Ok(())

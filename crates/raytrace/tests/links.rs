@@ -9,7 +9,7 @@ use pwrfgs_raytrace::{
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// Two receivers with a single antenna in a large room, whose floor alone reflects; `more` are further fields.
+/// Returns two receivers with a single antenna in a large room, whose floor alone reflects; `more` are further fields.
 fn large_room(floor: &str, more: &str) -> String {
     format!(
         "(name: \"large\", carrier_hz: 2.4e9,
@@ -35,21 +35,21 @@ fn simulator(text: &str) -> Simulator {
     Simulator::new(&parse(text)).unwrap()
 }
 
-fn channel(listener: &PreparedReceiver, tx: DVec3, snr_db: Option<f64>, sample: Option<u64>) -> Vec<Complex> {
-    match listener.observe(tx, &ObservationKind::Channel { snr_db }, sample).observed {
+fn channel(receiver: &PreparedReceiver, tx: DVec3, snr_db: Option<f64>, sample: Option<u64>) -> Vec<Complex> {
+    match receiver.observe(tx, &ObservationKind::Channel { snr_db }, sample).observed {
         SimulatedObservation::Channel(channel) => channel,
         other => panic!("{other:?}"),
     }
 }
 
-fn power(listener: &PreparedReceiver, tx: DVec3, noise_db: f64, sample: Option<u64>) -> f64 {
-    match listener.observe(tx, &ObservationKind::Power { noise_db }, sample).observed {
+fn power(receiver: &PreparedReceiver, tx: DVec3, noise_db: f64, sample: Option<u64>) -> f64 {
+    match receiver.observe(tx, &ObservationKind::Power { noise_db }, sample).observed {
         SimulatedObservation::Power(dbm) => dbm,
         other => panic!("{other:?}"),
     }
 }
 
-/// λ/4πd and the phase of the way, at frequency `f`; the wavelength of the amplitude is that of the carrier.
+/// Returns λ/4πd and the phase of the way, at frequency `f`; the wavelength of the amplitude is that of the carrier.
 fn wave(distance: f64, f: f64) -> Complex {
     let wavelength = SPEED_OF_LIGHT / 2.4e9;
     wavelength / (4.0 * PI * distance) * Complex::cis(-TAU * f * distance / SPEED_OF_LIGHT)
@@ -72,9 +72,9 @@ fn free_space_channels_match_closed_form_at_two_receivers() {
     let simulator = simulator(&large_room("vacuum", &format!("{sent}, {BAND}")));
     let hz = simulator.scene().frequencies();
     for tx in [DVec3::new(1.0, 2.0, 1.5), DVec3::new(-7.0, 3.0, 2.9)] {
-        for listener in simulator.listeners() {
-            let distance = tx.distance(DVec3::from(listener.pose().position));
-            let h = channel(listener, tx, None, None);
+        for receiver in simulator.receivers() {
+            let distance = tx.distance(DVec3::from(receiver.pose().position));
+            let h = channel(receiver, tx, None, None);
             assert_eq!(h.len(), 16);
             for (h, f) in h.iter().zip(&hz) {
                 assert!((h / wave(distance, *f) - 1.0).norm() < 1e-9);
@@ -83,7 +83,7 @@ fn free_space_channels_match_closed_form_at_two_receivers() {
             let slope = (h[9] / h[8]).arg() / (hz[9] - hz[8]);
             assert!((slope / (-TAU * distance / SPEED_OF_LIGHT) - 1.0).abs() < 1e-6);
             let friis = 17.0 + 20.0 * wave(distance, 2.4e9).norm().log10();
-            assert!((power(listener, tx, 0.0, None) - friis).abs() < 0.001);
+            assert!((power(receiver, tx, 0.0, None) - friis).abs() < 0.001);
         }
     }
 }
@@ -93,15 +93,15 @@ fn two_ray_channel_over_mirror_matches_closed_form() {
     let simulator = simulator(&large_room("perfect_conductor", &format!("{ANYWHERE}, {BAND}")));
     let tx = DVec3::new(2.0, -6.0, 1.3);
     let mirrored = DVec3::new(tx.x, tx.y, -tx.z);
-    for listener in simulator.listeners() {
-        let place = DVec3::from(listener.pose().position);
+    for receiver in simulator.receivers() {
+        let place = DVec3::from(receiver.pose().position);
         let rays = |f: f64| wave(tx.distance(place), f) + wave(mirrored.distance(place), f);
-        let h = channel(listener, tx, None, None);
+        let h = channel(receiver, tx, None, None);
         for (h, f) in h.iter().zip(simulator.scene().frequencies()) {
             assert!((h / rays(f) - 1.0).norm() < 1e-9);
         }
         let mean = h.iter().map(Complex::norm_sqr).sum::<f64>() / 16.0;
-        assert!((power(listener, tx, 0.0, None) - 10.0 * mean.log10()).abs() < 0.001);
+        assert!((power(receiver, tx, 0.0, None) - 10.0 * mean.log10()).abs() < 0.001);
     }
 }
 
@@ -111,34 +111,34 @@ fn channel_at_carrier_equals_channel_of_spectrum() {
         let text = small_room("subcarriers: (count: 3, bandwidth_hz: 20e6)");
         let text = text.replace("columns: 4)", &format!("columns: 4, wavefront: {wavefront})"));
         let simulator = simulator(&text);
-        let (scene, listener) = (simulator.scene(), &simulator.listeners()[0]);
+        let (scene, receiver) = (simulator.scene(), &simulator.receivers()[0]);
         let tx = DVec3::new(2.5, 1.2, 1.1);
-        let paths = listener.trace(tx);
-        let band = channel(listener, tx, None, None);
+        let paths = receiver.trace(tx);
+        let band = channel(receiver, tx, None, None);
         let middle: Vec<Complex> = band.chunks(3).map(|h| h[1]).collect();
-        let alone = listener.channel(tx, &paths, &[scene.carrier_hz]);
+        let alone = receiver.channel(tx, &paths, &[scene.carrier_hz]);
         assert!(middle == alone && alone.len() == 8, "{wavefront}");
         if wavefront != "Traced" {
             let array = &scene.receiver.array;
             let center = DVec3::from(scene.receiver.position);
-            assert!(alone == array.channel(&paths, center, listener.world_from_receiver(), scene.wavelength()));
-            assert!(listener.antennas().iter().all(|place| place.distance(center) < 0.2));
+            assert!(alone == array.channel(&paths, center, receiver.world_from_receiver(), scene.wavelength()));
+            assert!(receiver.antennas().iter().all(|place| place.distance(center) < 0.2));
         }
         // Without subcarriers the power equals that of the spectra, including errors.
         let narrow = Simulator::new(&SceneFile { subcarriers: None, ..scene.clone() }).unwrap();
-        let listener = &narrow.listeners()[0];
-        let beside = 10.0 * listener.spectrum(tx, Some(5)).spectrum.power.log10();
-        assert!((power(listener, tx, 0.0, Some(5)) - beside).abs() < 0.001);
+        let receiver = &narrow.receivers()[0];
+        let beside = 10.0 * receiver.spectrum(tx, Some(5)).spectrum.power.log10();
+        assert!((power(receiver, tx, 0.0, Some(5)) - beside).abs() < 0.001);
     }
 }
 
 #[test]
 fn channel_errors_have_set_size() {
     let simulator = simulator(&small_room(CSI));
-    let [a, b] = simulator.listeners() else { panic!() };
+    let [a, b] = simulator.receivers() else { panic!() };
     let tx = DVec3::new(2.5, 1.2, 1.1);
     let quiet = Simulator::new(&SceneFile { noise: Checked::default(), ..simulator.scene().clone() }).unwrap();
-    let a_quiet = &quiet.listeners()[0];
+    let a_quiet = &quiet.receivers()[0];
     let clean = channel(a_quiet, tx, None, None);
     assert_eq!(clean, channel(a_quiet, tx, None, Some(3)));
     let ratio = |sample: u64| {
@@ -155,7 +155,7 @@ fn channel_errors_have_set_size() {
     let deviation = (errors.iter().map(|e| e * e).sum::<f64>() / 2000.0).sqrt();
     assert!(mean.abs() < 0.2 && (deviation - 3.0).abs() < 0.15, "{mean} {deviation}");
     assert_eq!(power(a, tx, 3.0, Some(7)), power(a, tx, 3.0, Some(7)));
-    let error = |listener: &PreparedReceiver| power(listener, tx, 3.0, Some(7)) - power(listener, tx, 0.0, Some(7));
+    let error = |receiver: &PreparedReceiver| power(receiver, tx, 3.0, Some(7)) - power(receiver, tx, 0.0, Some(7));
     assert!((error(a) - error(b)).abs() > 0.01);
 }
 
@@ -171,11 +171,11 @@ fn simulates_shipped_link_scenes() {
         let scene = simulator.scene();
         assert!(scene.room == office.room && scene.objects == office.objects, "{name}");
         assert_eq!(scene.transmitter, office.transmitter);
-        assert_eq!(simulator.listeners().len(), receivers);
+        assert_eq!(simulator.receivers().len(), receivers);
         let tx = simulator.positions(1, 0).unwrap()[0];
-        for listener in simulator.listeners() {
-            assert_eq!(channel(listener, tx, Some(30.0), Some(0)).len(), numbers);
-            assert!((-90.0..-30.0).contains(&power(listener, tx, 0.0, None)));
+        for receiver in simulator.receivers() {
+            assert_eq!(channel(receiver, tx, Some(30.0), Some(0)).len(), numbers);
+            assert!((-90.0..-30.0).contains(&power(receiver, tx, 0.0, None)));
         }
     }
 }

@@ -21,7 +21,7 @@ const SHAPE: &str = "<shape type=\"ply\" id=\"plate\">\n<string name=\"filename\
 const TEXTURED: &str = "<bsdf type=\"radio-material\" id=\"wall\"><texture type=\"bitmap\"/></bsdf>";
 const TX: DVec3 = DVec3::new(-0.5, 0.23, 1.0);
 
-/// Folder with both meshes and the file `scene.xml` of these elements.
+/// Creates a folder with both meshes and the file `scene.xml` of these elements.
 fn folder(elements: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("meshes")).unwrap();
@@ -31,7 +31,7 @@ fn folder(elements: &str) -> tempfile::TempDir {
     folder
 }
 
-/// Scene with that file, with a receiver at (0.6, -0.1, 1.5) and these settings.
+/// Reads a scene with that file, with a receiver at (0.6, -0.1, 1.5) and these settings.
 fn scene(elements: &str, more: &str) -> SceneFile {
     let folder = folder(elements);
     let text = format!(

@@ -47,7 +47,7 @@ fn rows(file: &str) -> Option<BTreeMap<String, Vec<Row>>> {
     Some(rows)
 }
 
-/// The reference's name of a face.
+/// Returns the reference's name of a face.
 fn name(simulator: &Simulator, face: u32) -> &'static str {
     let n = simulator.world().faces[face as usize].normal;
     let names =

@@ -13,7 +13,7 @@ const TX: DVec3 = DVec3::new(1.0, 0.5, 0.5);
 const ROOM: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
                     floor: (material: \"concrete\"), ceiling: (material: \"wood\", thickness_m: 0.02))";
 
-/// Simulator of an open scene of these meshes in OBJ, each with a material.
+/// Returns the simulator of an open scene of these meshes in OBJ, each with a material.
 fn open(meshes: &[(&str, &str)]) -> Simulator {
     let folder = tempfile::tempdir().unwrap();
     let mut xml = String::from("<scene version=\"2.1.0\">\n");
@@ -35,8 +35,8 @@ fn open(meshes: &[(&str, &str)]) -> Simulator {
     Simulator::new(&SceneFile::read(&folder.path().join("s.ron")).unwrap()).unwrap()
 }
 
-/// Paths without diffuse ones, whose phases depend on the number of the face, in an order of their own; and the number of
-/// diffuse ones.
+/// Returns the paths without diffuse ones, whose phases depend on the number of the face, in an order of their own; and
+/// the number of diffuse ones.
 fn traced(simulator: &Simulator, tx: DVec3) -> (Vec<PropagationPath>, usize) {
     let is_diffuse =
         |path: &PropagationPath| path.interactions.iter().any(|i| matches!(i, Interaction::Scattering { .. }));

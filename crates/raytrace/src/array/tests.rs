@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 const WAVELENGTH: f64 = 0.3258;
 
+/// Returns the line of sight between isotropic antennas.
 fn line_of_sight(from: DVec3, to: DVec3) -> PropagationPath {
     let length = from.distance(to);
     PropagationPath {
@@ -78,8 +79,8 @@ fn field_on_axis_is_unit_vector() {
     for axis in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::new(1.0, 2.0, -3.0).normalize()] {
         for direction in [axis, -axis] {
             for (element, amplitude) in [(Element::Isotropic, 1.0), (Element::Dipole, 0.0)] {
-                let (found, field) = response(&element, axis, direction);
-                assert!((found - amplitude).abs() < 1e-15);
+                let (computed, field) = response(&element, axis, direction);
+                assert!((computed - amplitude).abs() < 1e-15);
                 assert!((field.length() - 1.0).abs() < 1e-14 && field.dot(direction).abs() < 1e-14, "{axis} {field}");
             }
         }
@@ -112,8 +113,8 @@ fn spherical_wave_approaches_plane_wave_at_distance() {
         assert!(worst < 1.2 / distance && worst > 0.1 / distance, "{distance} m: {worst}");
         let expected =
             |offset: &DVec3| path.baseband(WAVELENGTH) * Complex::cis(TAU / WAVELENGTH * offset.dot(direction));
-        for (found, offset) in plane.iter().zip(array.offsets(WAVELENGTH)) {
-            assert!((found / expected(&offset) - 1.0).norm() < 1e-9);
+        for (h, offset) in plane.iter().zip(array.offsets(WAVELENGTH)) {
+            assert!((h / expected(&offset) - 1.0).norm() < 1e-9);
         }
     }
 }
@@ -125,11 +126,12 @@ fn channel_without_paths_is_zero() {
 
 type Row = HashMap<String, String>;
 
+/// Returns a number of a reference table.
 fn number(row: &Row, name: &str) -> f64 {
     row[name].parse().unwrap()
 }
 
-/// Rows of a reference table by column; `None` with a note if it is missing.
+/// Returns the rows of a reference table by column; `None` with a note if it is missing.
 fn reference(name: &str) -> Option<Vec<Row>> {
     let mut reader = csv::Reader::from_path(shared(&format!("reference/paths/sceneA/{name}"))?).unwrap();
     Some(reader.deserialize().map(|row| row.unwrap()).collect())
@@ -138,8 +140,8 @@ fn reference(name: &str) -> Option<Vec<Row>> {
 /// Position of the reference's receiver.
 const CENTER: DVec3 = DVec3::new(1.7, -0.9, 1.3);
 
-/// Path of the reference. Its directions have single precision, so the image of the transmitter is computed from the
-/// names of the walls.
+/// Returns the path of the reference. Its directions have single precision, so the image of the transmitter is computed
+/// from the names of the walls.
 fn reference_path(row: &Row) -> PropagationPath {
     let mut source = match row["tx"].as_str() {
         "tx1" => DVec3::new(-2.1, 1.4, 1.1),
@@ -161,8 +163,8 @@ fn reference_path(row: &Row) -> PropagationPath {
     let length = number(row, "ref_len_m");
     let arrival = (source - CENTER) / length;
     let (az, el) = (number(row, "aoa_az_rad"), number(row, "aoa_el_rad"));
-    let theirs = DVec3::new(el.cos() * az.cos(), el.cos() * az.sin(), el.sin());
-    assert!(arrival.abs_diff_eq(theirs, 1e-4) && (source.distance(CENTER) - length).abs() < 1e-10);
+    let reference = DVec3::new(el.cos() * az.cos(), el.cos() * az.sin(), el.sin());
+    assert!(arrival.abs_diff_eq(reference, 1e-4) && (source.distance(CENTER) - length).abs() < 1e-10);
     let gain = Complex::new(number(row, "ref_a_re"), number(row, "ref_a_im"));
     PropagationPath { gain, length, departure: DVec3::X, arrival, source, before: 0.0, interactions: vec![] }
 }
@@ -194,6 +196,6 @@ fn channel_matches_reference_array() {
             spherical_error += (spherical - real).norm_sqr();
         }
     }
-    println!("against paths traced anew: plane {}, spherical {}", plane_error.sqrt(), spherical_error.sqrt());
+    println!("against separately traced paths: plane {}, spherical {}", plane_error.sqrt(), spherical_error.sqrt());
     assert!(spherical_error < 0.2 * plane_error, "{spherical_error:e} against {plane_error:e}");
 }

@@ -8,6 +8,7 @@ use pwrfgs_core::testing::shared;
 const CUBE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
     f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
+/// Reads a mesh file with this content; the folder in errors is `DIR`.
 fn read_text(name: &str, text: &[u8]) -> Result<Mesh, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -20,33 +21,33 @@ fn cube() -> Mesh {
 }
 
 impl Mesh {
-    /// Corners of all triangles.
-    fn soup(&self) -> Vec<[DVec3; 3]> {
+    /// Returns the corners of all triangles.
+    fn all_corners(&self) -> Vec<[DVec3; 3]> {
         self.triangles.iter().map(|triangle| self.corners(*triangle)).collect()
     }
 
-    /// Number of edges of more than two triangles, as between touching bodies or for duplicate triangles.
+    /// Returns the number of edges of more than two triangles, as between touching bodies or for duplicate triangles.
     fn crowded_edges(&self) -> usize {
         self.edges().filter(|triangles| *triangles > 2).count()
     }
 }
 
-/// Volume by the divergence theorem.
+/// Returns the volume by the divergence theorem.
 fn volume(mesh: &Mesh) -> f64 {
-    mesh.soup().iter().map(|[a, b, c]| a.dot(b.cross(*c)) / 6.0).sum()
+    mesh.all_corners().iter().map(|[a, b, c]| a.dot(b.cross(*c)) / 6.0).sum()
 }
 
 fn area(mesh: &Mesh) -> f64 {
-    mesh.soup().iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()
+    mesh.all_corners().iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()
 }
 
-/// OBJ file in which every triangle has separate vertices.
+/// Returns the OBJ file in which every triangle has separate vertices.
 fn separate_triangles(mesh: &Mesh) -> String {
     let facet = |(k, t): (usize, &[DVec3; 3])| {
         let vertices = t.map(|v| format!("v {} {} {}\n", v.x, v.y, v.z)).concat();
         format!("{vertices}f {} {} {}\n", 3 * k + 1, 3 * k + 2, 3 * k + 3)
     };
-    mesh.soup().iter().enumerate().map(facet).collect()
+    mesh.all_corners().iter().enumerate().map(facet).collect()
 }
 
 #[test]
@@ -71,7 +72,7 @@ fn cube_is_closed_and_has_its_volume_in_every_format() {
         assert!(mesh.is_closed());
         assert_eq!(area(mesh), 6.0);
         assert!((volume(mesh) - 1.0).abs() < 1e-15);
-        assert_eq!(mesh.soup(), cube.soup());
+        assert_eq!(mesh.all_corners(), cube.all_corners());
     }
     assert_eq!(separate, cube, "welding numbers the vertices by first use, whatever the file");
 }
@@ -170,8 +171,8 @@ proptest! {
         let welded = mesh.clone().welded();
         prop_assert_eq!(mesh.check(Path::new("a")).is_ok(), welded.check(Path::new("a")).is_ok());
         if welded.check(Path::new("a")).is_ok() {
-            prop_assert_eq!(mesh.soup(), welded.soup());
-            prop_assert!(welded.soup().iter().all(|[a, b, c]| (b - a).cross(c - a).length() > 0.0));
+            prop_assert_eq!(mesh.all_corners(), welded.all_corners());
+            prop_assert!(welded.all_corners().iter().all(|[a, b, c]| (b - a).cross(c - a).length() > 0.0));
             prop_assert!(welded.boundary_edges() <= 3 * welded.triangles.len());
         }
     }

@@ -32,7 +32,7 @@ pub(super) fn write(
     progress: Progress<'_>,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let (users, stations) = (simulator.positions(recipe.samples, recipe.seed)?, simulator.listeners());
+    let (users, stations) = (simulator.positions(recipe.samples, recipe.seed)?, simulator.receivers());
     let (done, wavelength) = (AtomicUsize::new(0), simulator.scene().wavelength());
     let (mut active, mut most) = (vec![false; users.len()], [0; 4]);
     for (i, station) in stations.iter().enumerate() {
@@ -49,16 +49,16 @@ pub(super) fn write(
         let paths: Vec<Vec<PropagationPath>> = users.par_iter().map(trace).collect::<Result<_>>()?;
         for (active, paths) in active.iter_mut().zip(&paths) {
             *active |= !paths.is_empty();
-            for digits in paths.iter().map(digits) {
+            for digits in paths.iter().map(interaction_digits) {
                 let count = |kind: usize| digits.iter().filter(|digit| **digit == kind).count();
                 most = std::array::from_fn(|k| most[k].max(count(k + 1)));
             }
         }
-        let place = |name: &str| folder.join(format!("{name}_t000_tx{i:03}_r001.npz"));
-        write_paths(&paths, wavelength, |name, shape, values| npz(&place(name), name, shape, values))?;
+        let file = |name: &str| folder.join(format!("{name}_t000_tx{i:03}_r001.npz"));
+        write_paths(&paths, wavelength, |name, shape, values| npz(&file(name), name, shape, values))?;
         let flat = |places: &[DVec3]| places.iter().flat_map(DVec3::to_array).collect::<Vec<f64>>();
-        npz(&place("rx_pos"), "rx_pos", &[users.len(), 3], &flat(&users))?;
-        npz(&place("tx_pos"), "tx_pos", &[1, 3], &station.receiver().position)?;
+        npz(&file("rx_pos"), "rx_pos", &[users.len(), 3], &flat(&users))?;
+        npz(&file("tx_pos"), "tx_pos", &[1, 3], &station.receiver().position)?;
     }
     npz(&folder.join("vertices.npz"), "vertices", &[0, 3], &[])?;
     let sets =
@@ -87,7 +87,7 @@ fn write_paths(
         ("aod_el", &|path| 90.0 - angles(path.arrival).1),
         ("aoa_az", &|path| angles(path.departure).0),
         ("aoa_el", &|path| 90.0 - angles(path.departure).1),
-        ("inter", &|path| digits(path).iter().fold(0.0, |number, digit| 10.0 * number + *digit as f64)),
+        ("inter", &|path| interaction_digits(path).iter().fold(0.0, |number, digit| 10.0 * number + *digit as f64)),
     ];
     for (name, value) in matrices {
         put(name, &[paths.len(), most], &each(value))?;
@@ -95,15 +95,17 @@ fn write_paths(
     let depth = paths.iter().flatten().map(|path| path.interactions.len()).max().unwrap_or(0).max(1);
     let mut points = Vec::with_capacity(paths.len() * most * depth * 3);
     for (user, k) in (0..paths.len() * most).map(|at| (at / most, at % most)) {
-        let mut met = paths[user].get(k).into_iter().flat_map(|path| path.interactions.iter().rev());
-        (0..depth).for_each(|_| points.extend(met.next().map_or([f64::NAN; 3], |met| met.point().to_array())));
+        let mut interactions = paths[user].get(k).into_iter().flat_map(|path| path.interactions.iter().rev());
+        (0..depth).for_each(|_| {
+            points.extend(interactions.next().map_or([f64::NAN; 3], |interaction| interaction.point().to_array()))
+        });
     }
     put("inter_pos", &[paths.len(), most, depth, 3], &points)
 }
 
-/// Interactions from the base station to the user as digits of DeepMIMO.
-fn digits(path: &PropagationPath) -> Vec<usize> {
-    let digit = |met: &Interaction| match met {
+/// Returns the interactions from the base station to the user as digits of DeepMIMO.
+fn interaction_digits(path: &PropagationPath) -> Vec<usize> {
+    let digit = |interaction: &Interaction| match interaction {
         Interaction::Reflection { .. } => 1,
         Interaction::Diffraction { .. } => 2,
         Interaction::Scattering { .. } => 3,
@@ -112,8 +114,8 @@ fn digits(path: &PropagationPath) -> Vec<usize> {
     path.interactions.iter().rev().map(digit).collect()
 }
 
-/// `params.json`: the largest number of each interaction on a path, and base stations and users with their numbers of points
-/// and of active points.
+/// Returns `params.json`: the largest number of each interaction on a path, and base stations and users with their
+/// numbers of points and of active points.
 fn parameters(carrier_hz: f64, most: [usize; 4], sets: [(&str, [usize; 2]); 2]) -> Value {
     let mut ray_tracer = json!({
         "raytracer_name": "pwrfgs", "raytracer_version": env!("CARGO_PKG_VERSION"), "frequency": carrier_hz,

@@ -64,8 +64,8 @@ impl OutputLayout {
             Self::Channels | Self::Csi | Self::DeepMimo => matches!(recipe.observe, ObservationKind::Channel { .. }),
         };
         if !fits {
-            let what = "does not match the observation type; choose another layout";
-            return Err(Error::Config(format!("{self:?} {what}")));
+            let problem = "does not match the observation type; choose another layout";
+            return Err(Error::Config(format!("{self:?} {problem}")));
         }
         let pictures = recipe.samples * recipe.scene.carriers_hz.len().max(1);
         if self == Self::Pictures && pictures > MOST_PICTURES {
@@ -97,13 +97,13 @@ impl OutputLayout {
         Ok(())
     }
 
-    /// Number of the first sample, as in NeRF2: image names from 1, rows from 0.
+    /// Returns the number of the first sample, as in NeRF2: image names from 1, rows from 0.
     fn first(self) -> usize {
         usize::from(matches!(self, Self::Pictures | Self::Array))
     }
 }
 
-/// Whether the `i`th transmitter, counted from 0, is a test sample.
+/// Returns whether the `i`th transmitter, counted from 0, is a test sample.
 pub(crate) fn is_test(i: usize) -> bool {
     (i + 1).is_multiple_of(TEST_EVERY)
 }
@@ -134,6 +134,7 @@ pub(super) struct Files {
 }
 
 impl Files {
+    /// Creates the files with their headers.
     pub(super) fn begin(
         folder: &Path,
         simulator: &Simulator,
@@ -141,17 +142,18 @@ impl Files {
         samples: usize,
         paths: bool,
     ) -> Result<Self> {
-        let (listeners, scene) = (simulator.listeners(), simulator.scene());
-        let (links, is_alone) = (samples * listeners.len(), scene.more_receivers.is_empty());
+        let (receivers, scene) = (simulator.receivers(), simulator.scene());
+        let (links, is_alone) = (samples * receivers.len(), scene.more_receivers.is_empty());
         let array = |name, header: Vec<u8>| GrowingFile::create(folder.join(name), &header).map(Some);
-        let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
+        let shape = [links, receivers[0].receiver().array.elements(), scene.frequencies().len()];
         let channels = |name| array(name, npy_header_as("<c8", &shape));
         // Only for one receiver; with several, the poses are in another file.
         let gateway = || {
             let text = gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose());
             TextFile { name: "gateway_info.yml", text }
         };
-        let antennas = |own: &PreparedReceiver| own.antennas().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
+        let antennas =
+            |receiver: &PreparedReceiver| receiver.antennas().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
         let absolute = || TextFile { name: POWER, text: "id,path_gain_db,low,high\n".into() };
         let (array, table, facts) = match layout {
             OutputLayout::Pictures => {
@@ -164,32 +166,33 @@ impl Files {
                 (array, is_alone.then(absolute), is_alone.then(gateway))
             }
             OutputLayout::Rssi => {
-                let receivers = || listeners.iter().map(PreparedReceiver::receiver);
-                let names: Vec<&str> = receivers().map(|receiver| &*receiver.name).collect();
-                let places = receivers().map(|receiver| format!("{}: {}\n", receiver.name, list(&receiver.position)));
+                let descriptions = || receivers.iter().map(PreparedReceiver::receiver);
+                let names: Vec<&str> = descriptions().map(|receiver| &*receiver.name).collect();
+                let positions =
+                    descriptions().map(|receiver| format!("{}: {}\n", receiver.name, yaml_list(&receiver.position)));
                 let table = TextFile { name: POWERS, text: names.join(",") + "\n" };
-                (None, Some(table), Some(TextFile { name: "gateway_position.yml", text: places.collect() }))
+                (None, Some(table), Some(TextFile { name: "gateway_position.yml", text: positions.collect() }))
             }
             OutputLayout::Channels => {
                 let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
-                let (own, hz) = (&listeners[0], scene.frequencies());
-                let text = || receiver_yaml(&own.receiver().name, &own.pose(), band, &hz, &antennas(own));
+                let (first, hz) = (&receivers[0], scene.frequencies());
+                let text = || receiver_yaml(&first.receiver().name, &first.pose(), band, &hz, &antennas(first));
                 let facts = is_alone.then(|| TextFile { name: "receiver.yml", text: text() });
                 (channels(CHANNELS)?, None, facts)
             }
             OutputLayout::Csi => {
-                let text = base_station_yaml(&antennas(&listeners[0]));
+                let text = base_station_yaml(&antennas(&receivers[0]));
                 (channels("csidata.npy")?, None, Some(TextFile { name: "base-station.yml", text }))
             }
             OutputLayout::DeepMimo => (None, None, None), // written by `deepmimo.rs`
         };
-        let table_of = |listener: &PreparedReceiver| {
-            let own = format!("paths-{}.csv", listener.receiver().name);
-            let path = folder.join(if listeners.len() == 1 { PATHS } else { &own });
+        let table_of = |receiver: &PreparedReceiver| {
+            let name = format!("paths-{}.csv", receiver.receiver().name);
+            let path = folder.join(if receivers.len() == 1 { PATHS } else { &name });
             let file = GrowingFile::create(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
-            Ok((PathTable::new(simulator.world(), listener.world_from_receiver()), file))
+            Ok((PathTable::new(simulator.world(), receiver.world_from_receiver()), file))
         };
-        let paths = if paths { listeners.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
+        let paths = if paths { receivers.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
         let positions = match scene.moving_receiver {
             Some(_) => TextFile { name: POSES, text: poses_csv(std::iter::empty()) },
             None => TextFile { name: POSITIONS, text: "x,y,z\n".into() },
@@ -198,11 +201,11 @@ impl Files {
         Ok(Self { folder: folder.into(), layout, array, table, facts, positions, carriers_hz, paths })
     }
 
-    /// Adds the observations of the `i`th transmitter, counted from 0; `place` is its row in the table of positions.
-    pub(super) fn add(&mut self, i: usize, place: &str, all: &[ReceiverObservation]) -> Result<()> {
+    /// Adds the observations of the `i`th transmitter, counted from 0; `row` is its row in the table of positions.
+    pub(super) fn add(&mut self, i: usize, row: &str, all: &[ReceiverObservation]) -> Result<()> {
         let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first());
         let id_of = |receiver: usize| i * rows + first + if rows == 1 { 0 } else { receiver };
-        self.positions.text += &place.repeat(rows);
+        self.positions.text += &row.repeat(rows);
         for (receiver, ((table, file), received)) in self.paths.iter_mut().zip(all).enumerate() {
             file.add(table.rows(id_of(receiver), &received.paths).as_bytes())?;
         }
@@ -273,8 +276,8 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
     let silent = format!("{SILENT_DBM:.1}");
     let rows = || text.lines().skip(1);
     let columns = rows().next().map_or(0, |row| row.split(',').count());
-    let is_deaf = |column: &usize| rows().all(|row| row.split(',').nth(*column) == Some(&*silent));
-    if let Some(column) = (0..columns).find(is_deaf) {
+    let is_silent = |column: &usize| rows().all(|row| row.split(',').nth(*column) == Some(&*silent));
+    if let Some(column) = (0..columns).find(is_silent) {
         let name = text.lines().next().and_then(|names| names.split(',').nth(column)).unwrap_or_default();
         return Err(Error::Config(format!(
             "receiver `{name}` receives no transmitter above {SILENT_DBM} dBm, which the layout cannot say; raise `power_dbm` \
@@ -283,19 +286,20 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
     }
     match rows().filter(|row| row.split(',').all(|cell| cell == silent)).count() {
         0 => Ok(()),
-        unheard => Err(Error::Config(format!(
-            "{unheard} of {} transmitters are heard by no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
+        silent_rows => Err(Error::Config(format!(
+            "{silent_rows} of {} transmitters are heard by no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
              `power_dbm` of the transmitter, or keep it nearer to receivers",
             rows().count()
         ))),
     }
 }
 
-/// Numbers in brackets, as YAML.
-fn list(values: &[f64]) -> String {
+/// Returns numbers in brackets, as YAML.
+fn yaml_list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
 }
 
+/// Writes a spectrum as a grey image.
 fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new(&mut bytes)

@@ -30,19 +30,20 @@ const MOST_CONDUCTIVITY: f64 = 1e12;
 /// A scene with an opening, a mesh that cannot be read, or a folder that cannot be written.
 pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
     if let Some(opening) = scene.objects.iter().find(|object| object.finish().is_none()) {
-        let what = "cannot be exported; remove it, or cut the hole into a mesh";
-        return Err(Error::Config(format!("scene `{}`: opening `{}` {what}", scene.name, opening.name())));
+        let advice = "cannot be exported; remove it, or cut the hole into a mesh";
+        return Err(Error::Config(format!("scene `{}`: opening `{}` {advice}", scene.name, opening.name())));
     }
     for (name, finish) in scene.finishes() {
-        let permittivity = scene.material(&finish.material).map_or(1.0, |own| own.constants(scene.carrier_hz).0);
+        let permittivity =
+            scene.material(&finish.material).map_or(1.0, |material| material.constants(scene.carrier_hz).0);
         if !(1.0..=1e6).contains(&permittivity) {
-            let what = format!("`{name}`: a permittivity of {permittivity} cannot be exported (1 to 1,000,000)");
-            return Err(Error::Config(format!("scene `{}`: object {what}; change its material", scene.name)));
+            let problem = format!("`{name}`: a permittivity of {permittivity} cannot be exported (1 to 1,000,000)");
+            return Err(Error::Config(format!("scene `{}`: object {problem}; change its material", scene.name)));
         }
     }
     let world = world::from_scene(scene)?;
-    let making = NewFolder::begin(out)?;
-    let meshes = making.path().join("meshes");
+    let new_folder = NewFolder::begin(out)?;
+    let meshes = new_folder.path().join("meshes");
     fs::create_dir(&meshes).map_err(|e| Error::write(&meshes, e))?;
     let (mut ids, mut shapes) = (BTreeSet::new(), String::new());
     // Surfaces have the order of the finishes. Later layers cover earlier ones, and among sheets the first counts.
@@ -50,36 +51,38 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
     let mut order: Vec<_> = (0..).zip(scene.finishes()).filter(|(surface, _)| layer(*surface).is_some()).collect();
     order.sort_by_key(|(surface, _)| std::cmp::Reverse(layer(*surface)));
     for (surface, (name, finish)) in order {
-        let of_surface = world.faces.iter().filter(|face| face.surface == surface);
-        let triangles = of_surface.flat_map(|face| &world.triangles[face.triangles.clone()]);
-        let base = plain(name);
+        let faces = world.faces.iter().filter(|face| face.surface == surface);
+        let triangles = faces.flat_map(|face| &world.triangles[face.triangles.clone()]);
+        let base = plain_name(name);
         let mut all = iter::once(base.clone()).chain((2..).map(|k| format!("{base}-{k}")));
         let id = all.find(|id| ids.insert(id.to_lowercase())).expect("numbers do not end");
         let file = format!("meshes/{id}.ply");
-        write_atomically(&making.path().join(&file), ply(triangles.map(Triangle::corners)).as_bytes())?;
+        write_atomically(&new_folder.path().join(&file), ply(triangles.map(Triangle::corners)).as_bytes())?;
         let (source, flat) = (property("string", "filename", &file), property("boolean", "face_normals", &true));
         let bsdf = bsdf(scene, &id, finish);
         writeln!(shapes, "    <shape type=\"ply\" id=\"{id}\">\n{source}{flat}{bsdf}    </shape>").expect("text grows");
     }
-    let head = format!("<!-- simulated scene {}, carrier {} Hz; by pwrfgs -->", plain(&scene.name), scene.carrier_hz);
+    let head =
+        format!("<!-- simulated scene {}, carrier {} Hz; by pwrfgs -->", plain_name(&scene.name), scene.carrier_hz);
     let text = format!("<scene version=\"2.1.0\">\n    {head}\n{shapes}</scene>\n");
-    write_atomically(&making.path().join("scene.xml"), text.as_bytes())?;
-    making.publish()?;
+    write_atomically(&new_folder.path().join("scene.xml"), text.as_bytes())?;
+    new_folder.publish()?;
     Ok(ids.len())
 }
 
-/// Name of letters, digits, single `-` and `_`.
-fn plain(name: &str) -> String {
+/// Returns `name` with letters, digits, single `-` and `_` only.
+fn plain_name(name: &str) -> String {
     let words = name.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| !word.is_empty());
     let joined = words.collect::<Vec<_>>().join("-");
     if joined.is_empty() { "object".into() } else { joined.chars().take(LONGEST).collect() }
 }
 
+/// Returns a property element.
 fn property(kind: &str, name: &str, value: &dyn Display) -> String {
     format!("        <{kind} name=\"{name}\" value=\"{value}\"/>\n")
 }
 
-/// Material of the shape `id`.
+/// Returns the material of the shape `id`.
 fn bsdf(scene: &SceneFile, id: &str, finish: &Finish) -> String {
     let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
     let is_itu = !scene.materials.contains_key(&finish.material)
@@ -98,14 +101,14 @@ fn bsdf(scene: &SceneFile, id: &str, finish: &Finish) -> String {
     format!("        <bsdf type=\"{kind}\" id=\"material-{id}\">\n{constants}{thickness}{roughness}        </bsdf>\n")
 }
 
-/// PLY text of triangles with shared vertices.
+/// Returns the PLY text of triangles with shared vertices.
 fn ply(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
-    let (mut known, mut vertices, mut faces, mut count) = (BTreeMap::new(), String::new(), String::new(), 0);
+    let (mut indices, mut vertices, mut faces, mut count) = (BTreeMap::new(), String::new(), String::new(), 0);
     for corners in triangles {
         let [a, b, c] = corners.map(|corner| {
             let steps = corner.to_array().map(|v| (v * STEPS).round() as i64);
-            let next = known.len();
-            *known.entry(steps).or_insert_with(|| {
+            let next = indices.len();
+            *indices.entry(steps).or_insert_with(|| {
                 let [x, y, z] = steps.map(|v| v as f64 / STEPS);
                 writeln!(vertices, "{x} {y} {z}").expect("text grows");
                 next
@@ -114,7 +117,7 @@ fn ply(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
         writeln!(faces, "3 {a} {b} {c}").expect("text grows");
         count += 1;
     }
-    let head = format!("ply\nformat ascii 1.0\nelement vertex {}\n", known.len());
+    let head = format!("ply\nformat ascii 1.0\nelement vertex {}\n", indices.len());
     let coordinates = ["x", "y", "z"].map(|axis| format!("property double {axis}\n")).concat();
     format!(
         "{head}{coordinates}element face {count}\nproperty list uchar int vertex_indices\nend_header\n{vertices}{faces}"

@@ -32,13 +32,13 @@ impl PathTable {
         Self { receiver_from_world: world_from_receiver.transpose(), faces, edges }
     }
 
-    /// Rows of transmitter `id`.
+    /// Returns the rows of transmitter `id`.
     pub(crate) fn rows(&self, id: usize, paths: &[PropagationPath]) -> String {
         let mut text = String::new();
         for (i, path) in paths.iter().enumerate() {
             let letters: String = path.interactions.iter().map(letter).collect();
             let letters = if letters.is_empty() { "LOS" } else { &letters };
-            let names: Vec<&str> = path.interactions.iter().map(|met| self.name(met)).collect();
+            let names: Vec<&str> = path.interactions.iter().map(|interaction| self.name(interaction)).collect();
             let [departure, arrival] = [path.departure, path.arrival].map(angles);
             let shown = angles(self.receiver_from_world * path.arrival);
             writeln!(
@@ -63,6 +63,7 @@ impl PathTable {
         text
     }
 
+    /// Returns the name of the face or edge of an interaction.
     fn name(&self, interaction: &Interaction) -> &str {
         match *interaction {
             Interaction::Reflection { face, .. }
@@ -73,6 +74,7 @@ impl PathTable {
     }
 }
 
+/// Returns the letter of an interaction.
 fn letter(interaction: &Interaction) -> char {
     match interaction {
         Interaction::Reflection { .. } => 'R',

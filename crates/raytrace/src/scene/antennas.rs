@@ -104,19 +104,19 @@ fn upright() -> [f64; 3] {
 }
 
 impl SceneReceiver {
-    /// Receiver pose.
+    /// Returns the receiver pose.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation.quaternion() }
     }
 
-    /// Name with the prefix `what`, or `what` alone for an unnamed receiver.
-    pub(crate) fn called(&self, what: &str) -> String {
-        if is_gateway(&self.name) { what.into() } else { format!("{what} `{}`", self.name) }
+    /// Returns the name with the prefix `noun`, or `noun` alone for an unnamed receiver.
+    pub(crate) fn describe(&self, noun: &str) -> String {
+        if is_gateway(&self.name) { noun.into() } else { format!("{noun} `{}`", self.name) }
     }
 
-    /// Name of a random stream unique to this receiver.
-    pub(crate) fn stream(&self, what: &str) -> String {
-        if is_gateway(&self.name) { what.into() } else { format!("{what} of {}", self.name) }
+    /// Returns the name of a random stream unique to this receiver.
+    pub(crate) fn stream_name(&self, purpose: &str) -> String {
+        if is_gateway(&self.name) { purpose.into() } else { format!("{purpose} of {}", self.name) }
     }
 
     /// Returns an error for a name that is not valid as folder, column and key on every system.
@@ -136,7 +136,7 @@ impl SceneReceiver {
     }
 
     pub(super) fn check(&self) -> Result<(), String> {
-        self.check_pose().map_err(|what| format!("{}: {what}", self.called("receiver")))
+        self.check_pose().map_err(|problem| format!("{}: {problem}", self.describe("receiver")))
     }
 
     fn check_pose(&self) -> Result<(), String> {
@@ -168,15 +168,15 @@ impl SceneTransmitter {
             return Err(format!("`polarization` of the transmitter is {axis:?}; give an axis such as (0, 0, 1)"));
         }
         if self.power_dbm.is_nan() || self.power_dbm.abs() > MOST_DBM {
-            let what = format!("give -{MOST_DBM} to {MOST_DBM} dBm");
-            return Err(format!("`power_dbm` of the transmitter is {}; {what}", self.power_dbm));
+            let advice = format!("give -{MOST_DBM} to {MOST_DBM} dBm");
+            return Err(format!("`power_dbm` of the transmitter is {}; {advice}", self.power_dbm));
         }
         self.element.check().map_err(|why| format!("transmitter: {why}"))
     }
 }
 
 impl Orientation {
-    /// Unit quaternion x, y, z, w from the receiver axes to the world axes.
+    /// Returns the unit quaternion x, y, z, w from the receiver axes to the world axes.
     pub fn quaternion(&self) -> [f64; 4] {
         match self {
             Self::Quaternion(x, y, z, w) => {

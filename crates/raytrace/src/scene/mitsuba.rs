@@ -70,7 +70,7 @@ impl MitsubaScene {
         reader.scene()
     }
 
-    /// Default antennas: receiver position, and smallest and largest transmitter position.
+    /// Returns the default antennas: receiver position, and smallest and largest transmitter position.
     ///
     /// # Errors
     /// A mesh that cannot be read.
@@ -81,16 +81,16 @@ impl MitsubaScene {
             let mesh = object.placed_mesh(false)?;
             triangles += mesh.triangles.len();
             if triangles > MOST_TRIANGLES {
-                let what = "triangles, a mesh counted once per shape; simplify the meshes";
-                return Err(Error::Config(format!("the shapes have more than {MOST_TRIANGLES} {what}")));
+                let advice = "triangles, a mesh counted once per shape; simplify the meshes";
+                return Err(Error::Config(format!("the shapes have more than {MOST_TRIANGLES} {advice}")));
             }
             for vertex in mesh.vertices {
                 (low, high) = (low.min(vertex), high.max(vertex));
             }
         }
         if (high.x - low.x).min(high.y - low.y) < 1e-6 {
-            let what = "a single wall has no default antennas; name the XML file in a scene file, as `mitsuba`";
-            return Err(Error::Config(what.into()));
+            let problem = "a single wall has no default antennas; name the XML file in a scene file, as `mitsuba`";
+            return Err(Error::Config(problem.into()));
         }
         // Heights of people, or the middle of anything lower; multiples of 0.1 mm, as transmitters are.
         let height = if high.z - low.z > 0.01 { (0.5 * (high.z - low.z)).min(1.5) } else { 1.5 };
@@ -113,45 +113,48 @@ struct Reader<'a> {
 
 type Element<'a> = Node<'a, 'a>;
 
+/// Returns the child elements.
 fn elements(node: Element<'_>) -> impl Iterator<Item = Element<'_>> {
     node.children().filter(Node::is_element)
 }
 
-/// Child element with the given `name` attribute.
+/// Returns the child element with the given `name` attribute.
 fn property<'a>(node: Element<'a>, name: &str) -> Option<Element<'a>> {
     elements(node).find(|child| child.attribute("name") == Some(name))
 }
 
 impl<'a> Reader<'a> {
-    fn fault(&self, node: Element<'_>, what: impl Display) -> Error {
+    /// Returns the error `problem` at an element.
+    fn fault(&self, node: Element<'_>, problem: impl Display) -> Error {
         let pos = self.document.text_pos_at(node.range().start);
-        Error::at(self.path, pos.row as usize, pos.col as usize, what)
+        Error::at(self.path, pos.row as usize, pos.col as usize, problem)
     }
 
-    /// Returns the error `what` at `node` unless `holds`.
-    fn require(&self, holds: bool, node: Element<'_>, what: impl Display) -> Result<()> {
-        if holds { Ok(()) } else { Err(self.fault(node, what)) }
+    /// Returns the error `problem` at `node` unless `holds`.
+    fn require(&self, holds: bool, node: Element<'_>, problem: impl Display) -> Result<()> {
+        if holds { Ok(()) } else { Err(self.fault(node, problem)) }
     }
 
+    /// Reads the whole scene.
     fn scene(&mut self) -> Result<MitsubaScene> {
         let root = self.document.root_element();
-        let what = "this is not a Mitsuba scene; give a file whose first element is `scene`";
-        self.require(root.has_tag_name("scene"), root, what)?;
+        let problem = "this is not a Mitsuba scene; give a file whose first element is `scene`";
+        self.require(root.has_tag_name("scene"), root, problem)?;
         let mut scene = MitsubaScene::default();
         for node in elements(root) {
             match node.tag_name().name() {
                 "default" => self.define(node)?,
                 "bsdf" => drop(self.material(node, &mut scene)?),
                 name => {
-                    let what = "put its shapes and materials into this file";
-                    let what = format!("unsupported element {}; {what}", quoted(name));
-                    self.require(KNOWN.contains(&name), node, what)?;
+                    let problem = "put its shapes and materials into this file";
+                    let problem = format!("unsupported element {}; {problem}", quoted(name));
+                    self.require(KNOWN.contains(&name), node, problem)?;
                 }
             }
         }
         for node in elements(root).filter(|node| node.has_tag_name("shape")) {
-            let what = "shapes; join the meshes of each material, or cut out a part";
-            self.require(scene.objects.len() < MOST_SHAPES, node, format_args!("more than {MOST_SHAPES} {what}"))?;
+            let problem = "shapes; join the meshes of each material, or cut out a part";
+            self.require(scene.objects.len() < MOST_SHAPES, node, format_args!("more than {MOST_SHAPES} {problem}"))?;
             let object = self.shape(node, &mut scene)?;
             scene.objects.push(object);
         }
@@ -159,27 +162,29 @@ impl<'a> Reader<'a> {
         Ok(scene)
     }
 
+    /// Reads the variable of a `default` element.
     fn define(&mut self, node: Element<'a>) -> Result<()> {
         let pair = node.attribute("name").zip(node.attribute("value"));
         let pair = pair.filter(|(name, value)| !name.is_empty() && !value.contains('$') && value.len() <= LONGEST);
-        let what = "`default` needs a `name` and a short `value` without `$`; correct it, and give at most 100";
-        self.require(pair.is_some() && self.variables.len() < MOST_VARIABLES, node, what)?;
+        let problem = "`default` needs a `name` and a short `value` without `$`; correct it, and give at most 100";
+        self.require(pair.is_some() && self.variables.len() < MOST_VARIABLES, node, problem)?;
         self.variables.extend(pair);
         Ok(())
     }
 
-    /// Value of an attribute with variables replaced.
+    /// Returns the value of an attribute with variables replaced.
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
-        expand(name, value, &self.variables).map(Some).map_err(|what| self.fault(node, what))
+        expand(name, value, &self.variables).map(Some).map_err(|problem| self.fault(node, problem))
     }
 
+    /// Returns the value of a required attribute.
     fn required(&self, node: Element<'_>, name: &str) -> Result<String> {
         let missing = || self.fault(node, format!("the element has no `{name}`; add it"));
         self.attribute(node, name)?.ok_or_else(missing)
     }
 
-    /// Numbers of an attribute, separated by commas or blanks.
+    /// Returns the numbers of an attribute, separated by commas or blanks.
     fn numbers(&self, node: Element<'_>, name: &str) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.attribute(node, name)? else { return Ok(None) };
         let fields = text.split([',', ' ', '\t', '\n']).filter(|field| !field.is_empty());
@@ -188,7 +193,7 @@ impl<'a> Reader<'a> {
         fields.map(|field| number(field).ok_or_else(|| fault(field))).collect::<Result<Vec<f64>>>().map(Some)
     }
 
-    /// One number of an attribute.
+    /// Returns one number of an attribute.
     fn number(&self, node: Element<'_>, name: &str) -> Result<Option<f64>> {
         match self.numbers(node, name)?.as_deref() {
             None => Ok(None),
@@ -197,7 +202,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Number of a property from `low` to `high`, if it is present.
+    /// Returns the number of a property from `low` to `high`, if it is present.
     fn value(&self, node: Element<'_>, name: &str, low: f64, high: f64) -> Result<Option<f64>> {
         let Some(child) = property(node, name) else { return Ok(None) };
         let value = self.number(child, "value")?.filter(|value| (low..=high).contains(value));
@@ -208,14 +213,14 @@ impl<'a> Reader<'a> {
     /// Checks the names of the properties of a radio material of Sionna RT, and that none is a texture.
     fn check_properties(&self, node: Element<'_>) -> Result<()> {
         for child in elements(node) {
-            let what = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
-            self.require(!child.has_tag_name("texture"), child, what)?;
+            let problem = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
+            self.require(!child.has_tag_name("texture"), child, problem)?;
             let name = self.required(child, "name")?;
             if !PROPERTIES.contains(&&*name) {
                 let hint = did_you_mean(&name, PROPERTIES);
-                let what =
+                let problem =
                     format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
-                return Err(self.fault(child, what));
+                return Err(self.fault(child, problem));
             }
         }
         Ok(())
@@ -225,7 +230,7 @@ impl<'a> Reader<'a> {
     fn material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
         let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required(node, "type")?);
-        let (known, shown) = (material::names(), quoted(&id));
+        let (itu_names, shown) = (material::names(), quoted(&id));
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
         let itu = itu.filter(|_| kind != "radio-material"); // which states its own constants
@@ -233,24 +238,24 @@ impl<'a> Reader<'a> {
             self.check_properties(node)?;
         }
         let material = if kind == "itu-radio-material" || itu.is_some() {
-            let place = property(node, "type");
-            let stated = place.map(|place| self.required(place, "value")).transpose()?;
+            let type_node = property(node, "type");
+            let stated = type_node.map(|child| self.required(child, "value")).transpose()?;
             let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
-            if !known.contains(&&*name) {
-                let (hint, all) = (did_you_mean(&name, known.iter().copied()), known.join(", "));
-                let what = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
-                return Err(self.fault(place.unwrap_or(node), what));
+            if !itu_names.contains(&&*name) {
+                let (hint, all) = (did_you_mean(&name, itu_names.iter().copied()), itu_names.join(", "));
+                let problem = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
+                return Err(self.fault(type_node.unwrap_or(node), problem));
             }
             name
         } else {
-            let what = "is not a radio material; rename it to `itu_concrete` or another ITU material, or set its type to \
+            let problem = "is not a radio material; rename it to `itu_concrete` or another ITU material, or set its type to \
                         `itu-radio-material`";
-            let what = format!("material {shown} of type {} {what}", quoted(&kind));
-            self.require(kind == "radio-material", node, what)?;
+            let problem = format!("material {shown} of type {} {problem}", quoted(&kind));
+            self.require(kind == "radio-material", node, problem)?;
             let a = self.value(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
             let c = self.value(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
             // A name of ITU-R P.2040 would replace that material in the whole scene.
-            let name = if known.contains(&&*id) { format!("{id} (radio-material)") } else { id.clone() };
+            let name = if itu_names.contains(&&*id) { format!("{id} (radio-material)") } else { id.clone() };
             scene.materials.insert(name.clone(), Material { a, b: 0.0, c, d: 0.0, range_ghz: (0.0, f64::INFINITY) });
             name
         };
@@ -265,17 +270,19 @@ impl<'a> Reader<'a> {
         Ok(finish)
     }
 
+    /// Reads a shape as an object with a mesh.
     fn shape(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Object> {
         let kind = quoted(&self.required(node, "type")?);
-        let what = format!("unsupported shape type {kind}; export the shape as a PLY mesh");
-        self.require(["`ply`", "`obj`"].contains(&&*kind), node, what)?;
+        let problem = format!("unsupported shape type {kind}; export the shape as a PLY mesh");
+        self.require(["`ply`", "`obj`"].contains(&&*kind), node, problem)?;
         let name = self.attribute(node, "id")?.unwrap_or(format!("shape {}", scene.objects.len() + 1));
         let source = property(node, "filename");
         let source = source.ok_or_else(|| self.fault(node, "a shape needs a `filename`; add the path of its mesh"))?;
         let stated = self.required(source, "value")?.replace('\\', "/");
         let file = self.path.parent().unwrap_or(Path::new("")).join(&stated);
-        let what = "is missing: paths begin in the folder of the XML file, so copy its meshes too, or correct the path";
-        self.require(file.is_file(), source, format_args!("mesh {} {what}", quoted(&stated)))?;
+        let problem =
+            "is missing: paths begin in the folder of the XML file, so copy its meshes too, or correct the path";
+        self.require(file.is_file(), source, format_args!("mesh {} {problem}", quoted(&stated)))?;
         let finish = self.finish(node, scene)?;
         let mut matrix = None;
         for transform in elements(node).filter(|child| child.has_tag_name("transform")) {
@@ -290,15 +297,15 @@ impl<'a> Reader<'a> {
         Ok(Object::Mesh { name, file, matrix, scale: 1.0, yaw_deg: 0.0, shift: [0.0; 3], hollow: true, finish })
     }
 
-    /// Material of a shape: inside it, or referenced.
+    /// Returns the material of a shape: inside it, or referenced.
     fn finish(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         if let Some(inner) = elements(node).find(|child| child.has_tag_name("bsdf")) {
             return self.material(inner, scene);
         }
         let is_bsdf = |child: &Element<'_>| child.attribute("name").is_none_or(|name| name == "bsdf");
         let reference = elements(node).filter(is_bsdf).find(|child| child.has_tag_name("ref"));
-        let what = "the shape has no material; add <ref id=\"..\" name=\"bsdf\"/> with the id of a `bsdf`";
-        let reference = reference.ok_or_else(|| self.fault(node, what))?;
+        let problem = "the shape has no material; add <ref id=\"..\" name=\"bsdf\"/> with the id of a `bsdf`";
+        let reference = reference.ok_or_else(|| self.fault(node, problem))?;
         let id = self.required(reference, "id")?;
         self.finishes.get(&id).cloned().ok_or_else(|| {
             let hint = did_you_mean(&id, self.finishes.keys().map(String::as_str));
@@ -306,10 +313,11 @@ impl<'a> Reader<'a> {
         })
     }
 
+    /// Reads a `transform` element: its steps in order.
     fn transform(&self, node: Element<'_>) -> Result<DAffine3> {
         let mut all = DAffine3::IDENTITY;
         for step in elements(node) {
-            let fault = |what: &str| self.fault(step, what);
+            let fault = |problem: &str| self.fault(step, problem);
             let next = match step.tag_name().name() {
                 "translate" => DAffine3::from_translation(self.vector(step, 0.0)?),
                 "scale" => DAffine3::from_scale(self.vector(step, 1.0)?),
@@ -333,7 +341,7 @@ impl<'a> Reader<'a> {
         Ok(all)
     }
 
-    /// Vector from `value`, with one or three numbers, or from `x`, `y` and `z`.
+    /// Returns the vector from `value`, with one or three numbers, or from `x`, `y` and `z`.
     fn vector(&self, node: Element<'_>, default: f64) -> Result<DVec3> {
         match self.numbers(node, "value")?.as_deref() {
             Some(&[all]) => Ok(DVec3::splat(all)),

@@ -91,12 +91,12 @@ impl Check for Subcarriers {
 }
 
 impl Subcarriers {
-    /// Subcarrier spacing, Hz.
+    /// Returns the subcarrier spacing, Hz.
     pub fn spacing_hz(&self) -> f64 {
         self.bandwidth_hz / self.count as f64
     }
 
-    /// Subcarrier frequencies, Hz, ascending.
+    /// Returns the subcarrier frequencies, Hz, ascending.
     pub fn frequencies(&self, carrier_hz: f64) -> Vec<f64> {
         let middle = (self.count as f64 - 1.0) / 2.0;
         (0..self.count).map(|i| carrier_hz + (i as f64 - middle) * self.spacing_hz()).collect()

@@ -58,8 +58,8 @@ impl Outline {
                     return Err("room: a floor plan needs three corners or more, finite numbers in metres".into());
                 }
                 if corners.len() > MOST_CORNERS {
-                    let found = corners.len();
-                    return Err(format!("room: the floor plan has {found} corners; give at most {MOST_CORNERS}"));
+                    let count = corners.len();
+                    return Err(format!("room: the floor plan has {count} corners; give at most {MOST_CORNERS}"));
                 }
                 if !(ceiling - floor > 1e-3 && ceiling.abs() <= FAR && floor.abs() <= FAR) {
                     return Err(format!("room: the ceiling at {ceiling} m must lie above the floor at {floor} m"));
@@ -75,7 +75,7 @@ impl Outline {
     }
 }
 
-/// Two non-adjacent walls of a plan that meet, adjacent walls that overlap, or a wall of zero length.
+/// Returns two non-adjacent walls of a plan that meet, adjacent walls that overlap, or a wall of zero length.
 fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     let n = corners.len();
     let corner = |i: usize| DVec2::from(corners[i % n]);
@@ -112,8 +112,8 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
 
 /// Returns an error unless the box has an inside.
 pub(super) fn check_box(low: [f64; 3], high: [f64; 3]) -> Result<(), String> {
-    let fine = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > 1e-3);
-    if fine {
+    let is_valid = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > 1e-3);
+    if is_valid {
         return Ok(());
     }
     Err(format!(
@@ -212,7 +212,7 @@ fn one() -> f64 {
 }
 
 impl Object {
-    /// Name of the object.
+    /// Returns the name of the object.
     pub fn name(&self) -> &str {
         match self {
             Self::Box { name, .. }
@@ -222,7 +222,7 @@ impl Object {
         }
     }
 
-    /// Finish of the object; `None` for an opening.
+    /// Returns the finish of the object; `None` for an opening.
     pub fn finish(&self) -> Option<&Finish> {
         match self {
             Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => Some(finish),
@@ -237,7 +237,7 @@ impl Object {
         }
     }
 
-    /// Mesh at its position; empty for an object without a file.
+    /// Returns the mesh at its position; empty for an object without a file.
     ///
     /// # Errors
     /// Errors of [`mesh::read_object`], or a vertex farther than 1000 km away.
@@ -249,8 +249,8 @@ impl Object {
         let mesh = mesh::read_object(file, matrix, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
         mesh.check(file)?;
         if mesh.vertices.iter().any(|v| v.abs().max_element() > FAR) {
-            let what = format!("puts `{name}` farther than 1000 km away; correct its `scale`, `shift` and `matrix`");
-            return Err(Error::input(file, what));
+            let problem = format!("puts `{name}` farther than 1000 km away; correct its `scale`, `shift` and `matrix`");
+            return Err(Error::input(file, problem));
         }
         Ok(mesh)
     }
@@ -279,8 +279,8 @@ impl Object {
                     return Err("`file` is empty; name an OBJ or PLY file".into());
                 }
                 let mut numbers = matrix.iter().flatten().flatten().chain(shift);
-                let finite = yaw_deg.is_finite() && numbers.all(|v| v.is_finite());
-                if finite && (1e-9..=1e9).contains(scale) {
+                let is_finite = yaw_deg.is_finite() && numbers.all(|v| v.is_finite());
+                if is_finite && (1e-9..=1e9).contains(scale) {
                     return Ok(());
                 }
                 Err("`scale` must lie between 1e-9 and 1e9, `yaw_deg`, `shift` and `matrix` be finite".into())

@@ -104,8 +104,8 @@ impl Transmitters {
             Self::Walk { step_m, .. } => {
                 let longest = region.size().max_element();
                 if !(step_m >= SMALLEST_STEP && step_m <= longest) {
-                    let what = format!("from {SMALLEST_STEP} to the longest side of the box, {longest}");
-                    return Err(format!("`step_m` of the walk is {step_m}; give a length in metres {what}"));
+                    let range = format!("from {SMALLEST_STEP} to the longest side of the box, {longest}");
+                    return Err(format!("`step_m` of the walk is {step_m}; give a length in metres {range}"));
                 }
                 Ok(())
             }
@@ -131,7 +131,7 @@ impl Transmitters {
         }
     }
 
-    /// Smallest and largest corner of the box, metres.
+    /// Returns the smallest and largest corner of the box, metres.
     pub fn corners(&self) -> ([f64; 3], [f64; 3]) {
         match *self {
             Self::Uniform { low, high } | Self::Grid { low, high, .. } | Self::Walk { low, high, .. } => (low, high),
@@ -139,6 +139,7 @@ impl Transmitters {
     }
 }
 
+/// Converts a problem of the positions to an error.
 fn config(why: impl std::fmt::Display) -> Error {
     Error::Config(format!("transmitters: {why}"))
 }
@@ -177,35 +178,36 @@ impl Region {
         }
     }
 
-    /// Largest minus smallest corner, metres.
+    /// Returns the largest minus smallest corner, metres.
     fn size(&self) -> DVec3 {
         DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
     }
 
-    /// Nearest position inside the box.
+    /// Returns the nearest position inside the box.
     fn nearest(&self, position: DVec3) -> DVec3 {
         let position = position.to_array();
         let grain = |k: usize| ((position[k] * GRAINS).round() as i64).clamp(self.low[k], self.high[k]);
         DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
     }
 
+    /// Draws a position of the grid, uniform in the box.
     fn draw(&self, random: &mut Rng) -> DVec3 {
         let mut grain = |k: usize| self.low[k] + rng::below(random, (self.high[k] - self.low[k]) as usize + 1) as i64;
         DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
     }
 
-    /// Position of sample `number` (counted from 0): uniform in free space.
+    /// Returns the position of sample `number` (counted from 0): uniform in free space.
     fn draw_free(&self, number: usize, random: &mut Rng, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<DVec3> {
         let mut last = String::new();
         for _ in 0..TRIES {
             let position = self.draw(random);
             match free(position) {
                 Ok(()) => return Ok(position),
-                Err(place) => last = place,
+                Err(obstacle) => last = obstacle,
             }
         }
-        let what = format!("after {number} found, {TRIES} positions in a row are not free, the last is {last}");
-        Err(config(format!("{what}; move the box to where there is free space")))
+        let problem = format!("after {number} found, {TRIES} positions in a row are not free, the last is {last}");
+        Err(config(format!("{problem}; move the box to where there is free space")))
     }
 
     /// Mirrors a position at the walls until it is inside, and the direction with it.
@@ -214,9 +216,9 @@ impl Region {
         let low = self.nearest(DVec3::NEG_INFINITY);
         for axis in 0..3 {
             let size = self.size()[axis];
-            let way = (position[axis] - low[axis]) / size;
-            if size > 0.0 && !(0.0..=1.0).contains(&way) {
-                let part = way.rem_euclid(2.0);
+            let offset = (position[axis] - low[axis]) / size;
+            if size > 0.0 && !(0.0..=1.0).contains(&offset) {
+                let part = offset.rem_euclid(2.0);
                 inside[axis] = low[axis] + size * if part > 1.0 { 2.0 - part } else { part };
                 if part > 1.0 {
                     direction.mirror(axis);
@@ -227,12 +229,13 @@ impl Region {
     }
 }
 
-/// Number of cubes along each axis; one if the box is thinner than a cube.
+/// Returns the number of cubes along each axis; one if the box is thinner than a cube.
 fn grid_cells(low: [f64; 3], high: [f64; 3], step: f64) -> [f64; 3] {
     // A box of 3 m holds 30 cubes of 0.1 m, although 3.0 / 0.1 may be slightly less than 30.
     [0, 1, 2].map(|k| ((high[k] - low[k]) / step * (1.0 + 1e-12) + 1e-9).floor().max(1.0))
 }
 
+/// Draws `count` points of the grid, in their order.
 fn draw_grid(
     region: &Region,
     cells: [f64; 3],
@@ -244,8 +247,8 @@ fn draw_grid(
     let cells = cells.map(|n| n as usize);
     let points: usize = cells.iter().product();
     if count > points {
-        let what = "use a smaller `step_m`, a larger box or fewer samples";
-        return Err(config(format!("the grid has {points} points, but {count} samples are requested; {what}")));
+        let advice = "use a smaller `step_m`, a larger box or fewer samples";
+        return Err(config(format!("the grid has {points} points, but {count} samples are requested; {advice}")));
     }
     let mut chosen: Vec<usize> = (0..points).collect();
     if count < points {
@@ -255,19 +258,19 @@ fn draw_grid(
     }
     let low = DVec3::from_array(region.low.map(|grain| grain as f64 / GRAINS));
     let first = low + region.size() / 2.0 - step / 2.0 * DVec3::from_array(cells.map(|n| n as f64 - 1.0));
-    let place = |(number, index): (usize, usize)| {
+    let position_at = |(number, index): (usize, usize)| {
         let cell = [index % cells[0], index / cells[0] % cells[1], index / cells[0] / cells[1]];
         let position = region.nearest(first + step * DVec3::from_array(cell.map(|i| i as f64)));
-        free(position).map(|()| position).map_err(|place| {
+        free(position).map(|()| position).map_err(|obstacle| {
             let DVec3 { x, y, z } = position;
-            let what = format!("transmitter {} at ({x}, {y}, {z}) is {place}", number + 1);
-            Error::Config(format!("{what}; move the grid or the object"))
+            let problem = format!("transmitter {} at ({x}, {y}, {z}) is {obstacle}", number + 1);
+            Error::Config(format!("{problem}; move the grid or the object"))
         })
     };
-    chosen.into_iter().enumerate().map(place).collect()
+    chosen.into_iter().enumerate().map(position_at).collect()
 }
 
-/// Carried transmitter, modelled on the 6,123 positions of the measured `s23` set.
+/// Draws the walk of a carried transmitter, modelled on the 6,123 positions of the measured `s23` set.
 ///
 /// In `s23`, a step is longer than x with a probability close to x₀/x, x₀ being half the median of 10.4 mm; the
 /// directions of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at lags of 1, 3, 8 and 20 steps; and half of the
@@ -287,12 +290,13 @@ fn draw_walk(
     }
     let mut direction = Direction::new(random);
     while let Some(&position) = positions.last().filter(|_| positions.len() < count) {
-        positions.push(next_of_walk(region, position, step, &mut direction, random, free)?);
+        positions.push(next_position(region, position, step, &mut direction, random, free)?);
     }
     Ok(positions)
 }
 
-fn next_of_walk(
+/// Draws the position after `position` on a walk. A blocked step draws a new direction.
+fn next_position(
     region: &Region,
     position: DVec3,
     step: f64,
@@ -303,29 +307,30 @@ fn next_of_walk(
     let mut last = String::new();
     for _ in 0..TRIES {
         let mut heading = direction.clone();
-        let to = region.reflect(position + length_of_step(step, random) * heading.turn(random), &mut heading);
+        let to = region.reflect(position + draw_step_length(step, random) * heading.advance(random), &mut heading);
         match free(to) {
             Ok(()) => {
                 *direction = heading;
                 return Ok(to);
             }
-            Err(place) => last = place,
+            Err(obstacle) => last = obstacle,
         }
         *direction = Direction::new(random);
     }
     let DVec3 { x, y, z } = position;
-    let what =
+    let problem =
         format!("the walk cannot leave ({x}, {y}, {z}): {TRIES} steps end where it is not free, the last {last}");
-    Err(config(format!("{what}; move the box to where there is free space")))
+    Err(config(format!("{problem}; move the box to where there is free space")))
 }
 
-/// Random step length: at least half the median, longer than x with probability x₀/x, up to the limit.
-fn length_of_step(median: f64, random: &mut Rng) -> f64 {
+/// Draws a random step length: at least half the median, longer than x with probability x₀/x, up to the limit.
+fn draw_step_length(median: f64, random: &mut Rng) -> f64 {
     let shortest_over_longest = 0.5 / LONGEST;
     let u = shortest_over_longest + (1.0 - shortest_over_longest) * rng::uniform_f64(random);
     0.5 * median / u
 }
 
+/// Direction of a walk.
 #[derive(Clone)]
 struct Direction {
     /// Angle from +x, radians.
@@ -342,8 +347,8 @@ impl Direction {
         }
     }
 
-    /// Unit vector of the next step.
-    fn turn(&mut self, random: &mut Rng) -> DVec3 {
+    /// Advances by one step, and returns the unit vector of the next step.
+    fn advance(&mut self, random: &mut Rng) -> DVec3 {
         self.heading = (self.heading + WANDER * rng::normal_f64(random)).rem_euclid(TAU);
         for (wobble, deviation) in self.wobble.iter_mut().zip([WOBBLE_YAW, WOBBLE_PITCH]) {
             *wobble = MEMORY * *wobble + (1.0 - MEMORY * MEMORY).sqrt() * deviation * rng::normal_f64(random);
@@ -353,6 +358,7 @@ impl Direction {
         DVec3::new(along * cos, along * sin, up)
     }
 
+    /// Mirrors the direction at a wall perpendicular to `axis`.
     fn mirror(&mut self, axis: usize) {
         if axis == 2 {
             self.wobble[1] = -self.wobble[1];

@@ -17,7 +17,7 @@ const SCENE: &str = r#"(
     transmitter: (positions: Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))),
 )"#;
 
-/// The observations as numbers, one row per link.
+/// Returns the observations as numbers, one row per link.
 fn rows(observations: &Observations, links: usize) -> Vec<Vec<f64>> {
     let flat: Vec<f64> = match observations {
         Observations::Pictures(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
@@ -57,13 +57,13 @@ fn caches_every_observation_kind_and_remakes_damaged_entries() {
     }
 }
 
-/// The same data, simulated without a folder.
+/// Returns the same data, simulated without a folder.
 fn received(recipe: &SimulationRecipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
-    let (mut places, mut rows) = (Vec::new(), Vec::new());
+    let (mut positions, mut rows) = (Vec::new(), Vec::new());
     let simulator = Simulator::new(&recipe.scene).unwrap();
-    let request = SimulationRequest { what: recipe.observe, samples: recipe.samples, seed: recipe.seed };
+    let request = SimulationRequest { kind: recipe.observe, samples: recipe.samples, seed: recipe.seed };
     simulate_links(&simulator, &request, &AtomicBool::new(false), |_, tx, received| {
-        places.push(tx.to_array());
+        positions.push(tx.to_array());
         rows.extend(received.into_iter().map(|received| match received.observed {
             SimulatedObservation::Spectrum(spectrum) => spectrum.pixels.into_iter().map(f64::from).collect(),
             SimulatedObservation::Power(dbm) => vec![dbm as Real as f64],
@@ -74,7 +74,7 @@ fn received(recipe: &SimulationRecipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
         Ok(())
     })
     .unwrap();
-    (places, rows)
+    (positions, rows)
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn observation_without_noise_ignores_seed() {
         crate::SceneFile { noise: Checked::new(Noise { seed: 5, ..Noise::default() }).unwrap(), ..scene.clone() };
     let readings = [scene, other].map(|scene| {
         let simulator = Simulator::new(&scene).unwrap();
-        simulator.listeners()[1]
+        simulator.receivers()[1]
             .observe([2.0, 2.0, 1.0].into(), &ObservationKind::Power { noise_db: 0.0 }, Some(1))
             .observed
     });

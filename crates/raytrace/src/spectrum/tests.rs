@@ -39,8 +39,9 @@ fn normalised(values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| (v - low) / (high - low)).collect()
 }
 
-fn close(found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-6, "{found} is not {expected}");
+/// Asserts equality within the printed digits.
+fn assert_close(value: f64, expected: f64) {
+    assert!((value - expected).abs() < 1e-6, "{value} is not {expected}");
 }
 
 #[test]
@@ -49,10 +50,10 @@ fn spectrum_matches_published_script_on_its_grid() {
     let beamformer = Beamformer::on_grid(&measured_array(), (360, degrees(0.0)), (90, degrees(1.0)));
     let raw = beamformer.amplitude(&sample_channel());
     let (low, high) = range(&raw);
-    close(low, 0.001_327);
-    close(high, 0.927_321);
+    assert_close(low, 0.001_327);
+    assert_close(high, 0.927_321);
     let values = normalised(&raw);
-    close(values.iter().sum::<f64>() / 32_400.0, 0.290_455);
+    assert_close(values.iter().sum::<f64>() / 32_400.0, 0.290_455);
     assert_eq!((argmax(&values), argmin(&values)), (83 * 360 + 29, 2 * 360 + 183));
     let cases = [
         (0, 0, 0.053_406),
@@ -64,7 +65,7 @@ fn spectrum_matches_published_script_on_its_grid() {
         (10, 359, 0.074_595),
     ];
     for (row, column, value) in cases {
-        close(values[row * 360 + column], value);
+        assert_close(values[row * 360 + column], value);
     }
 }
 
@@ -72,10 +73,10 @@ fn spectrum_matches_published_script_on_its_grid() {
 fn spectrum_matches_reference_on_measured_grid() {
     let beamformer = Beamformer::new(&measured_array(), 360, 90);
     let values = normalised(&beamformer.amplitude(&sample_channel()));
-    close(values.iter().sum::<f64>() / 32_400.0, 0.281_255);
+    assert_close(values.iter().sum::<f64>() / 32_400.0, 0.281_255);
     assert_eq!((argmax(&values), argmin(&values)), (84 * 360 + 29, 3 * 360 + 183));
     for (row, column, value) in [(0, 0, 0.053_221), (29, 45, 0.100_195), (89, 0, 0.944_564), (10, 359, 0.070_717)] {
-        close(values[row * 360 + column], value);
+        assert_close(values[row * 360 + column], value);
     }
 }
 
@@ -96,7 +97,7 @@ fn pixel_directions_match_projector() {
     }
 }
 
-/// Angle between a plane wave's direction and the strongest pixel, degrees.
+/// Returns the angle between a plane wave's direction and the strongest pixel, degrees.
 fn peak_error(array: &Array, beamformer: &Beamformer, azimuth: f64, elevation: f64) -> f64 {
     let u = direction(azimuth, elevation);
     let h: Vec<Complex> = array.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.dot(u))).collect();
@@ -131,7 +132,7 @@ fn half_wavelength_array_is_ambiguous_on_axes_only() {
     let beamformer = Beamformer::new(&array, 360, 90);
     let h: Vec<Complex> = array.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.x)).collect();
     let amplitude = beamformer.amplitude(&h);
-    assert!((amplitude[0] - amplitude[180]).abs() < 1e-12, "a wave along x is heard from both sides");
+    assert!((amplitude[0] - amplitude[180]).abs() < 1e-12, "a wave along x is received from both sides");
     for azimuth in [0.0, 45.0, 90.0, 133.3, 270.0] {
         for elevation in [5.0, 10.0, 40.0, 80.0] {
             assert!(peak_error(&array, &beamformer, azimuth, elevation) <= 1.0, "({azimuth}, {elevation})");
@@ -146,13 +147,13 @@ fn beamformer_matches_definition_for_any_array_shape() {
         let random = &mut rng::stream(3, "test channel", rows as u64);
         let mut draw = || rng::normal(random) as f64;
         let h: Vec<Complex> = (0..rows * columns).map(|_| Complex::new(draw(), draw())).collect();
-        let found = Beamformer::new(&array, 11, 3).amplitude(&h);
-        assert_eq!(found.len(), 33);
-        for (pixel, found) in found.iter().enumerate() {
+        let amplitudes = Beamformer::new(&array, 11, 3).amplitude(&h);
+        assert_eq!(amplitudes.len(), 33);
+        for (pixel, amplitude) in amplitudes.iter().enumerate() {
             let u = direction((pixel % 11) as f64 * 360.0 / 11.0, (pixel / 11) as f64 * 30.0);
             let steered = array.offsets(1.0).into_iter().zip(&h).map(|(p, h)| Complex::cis(-TAU * p.dot(u)) * h);
             let expected = steered.sum::<Complex>().norm() / (rows * columns) as f64;
-            assert!((found - expected).abs() < 1e-13, "{rows} x {columns}, pixel {pixel}: {found} {expected}");
+            assert!((amplitude - expected).abs() < 1e-13, "{rows} x {columns}, pixel {pixel}: {amplitude} {expected}");
         }
     }
 }

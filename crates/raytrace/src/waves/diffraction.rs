@@ -25,9 +25,9 @@ pub struct Sides {
     pub through: Polarized,
 }
 
-/// Diffraction coefficients Dₛ (`te`) and Dₕ (`tm`) of a wedge, √m: Kouyoumjian and Pathak, Proc. IEEE 62 (1974),
-/// pp. 1448-1461, the reflection terms multiplied by coefficients of reflection as in Luebbers, IEEE TAP 32 (1984),
-/// pp. 70-76.
+/// Returns the diffraction coefficients Dₛ (`te`) and Dₕ (`tm`) of a wedge, √m: Kouyoumjian and Pathak, Proc. IEEE 62
+/// (1974), pp. 1448-1461, the reflection terms multiplied by coefficients of reflection as in Luebbers, IEEE TAP 32
+/// (1984), pp. 70-76.
 ///
 /// * `n`: exterior angle over π, in (1, 2]; `k`: wave number 2π/λ, rad/m.
 /// * `distances`: s′ from the source to the edge and s from the edge to the receiver, metres.
@@ -68,30 +68,30 @@ pub fn wedge(
     let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
     // √L cancels the 1/√(2πk) of the coefficient except for 1/√π: see `boundary_term`.
     let front = Complex::cis(-FRAC_PI_4) * (-once * spreading / (2.0 * n * PI.sqrt()));
-    let of = |r0: Complex, rn: Complex, through: Complex| {
+    let coefficient = |r0: Complex, rn: Complex, through: Complex| {
         front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
     };
-    Polarized { te: of(r0.te, rn.te, through.te), tm: of(r0.tm, rn.tm, through.tm) }
+    Polarized { te: coefficient(r0.te, rn.te, through.te), tm: coefficient(r0.tm, rn.tm, through.tm) }
 }
 
-/// Boundary term cot(δ/2n) F(2kL sin²(δ/2)) / √(2kL), where `scale` is √(2kL) and δ is `angle` reduced to [-nπ, nπ]:
-/// the boundary is at δ = 0 with the lit side above. There the cotangent is infinite and F is zero. The product is
-/// finite and is computed as ±cos(δ/2n)·[sin(|δ|/2)/sin(|δ|/2n)]·F(v²)/v with v = √(2kL) sin(|δ|/2).
+/// Returns the boundary term cot(δ/2n) F(2kL sin²(δ/2)) / √(2kL), where `scale` is √(2kL) and δ is `angle` reduced to
+/// [-nπ, nπ]: the boundary is at δ = 0 with the lit side above. There the cotangent is infinite and F is zero. The
+/// product is finite and is computed as ±cos(δ/2n)·[sin(|δ|/2)/sin(|δ|/2n)]·F(v²)/v with v = √(2kL) sin(|δ|/2).
 fn boundary_term(n: f64, angle: f64, scale: f64) -> Complex {
     let turn = 2.0 * PI * n;
     let delta = angle - turn * (angle / turn).round();
     let (wide, narrow) = (0.5 * delta.abs(), 0.5 * delta.abs() / n);
     let ratio = if narrow > 0.0 { wide.sin() / narrow.sin() } else { n };
     let sign = if delta < 0.0 { -1.0 } else { 1.0 };
-    over_root(scale * wide.sin()) * (sign * narrow.cos() * ratio)
+    transition_over_root(scale * wide.sin()) * (sign * narrow.cos() * ratio)
 }
 
-/// Transition function F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite. F(x) = 2j√x e^{jx} ∫ e^{-jt²} dt
-/// from √x to ∞, Kouyoumjian and Pathak (1974). Relative error below 10⁻¹⁴.
+/// Returns the transition function F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite. F(x) = 2j√x e^{jx} ∫
+/// e^{-jt²} dt from √x to ∞, Kouyoumjian and Pathak (1974). Relative error below 10⁻¹⁴.
 ///
 /// The Fresnel integral uses the trapezium rule with a correction for its pole, Alazah, Chandler-Wilde and La Porte,
 /// Numerische Mathematik 128 (2014): errors fall like e^{-πN} for all v.
-fn over_root(v: f64) -> Complex {
+fn transition_over_root(v: f64) -> Complex {
     let eighth = Complex::cis(FRAC_PI_4);
     let a = ((f64::from(NODES) + 0.5) * PI).sqrt();
     let mut sum = Complex::ZERO;
@@ -105,9 +105,9 @@ fn over_root(v: f64) -> Complex {
     2.0 * PI.sqrt() * eighth * integral.conj()
 }
 
-/// Diffraction point t on the line a + t(b - a) for the path from `tx` to `rx`: the shortest path, with equal angles
-/// before and after the edge (Keller's cone). t may lie outside [0, 1]. Midway if both ends lie on the line; 0 for an
-/// edge of zero length.
+/// Returns the diffraction point t on the line a + t(b - a) for the path from `tx` to `rx`: the shortest path, with
+/// equal angles before and after the edge (Keller's cone). t may lie outside [0, 1]. Midway if both ends lie on the
+/// line; 0 for an edge of zero length.
 pub fn edge_point(a: DVec3, b: DVec3, tx: DVec3, rx: DVec3) -> f64 {
     let edge = b - a;
     let length = edge.length();

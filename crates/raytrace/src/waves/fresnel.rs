@@ -21,13 +21,13 @@ impl Polarized {
     /// Zero coefficients.
     pub const NOTHING: Self = Self { te: Complex::ZERO, tm: Complex::ZERO };
 
-    /// Product of two interactions.
+    /// Returns the product of two interactions.
     pub fn times(self, next: Self) -> Self {
         Self { te: self.te * next.te, tm: self.tm * next.tm }
     }
 }
 
-/// Reflection by a slab of `thickness` metres, or by a half-space if `None`; ITU-R P.2040-3, section 2.2.
+/// Returns the reflection by a slab of `thickness` metres, or by a half-space if `None`; ITU-R P.2040-3, section 2.2.
 ///
 /// `eta` is the complex relative permittivity, `cos_incidence` the cosine from the normal (its sign does not matter),
 /// `wavelength` that in free space, metres. With c = cos θ, s = √(η - 1 + c²) and q = 2πds/λ a face reflects
@@ -37,17 +37,17 @@ impl Polarized {
 /// the front face.
 pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wavelength: f64) -> Polarized {
     let face = FaceOptics::new(eta, cos_incidence);
-    let Some(depth) = thickness else { return face.each(Interface::reflection) };
+    let Some(depth) = thickness else { return face.per_polarization(Interface::reflection) };
     let path = face.phase(depth, wavelength);
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
-    face.each(|interface| {
+    face.per_polarization(|interface| {
         let r = interface.reflection();
         interface.over_echoes(r * echo, echo, Complex::ZERO)
     })
 }
 
-/// Transmission through a slab of `thickness` metres, relative to free space along the same straight line: T of ITU-R
-/// P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air has no effect.
+/// Returns the transmission through a slab of `thickness` metres, relative to free space along the same straight line:
+/// T of ITU-R P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air has no effect.
 ///
 /// T = (1 - r²)e^{-jq}/(1 - r²e^{-2jq}). The field becomes `te`·(E·ŝ)ŝ + `tm`·(E·p̂)p̂, p̂ the same before and after.
 /// Arguments as in [`reflection`]. The lateral displacement of the ray in the slab is not modelled.
@@ -57,7 +57,7 @@ pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
     let free = TAU * thickness / wavelength * cos_incidence.abs();
     let through = Complex::new(path.im, free - path.re).exp();
-    face.each(|interface| interface.over_echoes(interface.through() * through, echo, Complex::ONE))
+    face.per_polarization(|interface| interface.over_echoes(interface.through() * through, echo, Complex::ONE))
 }
 
 /// Quantities common to both polarisations: cos θ outside, η and s = √(η - sin²θ) inside.
@@ -75,14 +75,18 @@ impl FaceOptics {
         Self { eta, cos, root: if root.im > 0.0 { root.conj() } else { root } }
     }
 
-    /// Phase q = 2πds/λ.
+    /// Returns the phase q = 2πds/λ.
     fn phase(&self, thickness: f64, wavelength: f64) -> Complex {
         self.root * (TAU * thickness / wavelength)
     }
 
-    fn each(&self, of: impl Fn(Interface) -> Complex) -> Polarized {
+    /// Evaluates `coefficient` for both polarisations.
+    fn per_polarization(&self, coefficient: impl Fn(Interface) -> Complex) -> Polarized {
         let (cos, root) = (self.cos, self.root);
-        Polarized { te: of(Interface(Complex::from(cos), root)), tm: of(Interface(self.eta * cos, root)) }
+        Polarized {
+            te: coefficient(Interface(Complex::from(cos), root)),
+            tm: coefficient(Interface(self.eta * cos, root)),
+        }
     }
 }
 
@@ -91,19 +95,20 @@ impl FaceOptics {
 struct Interface(Complex, Complex);
 
 impl Interface {
+    /// Returns the reflection coefficient r of the interface.
     fn reflection(self) -> Complex {
         let (x, s) = (self.0, self.1);
         if x == s { Complex::ZERO } else { (x - s) / (x + s) }
     }
 
-    /// 1 - r² without cancellation if |r| is near 1.
+    /// Returns 1 - r² without cancellation if |r| is near 1.
     fn through(self) -> Complex {
         let (x, s) = (self.0, self.1);
         if x == s { Complex::ONE } else { (2.0 * x / (x + s)) * (2.0 * s / (x + s)) }
     }
 
-    /// `amplitude` over 1 - r²e^{-2jq}, with `echo` = 1 - e^{-2jq}; `none` if the wave does not interact: the slab has
-    /// no thickness and the wave does not enter.
+    /// Returns `amplitude` over 1 - r²e^{-2jq}, with `echo` = 1 - e^{-2jq}; `none` if the wave does not interact: the
+    /// slab has no thickness and the wave does not enter.
     fn over_echoes(self, amplitude: Complex, echo: Complex, none: Complex) -> Complex {
         let r = self.reflection();
         let denominator = self.through() + r * r * echo;
@@ -111,7 +116,7 @@ impl Interface {
     }
 }
 
-/// e^z - 1, also for small z.
+/// Returns e^z - 1, also for small z.
 fn exp_m1(z: Complex) -> Complex {
     let half = (0.5 * z.im).sin();
     Complex::new(z.re.exp_m1() * z.im.cos() - 2.0 * half * half, z.re.exp() * z.im.sin())

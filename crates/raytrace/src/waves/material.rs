@@ -51,20 +51,20 @@ fn is_everywhere(range: &(f64, f64)) -> bool {
 }
 
 impl Material {
-    /// Complex relative permittivity η = εᵣ - jσ/(2πf ε₀) for the time factor e^{+jωt}. `frequency_hz` is above 0;
-    /// outside the range of validity it is extrapolated.
+    /// Returns the complex relative permittivity η = εᵣ - jσ/(2πf ε₀) for the time factor e^{+jωt}. `frequency_hz` is
+    /// above 0; outside the range of validity it is extrapolated.
     pub fn permittivity(&self, frequency_hz: f64) -> Complex {
         let (permittivity, conductivity) = self.constants(frequency_hz);
         Complex::new(permittivity, -conductivity / (TAU * frequency_hz * ELECTRIC_CONSTANT))
     }
 
-    /// Relative permittivity and conductivity, S/m.
+    /// Returns the relative permittivity and conductivity, S/m.
     pub fn constants(&self, frequency_hz: f64) -> (f64, f64) {
         let ghz = frequency_hz / 1e9;
         (self.a * ghz.powf(self.b), self.c * ghz.powf(self.d))
     }
 
-    /// Whether the frequency lies in the range of validity.
+    /// Returns whether the frequency lies in the range of validity.
     pub fn is_in_valid_range(&self, frequency_hz: f64) -> bool {
         let (low, high) = self.range_ghz;
         (low..=high).contains(&(frequency_hz / 1e9))
@@ -119,13 +119,13 @@ const TABLE: [Row; 18] = [
 /// Names that other programs do not use.
 pub(crate) const ONLY_HERE: [&str; 3] = ["perfect_conductor", "glass_above_220_ghz", "ceiling_board_above_220_ghz"];
 
-/// A material of Table 3 of ITU-R P.2040-3, or `perfect_conductor`.
+/// Returns a material of Table 3 of ITU-R P.2040-3, or `perfect_conductor`.
 pub fn named(name: &str) -> Option<Material> {
     let (_, (a, b, c, d), range_ghz) = TABLE.into_iter().find(|row| row.0 == name)?;
     Some(Material { a, b, c, d, range_ghz })
 }
 
-/// Names accepted by [`named`], in the order of the table.
+/// Returns the names accepted by [`named`], in the order of the table.
 pub fn names() -> Vec<&'static str> {
     TABLE.iter().map(|row| row.0).collect()
 }

@@ -30,7 +30,7 @@ pub enum Lobe {
 }
 
 impl Lobe {
-    /// Share of the scattered power per steradian, 1/sr; its integral over the hemisphere is 1.
+    /// Returns the share of the scattered power per steradian, 1/sr; its integral over the hemisphere is 1.
     ///
     /// The cosines of the incoming and outgoing direction are from the normal, in [0, 1]; `cos_psi` is the cosine
     /// between the specular and the outgoing direction.
@@ -55,7 +55,7 @@ impl Lobe {
     }
 }
 
-/// Integral of ((1 + cos ψ)/2)^α over the hemisphere, sr.
+/// Returns the integral of ((1 + cos ψ)/2)^α over the hemisphere, sr.
 ///
 /// F = 2^-α Σⱼ C(α,j) Iⱼ over j = 0..α, with Iⱼ = 2π/(j + 1) for even j, and that times
 /// cos θ Σ C(2w,w) (sin²θ/4)^w over w = 0..(j - 1)/2 for odd j. All terms are positive.
@@ -79,7 +79,8 @@ fn lobe_integral(exponent: u32, cos_incidence: f64) -> f64 {
     sum
 }
 
-/// Amplitude of the path by one patch of a rough surface between isotropic antennas: |gain|² is the path gain.
+/// Returns the amplitude of the path by one patch of a rough surface between isotropic antennas: |gain|² is the path
+/// gain.
 ///
 /// λ/4π · √(S²|Γ|² `density` dA cos θ)/(r₁r₂): the patch receives cos θ dA/(4πr₁²) of the power, scatters S²|Γ|² of it
 /// with `density` per steradian, and the receiver has the aperture λ²/4π. The remaining specular amplitude is √(1 - S²)

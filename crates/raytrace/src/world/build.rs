@@ -55,7 +55,7 @@ impl WorldBuilder {
         self.count = 1;
     }
 
-    /// Number of triangles so far.
+    /// Returns the number of triangles so far.
     pub fn triangles(&self) -> usize {
         self.triangles.len()
     }
@@ -67,26 +67,27 @@ impl WorldBuilder {
             (_, true) => SurfaceLayer::SolidBody,
             (_, false) => SurfaceLayer::Sheet,
         };
-        let plain: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
+        let triangles: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
         let shared = edges_of(part.mesh);
-        let groups = coplanar_groups(&plain, &shared);
-        let mut face_of = vec![u32::MAX; plain.len()]; // hidden faces keep u32::MAX
+        let groups = coplanar_groups(&triangles, &shared);
+        let mut face_of = vec![u32::MAX; triangles.len()]; // hidden faces keep u32::MAX
         for (number, group) in groups.iter().enumerate() {
             let start = self.triangles.len();
-            let face = Self::face(&plain, group, layer, number, part);
+            let face = Self::face(&triangles, group, layer, number, part);
             if layer == SurfaceLayer::SolidBody && self.is_hidden(&face) {
                 continue;
             }
             let id = self.faces.len() as u32;
             for &t in group {
                 face_of[t] = id;
-                self.triangles.push(Triangle { face: id, ..plain[t] });
+                self.triangles.push(Triangle { face: id, ..triangles[t] });
             }
             self.faces.push(Face { triangles: start..self.triangles.len(), ..face });
         }
-        let found =
-            shared.iter().filter_map(|(ends, owners)| edge(part.mesh, (ends, owners), &plain, &face_of, !part.closed));
-        self.edges.extend(found);
+        let edges = shared
+            .iter()
+            .filter_map(|(ends, owners)| edge(part.mesh, (ends, owners), &triangles, &face_of, !part.closed));
+        self.edges.extend(edges);
         self.parts.resize(self.faces.len(), self.count);
         self.shells.resize(self.faces.len(), part.mesh.is_closed());
         self.owners.resize(self.edges.len(), self.count);
@@ -94,7 +95,7 @@ impl WorldBuilder {
         if part.closed {
             let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
             let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
-            self.bodies.push(SolidBody { name: part.name.into(), bounds: [low, high], triangles: plain });
+            self.bodies.push(SolidBody { name: part.name.into(), bounds: [low, high], triangles: triangles });
         }
     }
 
@@ -109,7 +110,7 @@ impl WorldBuilder {
         let contacts = contact::Contacts::new(&self.faces, &self.triangles, &hierarchy, &self.parts);
         let mut edges = Vec::new();
         for (edge, part) in self.edges.iter().zip(&self.owners) {
-            if !contacts.ends(edge, *part)? {
+            if !contacts.covers(edge, *part)? {
                 edges.push(edge.clone());
             }
         }
@@ -117,12 +118,13 @@ impl WorldBuilder {
         Ok(World { surfaces, faces, edges, triangles, bodies, hierarchy })
     }
 
-    fn face(plain: &[Triangle], group: &[usize], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
-        let largest = group.iter().map(|&t| &plain[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
+    /// Describes the face of a group of coplanar triangles, by its largest triangle.
+    fn face(triangles: &[Triangle], group: &[usize], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
+        let largest = group.iter().map(|&t| &triangles[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
         let largest = largest.expect("a group has a triangle");
         let normal = largest.normal();
         let (name, surface) = (part.describe)(normal, number);
-        let corners = group.iter().flat_map(|&t| plain[t].corners()).collect();
+        let corners = group.iter().flat_map(|&t| triangles[t].corners()).collect();
         let hull = convex_hull(corners, normal);
         Face {
             name,
@@ -136,22 +138,24 @@ impl WorldBuilder {
         }
     }
 
-    /// Whether a face lies back to back on a face of the room, like the underside of a cupboard: no wave reaches it.
+    /// Returns whether a face lies back to back on a face of the room, like the underside of a cupboard: no wave
+    /// reaches it.
     fn is_hidden(&self, face: &Face) -> bool {
         let middle = face.hull.iter().sum::<DVec3>() / face.hull.len() as f64;
-        let on = |wall: &Face| {
+        let is_covered_by = |wall: &Face| {
             let near = |p: &DVec3| is_near(wall, *p, &self.triangles[wall.triangles.clone()]);
             face.normal.dot(wall.normal) < 0.0 && face.hull.iter().chain([&middle]).all(near)
         };
-        self.faces.iter().take_while(|f| f.is_room()).any(on)
+        self.faces.iter().take_while(|f| f.is_room()).any(is_covered_by)
     }
 }
 
+/// Returns a triangle of a mesh.
 fn triangle(mesh: &Mesh, [a, b, c]: [u32; 3]) -> Triangle {
     Triangle::new([a, b, c].map(|i| mesh.vertices[i as usize]))
 }
 
-/// Sides of all triangles with their triangles; sides are pairs of vertices, the lower first.
+/// Returns the sides of all triangles with their triangles; sides are pairs of vertices, the lower first.
 fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
     let mut edges: BTreeMap<[u32; 2], Vec<usize>> = BTreeMap::new();
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -162,7 +166,7 @@ fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
     edges
 }
 
-/// Groups of connected coplanar triangles, in the order of their first.
+/// Returns the groups of connected coplanar triangles, in the order of their first.
 fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>>) -> Vec<Vec<usize>> {
     let mut neighbours = vec![Vec::new(); triangles.len()];
     for owners in edges.values() {
@@ -195,12 +199,12 @@ fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>
     groups
 }
 
-/// Edge between the faces of `owners`, or the rim of a sheet; none inside a face, in a concave corner, or between more
-/// than two.
+/// Returns the edge between the faces of `owners`, or the rim of a sheet; none inside a face, in a concave corner, or
+/// between more than two.
 fn edge(
     mesh: &Mesh,
     (ends, owners): (&[u32; 2], &[usize]),
-    plain: &[Triangle],
+    triangles: &[Triangle],
     face_of: &[u32],
     sheet: bool,
 ) -> Option<Edge> {
@@ -213,7 +217,7 @@ fn edge(
     let (faces, outer_angle, side) = match *owners {
         [only] => ([face_of[only]; 2], 2.0, 1.0),
         [one, other] if face_of[one] != face_of[other] => {
-            let (n0, n1) = (plain[one].normal(), plain[other].normal());
+            let (n0, n1) = (triangles[one].normal(), triangles[other].normal());
             let turn = n0.cross(n1).length().atan2(n0.dot(n1));
             let is_convex = n0.dot(third(other) - p) < 0.0;
             // A sheet has two sides: its folds are convex on one of them.
@@ -229,10 +233,10 @@ fn edge(
     }
     let inwards = third(owners[0]) - p;
     let along = (inwards - inwards.dot(direction) * direction).normalize();
-    Some(Edge { ends: [p, q], faces, along, normal: side * plain[owners[0]].normal(), outer_angle })
+    Some(Edge { ends: [p, q], faces, along, normal: side * triangles[owners[0]].normal(), outer_angle })
 }
 
-/// Convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).
+/// Returns the convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).
 fn convex_hull(mut points: Vec<DVec3>, normal: DVec3) -> Vec<DVec3> {
     let u = normal.any_orthonormal_vector();
     let v = normal.cross(u);

@@ -34,12 +34,12 @@ impl<'a> Contacts<'a> {
         Self { faces, triangles, hierarchy, owners, trials: Cell::new(0) }
     }
 
-    /// Whether an edge of `part` lies on another part for most of its length, like the edge of a board on a wall: it
-    /// then does not diffract. Parts on the edge's own faces count only if they continue beyond the edge.
+    /// Returns whether an edge of `part` lies on another part for most of its length, like the edge of a board on a
+    /// wall: it then does not diffract. Parts on the edge's own faces count only if they continue beyond the edge.
     ///
     /// # Errors
     /// Too many tests for all edges so far.
-    pub(super) fn ends(&self, edge: &Edge, part: usize) -> Result<bool, String> {
+    pub(super) fn covers(&self, edge: &Edge, part: usize) -> Result<bool, String> {
         let lies_on = |face: u32, host: u32| {
             let [face, host] = [face, host].map(|f| &self.faces[f as usize]);
             face.layer > host.layer && is_coplanar(face, host)
@@ -48,36 +48,36 @@ impl<'a> Contacts<'a> {
             let point = edge.ends[0].lerp(edge.ends[1], t);
             let is_apart =
                 |face: u32| !edge.faces.contains(&face) && !edge.faces.iter().any(|host| lies_on(face, *host));
-            let goes_on = |(host, inwards): (u32, DVec3)| {
+            let continues = |(host, inwards): (u32, DVec3)| {
                 self.is_near_any(point - BEYOND * inwards, part, &|face| lies_on(face, host))
             };
-            self.is_near_any(point, part, &is_apart) || edge.faces.into_iter().zip(edge.inwards()).any(goes_on)
+            self.is_near_any(point, part, &is_apart) || edge.faces.into_iter().zip(edge.inwards()).any(continues)
         };
-        let ends = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| is_near(*t)).count() >= 3;
-        if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(ends) }
+        let is_covered = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| is_near(*t)).count() >= 3;
+        if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(is_covered) }
     }
 
-    /// Whether a face of a part other than `part` touches the point. Boxes of only that part are skipped: near the tip
-    /// of a fan there are as many as triangles.
-    fn is_near_any(&self, point: DVec3, part: usize, counts: &dyn Fn(u32) -> bool) -> bool {
+    /// Returns whether a face of a part other than `part` touches the point. Boxes of only that part are skipped: near
+    /// the tip of a fan there are as many as triangles.
+    fn is_near_any(&self, point: DVec3, part: usize, is_eligible: &dyn Fn(u32) -> bool) -> bool {
         let is_other = |number: usize| {
             self.trials.set(self.trials.get() + 1);
             self.owners[number] != Some(part)
         };
-        self.hierarchy.around(point, TOUCHING, is_other).map(|i| &self.triangles[i]).any(|triangle| {
+        self.hierarchy.near_point(point, TOUCHING, is_other).map(|i| &self.triangles[i]).any(|triangle| {
             let face = &self.faces[triangle.face as usize];
-            is_near(face, point, std::slice::from_ref(triangle)) && counts(triangle.face)
+            is_near(face, point, std::slice::from_ref(triangle)) && is_eligible(triangle.face)
         })
     }
 }
 
-/// Whether a point touches a face with these triangles.
+/// Returns whether a point touches a face with these triangles.
 pub(super) fn is_near(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
     let height = face.height(point);
     height.abs() < TOUCHING && triangles.iter().any(|t| t.contains(point - height * face.normal))
 }
 
-/// Whether `one` lies in the plane of `other`.
+/// Returns whether `one` lies in the plane of `other`.
 pub(super) fn is_coplanar(one: &Face, other: &Face) -> bool {
     one.hull.iter().all(|p| other.height(*p).abs() < TOUCHING)
 }
@@ -101,7 +101,7 @@ pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
         for (index, face) in faces.iter().enumerate() {
             planes.entry(key(face, nudge)).or_default().push(index as u32);
         }
-        planes.into_values().try_for_each(|plane| pairs_of(plane, faces, &bounds, (&mut pairs, &mut trials)))?;
+        planes.into_values().try_for_each(|plane| collect_pairs(plane, faces, &bounds, (&mut pairs, &mut trials)))?;
     }
     pairs.sort_unstable();
     pairs.dedup();
@@ -113,27 +113,29 @@ pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
     Ok(())
 }
 
+/// Returns the bounding box of a face, with a margin.
 fn bounds(face: &Face) -> [DVec3; 2] {
     let corners = || face.hull.iter().copied();
     let (low, high) = (corners().reduce(DVec3::min), corners().reduce(DVec3::max));
     [low.unwrap_or_default() - TOUCHING, high.unwrap_or_default() + TOUCHING]
 }
 
-/// Pairs among nearly coplanar faces, the earlier face first: a sweep along the longest axis.
-fn pairs_of(
+/// Collects the pairs among nearly coplanar faces, the earlier face first: a sweep along the longest axis.
+fn collect_pairs(
     mut plane: Vec<u32>,
     faces: &[Face],
     bounds: &[[DVec3; 2]],
     (pairs, trials): (&mut Vec<[u32; 2]>, &mut usize),
 ) -> Result<(), String> {
-    let of = |face: u32| bounds[face as usize];
-    let low = plane.iter().map(|f| of(*f)[0]).reduce(DVec3::min).unwrap_or_default();
-    let high = plane.iter().map(|f| of(*f)[1]).reduce(DVec3::max).unwrap_or_default();
+    let face_bounds = |face: u32| bounds[face as usize];
+    let low = plane.iter().map(|f| face_bounds(*f)[0]).reduce(DVec3::min).unwrap_or_default();
+    let high = plane.iter().map(|f| face_bounds(*f)[1]).reduce(DVec3::max).unwrap_or_default();
     let axis = (high - low).max_position();
-    plane.sort_by(|a, b| of(*a)[0][axis].total_cmp(&of(*b)[0][axis]));
+    plane.sort_by(|a, b| face_bounds(*a)[0][axis].total_cmp(&face_bounds(*b)[0][axis]));
     for (i, &a) in plane.iter().enumerate() {
-        for &b in plane[i + 1..].iter().take_while(|b| of(**b)[0][axis] <= of(a)[1][axis]) {
-            let overlap = of(a)[0].cmple(of(b)[1]).all() && of(b)[0].cmple(of(a)[1]).all();
+        for &b in plane[i + 1..].iter().take_while(|b| face_bounds(**b)[0][axis] <= face_bounds(a)[1][axis]) {
+            let overlap =
+                face_bounds(a)[0].cmple(face_bounds(b)[1]).all() && face_bounds(b)[0].cmple(face_bounds(a)[1]).all();
             let (first, second) = (a.min(b), a.max(b));
             *trials += if overlap { faces[second as usize].hull.len() } else { 1 };
             if *trials > MOST_TRIALS {
@@ -158,7 +160,7 @@ mod tests {
     use crate::scattering::Lobe;
     use crate::world::{Surface, WorldBuilder, WorldPart};
 
-    /// Zigzag fan of `count` triangles about one vertex.
+    /// Returns a zigzag fan of `count` triangles about one vertex.
     fn fan(count: usize) -> Mesh {
         let rim = |k: usize| {
             let (sin, cos) = (std::f64::consts::TAU * k as f64 / (count + 1) as f64).sin_cos();
@@ -184,7 +186,7 @@ mod tests {
         let hierarchy = Hierarchy::new(&builder.triangles);
         let contacts = Contacts::new(&builder.faces, &builder.triangles, &hierarchy, &builder.parts);
         for (edge, part) in builder.edges.iter().zip(&builder.owners) {
-            assert!(!contacts.ends(edge, *part).unwrap());
+            assert!(!contacts.covers(edge, *part).unwrap());
         }
         let edges = builder.edges.len();
         assert!(edges > 1_900 && contacts.trials.get() < 100 * edges, "{} boxes", contacts.trials.get());

@@ -33,7 +33,7 @@ pub fn from_scene(scene: &SceneFile) -> Result<World> {
 }
 
 impl SceneFile {
-    /// Triangles of all surfaces except the ceiling, for a view from above; corner positions in metres.
+    /// Returns the triangles of all surfaces except the ceiling, for a view from above; corner positions in metres.
     ///
     /// # Errors
     /// A mesh that cannot be read, or surfaces that do not form a room.
@@ -45,6 +45,7 @@ impl SceneFile {
     }
 }
 
+/// Returns the surface properties of a finish at the carrier.
 fn surface(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
     let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
     if !material.is_in_valid_range(scene.carrier_hz) {
@@ -65,6 +66,7 @@ fn surface(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
     }
 }
 
+/// Adds the room with its finishes.
 fn add_room(builder: &mut WorldBuilder, scene: &SceneFile, Room { outline, walls, floor, ceiling }: &Room) {
     let [walls, floor, ceiling] = [("walls", walls), ("floor", floor), ("ceiling", ceiling)]
         .map(|(owner, f)| builder.surface(surface(scene, owner, f)));
@@ -73,11 +75,11 @@ fn add_room(builder: &mut WorldBuilder, scene: &SceneFile, Room { outline, walls
         z if z < -0.5 => ("ceiling".into(), ceiling),
         _ => (format!("wall {}", number + 1), walls),
     };
-    builder.add(&WorldPart { name: "room", mesh: &shell(outline), closed: true, describe: &describe });
+    builder.add(&WorldPart { name: "room", mesh: &room_mesh(outline), closed: true, describe: &describe });
 }
 
-/// Walls, floor and ceiling with normals inwards; the walls come first.
-fn shell(outline: &Outline) -> Mesh {
+/// Returns walls, floor and ceiling with normals inwards; the walls come first.
+fn room_mesh(outline: &Outline) -> Mesh {
     let (mut plan, bottom, top) = match outline {
         Outline::Box { low: [x0, y0, z0], high: [x1, y1, z1] } => {
             (vec![[*x0, *y0], [*x1, *y0], [*x1, *y1], [*x0, *y1]], *z0, *z1)
@@ -108,6 +110,7 @@ fn shell(outline: &Outline) -> Mesh {
     Mesh { vertices, triangles }
 }
 
+/// Adds an object, or cuts an opening into earlier parts.
 fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) -> Result<()> {
     let name = object.name();
     let upright = |from: &[f64; 2], to: &[f64; 2], [low, high]: &[f64; 2]| {
@@ -150,7 +153,7 @@ fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) ->
     Ok(())
 }
 
-/// Box rotated about its vertical axis; normals outwards, sides first.
+/// Returns a box rotated about its vertical axis; normals outwards, sides first.
 fn cuboid(low: DVec3, high: DVec3, yaw_deg: f64) -> Mesh {
     let middle = 0.5 * (low + high);
     let turn = DMat3::from_rotation_z(yaw_deg.to_radians());

@@ -7,7 +7,7 @@ use crate::polygon::{Plane, outside, sides, within};
 use glam::DVec3;
 
 /// Number of points along each side of an opening that must lie on a face.
-const PLACES: usize = 16;
+const SAMPLES: usize = 16;
 
 impl WorldBuilder {
     /// Cuts a convex polygon, `hole`, out of every face in its plane. Its rims diffract; edges inside it are removed.
@@ -17,13 +17,13 @@ impl WorldBuilder {
     pub fn cut(&mut self, hole: &[DVec3; 4]) -> Result<(), String> {
         let is_coplanar = |face: &Face| hole.iter().all(|p| face.height(*p).abs() < TOUCHING);
         let mut hosts: Vec<usize> = (0..self.faces.len()).filter(|f| is_coplanar(&self.faces[*f])).collect();
-        let is_held = |p: DVec3| hosts.iter().any(|f| is_near(&self.faces[*f], p, self.triangles_of(*f)));
-        let middle = |i: usize| (i as f64 + 0.5) / PLACES as f64;
-        let mut places = (0..PLACES * PLACES).map(|i| {
-            let (u, v) = (middle(i % PLACES), middle(i / PLACES));
+        let is_on_face = |p: DVec3| hosts.iter().any(|f| is_near(&self.faces[*f], p, self.triangles_of(*f)));
+        let middle = |i: usize| (i as f64 + 0.5) / SAMPLES as f64;
+        let mut points = (0..SAMPLES * SAMPLES).map(|i| {
+            let (u, v) = (middle(i % SAMPLES), middle(i / SAMPLES));
             hole[0].lerp(hole[1], u).lerp(hole[3].lerp(hole[2], u), v)
         });
-        if !places.all(is_held) {
+        if !points.all(is_on_face) {
             return Err(
                 "does not lie wholly on a wall, a panel or the side of a box; move it there, and list it after \
                         the thing that it opens"
@@ -63,6 +63,7 @@ impl WorldBuilder {
         Ok(())
     }
 
+    /// Returns the triangles of a face.
     fn triangles_of(&self, face: usize) -> &[Triangle] {
         &self.triangles[self.faces[face].triangles.clone()]
     }
@@ -78,8 +79,8 @@ impl WorldBuilder {
         }
     }
 
-    /// Pieces of an edge of `host` where the line `probe`, which runs beside it, is outside a convex polygon. If only one of
-    /// its two faces is removed, the other gets a rim.
+    /// Returns the pieces of an edge of `host` where the line `probe`, which runs beside it, is outside a convex
+    /// polygon. If only one of its two faces is removed, the other gets a rim.
     pub(super) fn cut_edge(&self, edge: Edge, host: u32, probe: [DVec3; 2], sides: &[Plane]) -> Vec<Edge> {
         let [a, b] = edge.ends;
         let tolerance = TOUCHING / a.distance(b);
@@ -97,21 +98,21 @@ impl WorldBuilder {
         pieces
     }
 
-    /// Rims of an opening in a face: the parts of its sides beyond which the face continues and no face of `others`
-    /// does.
+    /// Returns the rims of an opening in a face: the parts of its sides beyond which the face continues and no face of
+    /// `others` does.
     fn rims(&self, host: usize, hole: &[DVec3; 4], others: &[usize]) -> Vec<Edge> {
         let face = &self.faces[host];
         let mut rims = Vec::new();
         for (i, (normal, _)) in sides(hole, face.normal).into_iter().enumerate() {
             let ends = [hole[i], hole[(i + 1) % 4]];
             let beyond = ends.map(|p| p - 10.0 * TOUCHING * normal);
-            let mut held: Vec<(f64, f64)> = self
+            let mut intervals: Vec<(f64, f64)> = self
                 .triangles_of(host)
                 .iter()
                 .filter_map(|t| within(beyond, &sides(&t.corners(), face.normal), 0.0))
                 .collect();
-            held.sort_by(|a, b| a.0.total_cmp(&b.0));
-            held.dedup_by(|next, last| {
+            intervals.sort_by(|a, b| a.0.total_cmp(&b.0));
+            intervals.dedup_by(|next, last| {
                 let joined = next.0 <= last.1 + 1e-9;
                 if joined {
                     last.1 = last.1.max(next.1);
@@ -124,7 +125,7 @@ impl WorldBuilder {
                 let point = beyond[0].lerp(beyond[1], 0.5 * (start + end));
                 !others.iter().any(|f| is_near(&self.faces[*f], point, self.triangles_of(*f)))
             };
-            rims.extend(held.into_iter().filter(is_long).filter(is_bare).map(|(start, end)| Edge {
+            rims.extend(intervals.into_iter().filter(is_long).filter(is_bare).map(|(start, end)| Edge {
                 ends: [at(start), at(end)],
                 faces: [host as u32; 2],
                 along: -normal,

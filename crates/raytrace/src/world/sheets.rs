@@ -1,4 +1,4 @@
-//! Coincident faces of one sheet, such as the two sides of a wall: each place keeps the first face.
+//! Coincident faces of one sheet, such as the two sides of a wall: only the first face is kept.
 
 use super::build::WorldBuilder;
 use super::contact::{BEYOND, is_near};
@@ -25,8 +25,8 @@ impl WorldBuilder {
         let hierarchy = Hierarchy::new(&self.triangles);
         let coincident = |face: u32, bounds: [DVec3; 2]| {
             let sheet = &sheets[face as usize];
-            let found = (!sheet.is_empty()).then(|| hierarchy.touching(bounds).map(|i| self.triangles[i]));
-            found
+            let touching = (!sheet.is_empty()).then(|| hierarchy.in_box(bounds).map(|i| self.triangles[i]));
+            touching
                 .into_iter()
                 .flatten()
                 .filter(|triangle| sheet.binary_search(&triangle.face).is_ok())
@@ -39,11 +39,11 @@ impl WorldBuilder {
         }
         let mut triangles = Vec::with_capacity(self.triangles.len());
         let mut ranges = Vec::with_capacity(self.faces.len());
-        for (face, of) in (0..).zip(&self.faces) {
+        for (index, face) in (0..).zip(&self.faces) {
             let start = triangles.len();
-            for triangle in &self.triangles[of.triangles.clone()] {
+            for triangle in &self.triangles[face.triangles.clone()] {
                 let earlier =
-                    coincident(face, bounds(&triangle.corners())).into_iter().filter(|other| other.face < face);
+                    coincident(index, bounds(&triangle.corners())).into_iter().filter(|other| other.face < index);
                 triangles.extend(uncovered(triangle, earlier));
             }
             ranges.push(start..triangles.len());
@@ -57,19 +57,19 @@ impl WorldBuilder {
         }
     }
 
-    /// Whether coplanar faces describe one sheet where they coincide: those of a mesh, and those with equal material of
-    /// different parts. Bodies that touch keep their shells.
+    /// Returns whether coplanar faces describe one sheet where they coincide: those of a mesh, and those with equal
+    /// material of different parts. Bodies that touch keep their shells.
     fn is_same_sheet(&self, one: u32, other: u32) -> bool {
         let [one, other] = [one as usize, other as usize];
         let [a, b] = [&self.faces[one], &self.faces[other]];
-        let [of_a, of_b] = [a, b].map(|face| &self.surfaces[face.surface as usize]);
+        let [surface_a, surface_b] = [a, b].map(|face| &self.surfaces[face.surface as usize]);
         let touch = self.shells[one] && self.shells[other] && a.normal.dot(b.normal) < 0.0;
-        let is_alike = of_a.thickness.is_some() && of_a.is_like(of_b) && !touch;
+        let is_alike = surface_a.thickness.is_some() && surface_a.is_like(surface_b) && !touch;
         a.layer == b.layer && (self.parts[one] == self.parts[other] || is_alike)
     }
 
-    /// Pieces of an edge that belong to no earlier face and have nothing of their sheet beyond. A fold of which earlier faces
-    /// cover one side joins them.
+    /// Returns the pieces of an edge that belong to no earlier face and beyond which the sheet ends. A fold of which
+    /// earlier faces cover one side joins them.
     fn outer_edges(&self, edge: &Edge, coincident: Coincident<'_>) -> Vec<Edge> {
         let [first, second] = edge.faces;
         let (bounds, inwards) = (bounds(&edge.ends), edge.inwards());
@@ -85,8 +85,8 @@ impl WorldBuilder {
                     |other: &&Triangle| is_near(&self.faces[other.face as usize], beside, std::slice::from_ref(*other));
                 others.iter().find(is_there).map(|other| other.face)
             };
-            let found: Vec<u32> = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter_map(at).collect();
-            found.get(2).copied() // most of its length
+            let covering: Vec<u32> = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter_map(at).collect();
+            covering.get(2).copied() // most of its length
         });
         match cover {
             [None, None] => vec![edge.clone()],
@@ -95,7 +95,7 @@ impl WorldBuilder {
         }
     }
 
-    /// Pieces of the rim of a face with these other triangles of its sheet.
+    /// Returns the outer pieces of the rim of a face, given the other triangles of its sheet.
     fn outer_rims(&self, edge: &Edge, others: &[Triangle]) -> Vec<Edge> {
         let face = edge.faces[0];
         let inside = others.iter().filter(|other| other.face < face).map(|other| (BEYOND, *other));
@@ -118,7 +118,7 @@ impl WorldBuilder {
     }
 }
 
-/// Pieces of a triangle outside others.
+/// Returns the pieces of a triangle outside others.
 fn uncovered(triangle: &Triangle, others: impl Iterator<Item = Triangle>) -> Vec<Triangle> {
     let mut pieces = vec![*triangle];
     for other in others {
@@ -131,7 +131,7 @@ fn uncovered(triangle: &Triangle, others: impl Iterator<Item = Triangle>) -> Vec
     pieces
 }
 
-/// Bounding box of points, with a margin.
+/// Returns the bounding box of points, with a margin.
 fn bounds(points: &[DVec3]) -> [DVec3; 2] {
     let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
     let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();

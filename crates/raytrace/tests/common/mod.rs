@@ -3,7 +3,7 @@
 use pwrfgs_raytrace::SceneFile;
 use std::path::Path;
 
-/// The room of the reference, empty, with specular reflections up to `order` alone.
+/// Returns the room of the reference, empty, with specular reflections up to `order` alone.
 pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> SceneFile {
     let finish = |material: &str, thickness: f64| {
         let thickness = if slab { format!(", thickness_m: {thickness}") } else { String::new() };
@@ -22,7 +22,7 @@ pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene
     SceneFile::parse(&text, Path::new("reference.ron")).unwrap()
 }
 
-/// A scene from its objects, receiver and further fields; the room is a large box.
+/// Returns the scene from its objects, receiver and further fields; the room is a large box.
 pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagation: &str) -> SceneFile {
     let text = format!(
         "(name: \"law\", carrier_hz: 2e9, room: {room}, objects: [{objects}],
@@ -34,7 +34,7 @@ pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagati
     SceneFile::parse(&text, Path::new("law.ron")).unwrap()
 }
 
-/// A small room with one of everything and two receivers; `more` are further fields.
+/// Returns a small room with one of everything and two receivers; `more` are further fields.
 pub(crate) fn small_room(more: &str) -> String {
     format!(
         "(name: \"small\", carrier_hz: 2.4e9,

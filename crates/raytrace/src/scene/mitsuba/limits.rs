@@ -26,8 +26,8 @@ pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
             () => continue,
         };
         let (line, before) = text[..start].split('\n').enumerate().last().unwrap_or_default();
-        let what = format!("more than {most} {things}; cut out a part of the scene");
-        return Err(Error::at(path, line + 1, before.chars().count() + 1, what));
+        let problem = format!("more than {most} {things}; cut out a part of the scene");
+        return Err(Error::at(path, line + 1, before.chars().count() + 1, problem));
     }
     Ok(())
 }
@@ -36,15 +36,15 @@ pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
 pub(super) fn expand(name: &str, value: &str, variables: &BTreeMap<&str, &str>) -> Result<String, String> {
     let Some((start, rest)) = value.split_once('$') else { return Ok(value.to_owned()) };
     let check = |length: usize| {
-        let what = || format!("`{name}` is longer than 1,000 characters; shorten it or its variables");
-        if length <= LONGEST { Ok(()) } else { Err(what()) }
+        let problem = || format!("`{name}` is longer than 1,000 characters; shorten it or its variables");
+        if length <= LONGEST { Ok(()) } else { Err(problem()) }
     };
     check(value.len())?;
     let mut expanded = start.to_owned();
     for part in rest.split('$') {
         // In reverse order, the longest name comes first.
-        let found = variables.iter().rev().find(|(variable, _)| part.starts_with(**variable));
-        let (variable, text) = found.ok_or_else(|| {
+        let entry = variables.iter().rev().find(|(variable, _)| part.starts_with(**variable));
+        let (variable, text) = entry.ok_or_else(|| {
             let hint = did_you_mean(part, variables.keys().copied());
             format!("unknown variable {}{hint}; add a `default` for it", quoted(&format!("${part}")))
         })?;

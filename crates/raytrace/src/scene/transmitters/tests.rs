@@ -21,6 +21,7 @@ fn draw(transmitters: &Transmitters, count: usize, seed: u64) -> Vec<DVec3> {
     transmitters.draw(count, seed, &|_| Ok(())).unwrap()
 }
 
+/// Returns the error of a draw.
 fn message(transmitters: &Transmitters, count: usize, free: &dyn Fn(DVec3) -> Result<(), String>) -> String {
     transmitters.draw(count, 0, free).unwrap_err().to_string()
 }
@@ -91,14 +92,14 @@ fn fewer_samples_are_ordered_subset_of_grid() {
     let grid = grid([0.0; 3], [1.0; 3], 0.1);
     let all = draw(&grid, 1000, 0);
     let some = draw(&grid, 100, 0);
-    let places: Vec<usize> = some.iter().map(|p| all.iter().position(|q| q == p).unwrap()).collect();
-    assert!(places.is_sorted_by(|a, b| a < b));
+    let indices: Vec<usize> = some.iter().map(|p| all.iter().position(|q| q == p).unwrap()).collect();
+    assert!(indices.is_sorted_by(|a, b| a < b));
     // An even stride of ten would leave nine of ten columns empty.
     let columns: std::collections::BTreeSet<u64> = some.iter().map(|p| p.x.to_bits()).collect();
     assert_eq!(columns.len(), 10);
     assert_ne!(some, draw(&grid, 100, 1));
-    let what = "use a smaller `step_m`, a larger box or fewer samples";
-    let expected = format!("transmitters: the grid has 1000 points, but 1001 samples are requested; {what}");
+    let advice = "use a smaller `step_m`, a larger box or fewer samples";
+    let expected = format!("transmitters: the grid has 1000 points, but 1001 samples are requested; {advice}");
     assert_eq!(message(&grid, 1001, &|_| Ok(())), expected);
 }
 
@@ -124,9 +125,9 @@ fn reports_box_without_free_space() {
     // One position is free, and the walk starts on it.
     let first = draw(&walk(), 1, 0)[0];
     let only = move |p: DVec3| if p == first { Ok(()) } else { never(p) };
-    let found = message(&walk(), 2, &only);
-    assert!(found.starts_with("transmitters: the walk cannot leave ("), "{found}");
-    assert!(found.ends_with(&format!("1000 steps end where it is not free, the last inside `wardrobe`; {advice}")));
+    let message = message(&walk(), 2, &only);
+    assert!(message.starts_with("transmitters: the walk cannot leave ("), "{message}");
+    assert!(message.ends_with(&format!("1000 steps end where it is not free, the last inside `wardrobe`; {advice}")));
 }
 
 #[test]
@@ -139,8 +140,8 @@ fn walk_steps_and_turns_match_measured_walk() {
     for (quantile, low, high) in
         [(0.05, 0.0050, 0.0058), (0.5, 0.0098, 0.0110), (0.9, 0.040, 0.055), (0.95, 0.075, 0.11)]
     {
-        let found = lengths[(quantile * lengths.len() as f64) as usize];
-        assert!((low..high).contains(&found), "quantile {quantile}: {found}");
+        let length = lengths[(quantile * lengths.len() as f64) as usize];
+        assert!((low..high).contains(&length), "quantile {quantile}: {length}");
     }
     // Measured: 0.59, 0.33, 0.25 and 0.09.
     for (lag, expected) in [(1, 0.59), (3, 0.33), (8, 0.25), (20, 0.09)] {
@@ -189,7 +190,7 @@ fn reports_impossible_settings() {
         assert_eq!(transmitters.check().unwrap_err(), expected);
         assert_eq!(message(&transmitters, 1, &|_| Ok(())), format!("transmitters: {expected}"));
     }
-    assert!(at([1.0; 3], [1.0; 3]).check().is_ok(), "one place is a box");
+    assert!(at([1.0; 3], [1.0; 3]).check().is_ok(), "a point is a box");
 }
 
 #[test]

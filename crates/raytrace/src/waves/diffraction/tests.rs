@@ -5,16 +5,17 @@ use pwrfgs_core::testing::shared;
 const METAL: Polarized = Polarized::PERFECT_CONDUCTOR;
 const K: f64 = 2.0 * PI / 0.3258;
 
-/// Opaque faces.
+/// Returns the opaque faces.
 fn opaque(r0: &Polarized, rn: &Polarized) -> Sides {
     Sides { r0: *r0, rn: *rn, through: Polarized::NOTHING }
 }
 
-/// F(x) in its usual form; x ≥ 0.
+/// Returns F(x) in its usual form; x ≥ 0.
 fn transition(x: f64) -> Complex {
-    x.sqrt() * over_root(x.sqrt())
+    x.sqrt() * transition_over_root(x.sqrt())
 }
 
+/// Returns both polarisations.
 fn both(pair: Polarized) -> [Complex; 2] {
     [pair.te, pair.tm]
 }
@@ -32,14 +33,14 @@ fn transition_function_matches_known_values() {
         (100.0, 0.999_925_065_463_363_6, 0.004_998_127_942_634_22),
     ];
     for (x, re, im) in expected {
-        let (found, expected) = (transition(x), Complex::new(re, im));
-        assert!((found - expected).norm() < 1e-14 * expected.norm(), "F({x}) = {found}");
+        let (value, expected) = (transition(x), Complex::new(re, im));
+        assert!((value - expected).norm() < 1e-14 * expected.norm(), "F({x}) = {value}");
     }
     assert_eq!(transition(0.0), Complex::ZERO);
 }
 
-/// Integral e^{jπ/4}·2√x ∫ exp(-u² - 2√x e^{jπ/4} u) du from 0 until it vanishes, with the path of integration rotated
-/// by 45°; Simpson's rule.
+/// Returns the integral e^{jπ/4}·2√x ∫ exp(-u² - 2√x e^{jπ/4} u) du from 0 until it vanishes, with the path of
+/// integration rotated by 45°; Simpson's rule.
 fn transition_by_quadrature(x: f64) -> Complex {
     let steps = 20_000;
     let step = 8.0_f64.min(28.0 / x.sqrt()) / f64::from(steps);
@@ -56,20 +57,20 @@ fn transition_function_matches_integral_and_expansions() {
     let mut worst = 0.0_f64;
     for i in 0..=90 {
         let x = 10f64.powf(f64::from(i) / 10.0 - 6.0);
-        let found = transition(x);
+        let value = transition(x);
         if x < 200.0 {
             let expected = transition_by_quadrature(x);
-            worst = worst.max((found - expected).norm() / expected.norm());
+            worst = worst.max((value - expected).norm() / expected.norm());
         }
         // Kouyoumjian and Pathak (1974), for small and for large arguments; the last number is often printed as 75.
         if x < 1e-3 {
             let small =
                 (PI * x).sqrt() - 2.0 * x * Complex::cis(FRAC_PI_4) - 2.0 / 3.0 * x * x * Complex::cis(-FRAC_PI_4);
-            assert!((found - small * Complex::cis(FRAC_PI_4 + x)).norm() < x.powi(3) + 1e-16, "F({x})");
+            assert!((value - small * Complex::cis(FRAC_PI_4 + x)).norm() < x.powi(3) + 1e-16, "F({x})");
         }
         if x > 30.0 {
             let large = Complex::new(1.0 - 0.75 * x.powi(-2) + 105.0 / 16.0 * x.powi(-4), 0.5 / x - 1.875 * x.powi(-3));
-            assert!((found - large).norm() < 60.0 * x.powi(-5) + 1e-15, "F({x})");
+            assert!((value - large).norm() < 60.0 * x.powi(-5) + 1e-15, "F({x})");
         }
     }
     println!("worst relative deviation from the integral {worst:.1e}");
@@ -82,28 +83,30 @@ fn far_from_boundaries_utd_equals_keller() {
     let (k, far, sin_beta) = (1e9, 1e3, 0.8);
     for n in [1.2, 1.5, 1.75, 2.0] {
         let (phi_in, phi) = (0.4, 0.9);
-        let found = wedge(n, k, (far, far), (phi_in, phi), sin_beta, &opaque(&METAL, &METAL));
+        let coefficients = wedge(n, k, (far, far), (phi_in, phi), sin_beta, &opaque(&METAL, &METAL));
         let front = Complex::cis(-FRAC_PI_4) * (PI / n).sin() / (n * (2.0 * PI * k).sqrt() * sin_beta);
         let part = |angle: f64| 1.0 / ((PI / n).cos() - (angle / n).cos());
         let (minus, plus) = (part(phi - phi_in), part(phi + phi_in));
-        for (found, expected) in both(found).into_iter().zip([front * (minus - plus), front * (minus + plus)]) {
-            assert!((found - expected).norm() < 1e-9 * expected.norm(), "n {n}: {found} {expected}");
+        for (coefficient, expected) in
+            both(coefficients).into_iter().zip([front * (minus - plus), front * (minus + plus)])
+        {
+            assert!((coefficient - expected).norm() < 1e-9 * expected.norm(), "n {n}: {coefficient} {expected}");
         }
     }
 }
 
-/// Point about an edge along z: distance from the edge, angle from face 0, height.
+/// Returns the point about an edge along z: distance from the edge, angle from face 0, height.
 fn about_edge(rho: f64, phi: f64, z: f64) -> DVec3 {
     DVec3::new(rho * phi.cos(), rho * phi.sin(), z)
 }
 
-/// e^{-jkr}/r times `factor`.
+/// Returns e^{-jkr}/r times `factor`.
 fn spherical(r: f64, factor: Complex) -> Complex {
     factor * Complex::cis(-K * r) / r
 }
 
-/// Direct, reflected and diffracted field at `phi`, with the source at `phi_in`, both 2 and 3 m from the edge of faces
-/// with reflection `r0` and `rn`; the source is `rise` metres higher.
+/// Returns the direct, reflected and diffracted field at `phi`, with the source at `phi_in`, both 2 and 3 m from the
+/// edge of faces with reflection `r0` and `rn`; the source is `rise` metres higher.
 fn total(n: f64, phi_in: f64, phi: f64, rise: f64, r0: &Polarized, rn: &Polarized) -> [Complex; 2] {
     let (tx, rx) = (about_edge(2.0, phi_in, rise), about_edge(3.0, phi, 0.0));
     let t = edge_point(DVec3::ZERO, DVec3::Z, tx, rx);
@@ -218,9 +221,9 @@ fn edge_point_minimises_path_and_equalises_angles() {
     assert_eq!(edge_point(a, a, tx, rx), 0.0);
 }
 
-/// Coupling between two antennas across the reference edge, by the vectors of [`wedge`]: both have their field along φ̂
-/// (`horizontal`) or θ̂ of the direction away from them. Face 0 is y = 0, x < 0, and φ grows from there through y > 0,
-/// so that the edge points down.
+/// Returns the coupling between two antennas across the reference edge, by the vectors of [`wedge`]: both have their
+/// field along φ̂ (`horizontal`) or θ̂ of the direction away from them. Face 0 is y = 0, x < 0, and φ grows from there
+/// through y > 0, so that the edge points down.
 fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) -> Complex {
     let outward = |phi: f64| DVec3::new(-phi.cos(), phi.sin(), 0.0);
     let (edge, before, after) = (-DVec3::Z, -outward(phi_in), outward(phi));
@@ -240,7 +243,7 @@ fn metal_edge_diffraction_matches_reference() {
     let mut rows = csv::Reader::from_path(file).unwrap();
     let header = rows.headers().unwrap().clone();
     let column = |name: &str| header.iter().position(|h| h == name).unwrap();
-    let (mut own, mut other, mut count) = (0.0_f64, 0.0_f64, 0);
+    let (mut float64_deviation, mut float32_deviation, mut count) = (0.0_f64, 0.0_f64, 0);
     for row in rows.records().map(Result::unwrap) {
         let number = |name: &str| row[column(name)].parse::<f64>().unwrap();
         let (n, degrees) = (number("n"), number("phi_deg"));
@@ -252,16 +255,19 @@ fn metal_edge_diffraction_matches_reference() {
             between_antennas(&d, angles, hard) * wavelength / (4.0 * PI * (before * after * (before + after)).sqrt());
         // Nine digits are printed.
         let digits =
-            |found: f64, printed: f64| (found - printed).abs() / 10f64.powf(printed.abs().log10().floor() - 8.0);
-        own = own.max(digits(gain.re, number("ref_re"))).max(digits(gain.im, number("ref_im")));
+            |value: f64, printed: f64| (value - printed).abs() / 10f64.powf(printed.abs().log10().floor() - 8.0);
+        float64_deviation =
+            float64_deviation.max(digits(gain.re, number("ref_re"))).max(digits(gain.im, number("ref_im")));
         // There the ray tracer is off by 10 %.
         if !(hard && n == 1.5 && degrees == 90.0) {
             let expected = Complex::new(number("a_re"), number("a_im"));
-            other = other.max((gain - expected).norm() / expected.norm());
+            float32_deviation = float32_deviation.max((gain - expected).norm() / expected.norm());
         }
         count += 1;
     }
-    println!("{count} receivers, worst deviation {own:.4} of the last digit of nine, and {other:.1e} relative");
+    println!(
+        "{count} receivers, worst deviation {float64_deviation:.4} of the last digit of nine, and {float32_deviation:.1e} relative"
+    );
     assert_eq!(count, 62);
-    assert!(own < 0.501 && other < 1e-3);
+    assert!(float64_deviation < 0.501 && float32_deviation < 1e-3);
 }

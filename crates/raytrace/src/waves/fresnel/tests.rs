@@ -12,6 +12,7 @@ fn lossless(permittivity: f64) -> Complex {
     Complex::new(permittivity, -0.0)
 }
 
+/// Returns both polarisations.
 fn both(pair: Polarized) -> [Complex; 2] {
     [pair.te, pair.tm]
 }
@@ -20,17 +21,24 @@ fn close(a: Polarized, b: Polarized, tolerance: f64) -> bool {
     (a.te - b.te).norm() <= tolerance && (a.tm - b.tm).norm() <= tolerance
 }
 
-fn same(value: f64) -> Polarized {
+/// Returns equal coefficients of both polarisations.
+fn equal_pair(value: f64) -> Polarized {
     Polarized { te: value.into(), tm: value.into() }
 }
 
 #[test]
 fn vacuum_slab_transmits_all_and_reflects_none() {
     for cos in COSINES {
-        assert!(close(reflection(lossless(1.0), None, cos, WAVELENGTH), same(0.0), 1e-15));
+        assert!(close(reflection(lossless(1.0), None, cos, WAVELENGTH), equal_pair(0.0), 1e-15));
         for depth in THICKNESSES {
-            assert!(close(reflection(lossless(1.0), Some(depth), cos, WAVELENGTH), same(0.0), 1e-15), "{cos}, {depth}");
-            assert!(close(transmission(lossless(1.0), depth, cos, WAVELENGTH), same(1.0), 1e-14), "{cos}, {depth}");
+            assert!(
+                close(reflection(lossless(1.0), Some(depth), cos, WAVELENGTH), equal_pair(0.0), 1e-15),
+                "{cos}, {depth}"
+            );
+            assert!(
+                close(transmission(lossless(1.0), depth, cos, WAVELENGTH), equal_pair(1.0), 1e-14),
+                "{cos}, {depth}"
+            );
         }
     }
 }
@@ -127,12 +135,12 @@ fn slab_approaches_half_space_if_thick_and_air_if_thin() {
     for cos in COSINES {
         let half_space = reflection(eta, None, cos, WAVELENGTH);
         assert!(close(reflection(eta, Some(1000.0), cos, WAVELENGTH), half_space, 1e-14));
-        assert!(close(transmission(eta, 1000.0, cos, WAVELENGTH), same(0.0), 1e-14));
+        assert!(close(transmission(eta, 1000.0, cos, WAVELENGTH), equal_pair(0.0), 1e-14));
     }
     for cos in [0.01, 0.3, 1.0] {
         for depth in [0.0, 1e-12] {
-            assert!(close(reflection(eta, Some(depth), cos, WAVELENGTH), same(0.0), 1e-8));
-            assert!(close(transmission(eta, depth, cos, WAVELENGTH), same(1.0), 1e-8));
+            assert!(close(reflection(eta, Some(depth), cos, WAVELENGTH), equal_pair(0.0), 1e-8));
+            assert!(close(transmission(eta, depth, cos, WAVELENGTH), equal_pair(1.0), 1e-8));
         }
         // R ~ r·2jq/(1 - r²) to first order.
         let s = (eta - 1.0 + cos * cos).sqrt();
@@ -147,9 +155,9 @@ fn grazing_wave_is_fully_reflected() {
     for name in ["concrete", "wood", "metal"] {
         let eta = named(name).unwrap().permittivity(2.4e9);
         for thickness in [None, Some(0.01)] {
-            assert!(close(reflection(eta, thickness, 0.0, WAVELENGTH), same(-1.0), 1e-12), "{name}");
+            assert!(close(reflection(eta, thickness, 0.0, WAVELENGTH), equal_pair(-1.0), 1e-12), "{name}");
         }
-        assert!(close(transmission(eta, 0.01, 0.0, WAVELENGTH), same(0.0), 1e-12), "{name}");
+        assert!(close(transmission(eta, 0.01, 0.0, WAVELENGTH), equal_pair(0.0), 1e-12), "{name}");
     }
 }
 
@@ -162,18 +170,19 @@ fn perfect_conductor_reflects_te_inverted_and_tm_unchanged() {
                 let r = reflection(eta, thickness, cos, SPEED_OF_LIGHT / hz);
                 assert!(close(r, Polarized::PERFECT_CONDUCTOR, 1e-12), "{hz} Hz, cos {cos}: {r:?}");
             }
-            assert!(close(transmission(eta, 1e-6, cos, SPEED_OF_LIGHT / hz), same(0.0), 1e-12));
+            assert!(close(transmission(eta, 1e-6, cos, SPEED_OF_LIGHT / hz), equal_pair(0.0), 1e-12));
         }
     }
 }
 
-/// θ̂ of a direction.
+/// Returns θ̂ of a direction.
 fn polar(direction: DVec3) -> DVec3 {
     let flat = direction.x.hypot(direction.y);
     DVec3::new(direction.z * direction.x / flat, direction.z * direction.y / flat, -flat)
 }
 
-/// Gain of one reflection according to the reference, from the geometry: image of the transmitter, one interaction.
+/// Returns the gain of one reflection according to the reference, from the geometry: image of the transmitter, one
+/// interaction.
 fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Complex, f64) {
     let (normal, offset, name, depth) = match face {
         "floor" => (DVec3::Z, 0.0, "wood", 0.03),

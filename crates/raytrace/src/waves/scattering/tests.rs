@@ -1,15 +1,15 @@
 use super::*;
 use glam::DVec3;
 
-/// Integral of a function of the outgoing direction over the hemisphere about z: midpoints in azimuth, which are exact
-/// for a polynomial, and Simpson's rule in the cosine.
-fn over_hemisphere(of: impl Fn(DVec3) -> f64) -> f64 {
+/// Returns the integral of a function of the outgoing direction over the hemisphere about z: midpoints in azimuth,
+/// which are exact for a polynomial, and Simpson's rule in the cosine.
+fn over_hemisphere(function: impl Fn(DVec3) -> f64) -> f64 {
     let (rings, around) = (400, 64);
     let ring = |i: i32| {
         let z = f64::from(i) / f64::from(rings);
         let flat = (1.0 - z * z).max(0.0).sqrt();
         let at = |j: i32| TAU * (f64::from(j) + 0.5) / f64::from(around);
-        (0..around).map(|j| of(DVec3::new(flat * at(j).cos(), flat * at(j).sin(), z))).sum::<f64>() * TAU
+        (0..around).map(|j| function(DVec3::new(flat * at(j).cos(), flat * at(j).sin(), z))).sum::<f64>() * TAU
             / f64::from(around)
     };
     let weight = |i: i32| if i == 0 || i == rings { 1.0 } else { f64::from(2 + 2 * (i % 2)) };
@@ -41,8 +41,8 @@ fn lobe_integral_at_normal_incidence_has_closed_form() {
     for exponent in [0, 1, 2, 5, 10, 64, 256] {
         let power = f64::from(exponent) + 1.0;
         let expected = 4.0 * PI / power * (1.0 - 0.5_f64.powf(power));
-        let found = 1.0 / Lobe::Directive { exponent }.density(1.0, 1.0, 1.0);
-        assert!((found / expected - 1.0).abs() < 1e-12, "{exponent}: {found} {expected}");
+        let integral = 1.0 / Lobe::Directive { exponent }.density(1.0, 1.0, 1.0);
+        assert!((integral / expected - 1.0).abs() < 1e-12, "{exponent}: {integral} {expected}");
     }
 }
 
