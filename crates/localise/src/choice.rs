@@ -47,14 +47,14 @@ impl Choice {
     pub(crate) fn most_likely(
         share: f32,
         positions: &[[f64; 3]],
-        truths: &[ValidationSample],
+        samples: &[ValidationSample],
         misfits: &[Vec<f32>],
         spacing: f64,
     ) -> Self {
         let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
         let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
         let scale = if typical > 0.0 { typical } else { 1.0 };
-        let of = |(sharpness, width): (f64, f64)| Self {
+        let settings = |(sharpness, width): (f64, f64)| Self {
             share,
             sharpness,
             scale,
@@ -63,24 +63,26 @@ impl Choice {
             mode_sharpness: 1.0,
             descends: false,
         };
-        let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| of((s, b)))).collect();
+        let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
         let densities = |(misfits, ValidationSample { position: [x, y, _], .. }): (&Vec<f32>, &ValidationSample)| {
-            let of_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|own| {
-                let mut density = own[0].density(misfits, positions);
-                own.iter().map(move |own| {
-                    density.bandwidth = own.bandwidth;
+            let per_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|choices| {
+                let mut density = choices[0].density(misfits, positions);
+                choices.iter().map(move |choice| {
+                    density.bandwidth = choice.bandwidth;
                     density.at([*x, *y]).ln()
                 })
             });
-            of_sharpness.collect()
+            per_sharpness.collect()
         };
-        let densities: Vec<Vec<f64>> = misfits.par_iter().zip(truths).map(densities).collect();
-        let score = |k: usize| mean(densities.iter().map(|own| own[k]));
-        let scored = all.iter().enumerate().map(|(k, own)| (score(k), *own)).filter(|(score, _)| score.is_finite());
+        let densities: Vec<Vec<f64>> = misfits.par_iter().zip(samples).map(densities).collect();
+        let score = |k: usize| mean(densities.iter().map(|values| values[k]));
+        let scored =
+            all.iter().enumerate().map(|(k, choice)| (score(k), *choice)).filter(|(score, _)| score.is_finite());
         let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.map_or_else(|| of(DEFAULTS), |(_, choice)| choice)
+        best.map_or_else(|| settings(DEFAULTS), |(_, choice)| choice)
     }
 
+    /// Returns the density over the floor, given the misfits `[K]` of an observation.
     pub(crate) fn density(&self, misfits: &[f32], positions: &[[f64; 3]]) -> Density {
         Density::new(&weights(misfits, self.sharpness / self.scale), positions, self.bandwidth)
     }
@@ -90,7 +92,7 @@ impl Choice {
 fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
     let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
     if !least.is_finite() {
-        return vec![1.0 / misfits.len() as f64; misfits.len()]; // nothing in common with any fingerprint
+        return vec![1.0 / misfits.len() as f64; misfits.len()]; // no common feature with any fingerprint
     }
     let weights: Vec<f64> = misfits.iter().map(|m| (-gain * (f64::from(*m) - least)).exp()).collect();
     let sum: f64 = weights.iter().sum();
@@ -100,15 +102,15 @@ fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
 /// Returns the level of the regions that hold nine of ten true positions; `None` if there are too few for this share.
 pub(crate) fn level(
     positions: &[[f64; 3]],
-    truths: &[ValidationSample],
+    samples: &[ValidationSample],
     misfits: &[Vec<f32>],
     choice: Choice,
 ) -> Option<f32> {
     // The smallest of n values holds n/(n + 1) of new ones.
-    let last = ((truths.len() + 1) / MISSED).checked_sub(1)?;
+    let last = ((samples.len() + 1) / MISSED).checked_sub(1)?;
     let level = |(misfits, ValidationSample { position: [x, y, _], .. }): (&Vec<f32>, &ValidationSample)| {
         f64::from(choice.density(misfits, positions).grid().level_at([*x, *y]))
     };
-    let levels = sorted(misfits.par_iter().zip(truths).map(level).collect::<Vec<f64>>());
+    let levels = sorted(misfits.par_iter().zip(samples).map(level).collect::<Vec<f64>>());
     Some(levels[last] as f32)
 }

@@ -15,9 +15,9 @@ pub(crate) fn descend(
     scales: [f64; 3],
     function: impl Fn([f64; 3]) -> Option<(f64, [f64; 3])>,
 ) -> Option<([f64; 3], f64)> {
-    let place = |u: [f64; 3]| std::array::from_fn(|k| start[k] + scales[k] * u[k]);
+    let position = |u: [f64; 3]| std::array::from_fn(|k| start[k] + scales[k] * u[k]);
     let scaled = |u: [f64; 3]| {
-        let (value, gradient) = function(place(u))?;
+        let (value, gradient) = function(position(u))?;
         Some((value, [0, 1, 2].map(|k| gradient[k] * scales[k])))
     };
     let mut inverse = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -30,39 +30,39 @@ pub(crate) fn descend(
             (direction, slope) = (gradient.map(|g| -g), -dot(gradient, gradient));
         }
         let mut share = 1.0 / dot(direction, direction).sqrt().max(1.0);
-        let mut found = None;
+        let mut accepted = None;
         for _ in 0..HALVINGS {
             let next = [0, 1, 2].map(|k| u[k] + share * direction[k]);
-            let (new, own) = scaled(next)?;
-            if new <= value + ENOUGH * share * slope {
-                found = Some((next, new, own));
+            let (next_value, next_gradient) = scaled(next)?;
+            if next_value <= value + ENOUGH * share * slope {
+                accepted = Some((next, next_value, next_gradient));
                 break;
             }
             share *= 0.5;
         }
-        let Some((next, new, own)) = found else { break };
-        let (moved, turned) = ([0, 1, 2].map(|k| next[k] - u[k]), [0, 1, 2].map(|k| own[k] - gradient[k]));
-        inverse = updated(inverse, moved, turned);
-        let decrease = value - new;
-        (u, value, gradient) = (next, new, own);
+        let Some((next, next_value, next_gradient)) = accepted else { break };
+        let (step, change) = ([0, 1, 2].map(|k| next[k] - u[k]), [0, 1, 2].map(|k| next_gradient[k] - gradient[k]));
+        inverse = bfgs_update(inverse, step, change);
+        let decrease = value - next_value;
+        (u, value, gradient) = (next, next_value, next_gradient);
         if decrease < END * value.abs() {
             break;
         }
     }
-    Some((place(u), value))
+    Some((position(u), value))
 }
 
-/// Returns the inverse of the Hessian after a step `moved` that changed the gradient by `turned`.
-fn updated(inverse: [[f64; 3]; 3], moved: [f64; 3], turned: [f64; 3]) -> [[f64; 3]; 3] {
-    let curvature = dot(moved, turned);
+/// Returns the inverse of the Hessian after a `step` that changed the gradient by `change` (BFGS).
+fn bfgs_update(inverse: [[f64; 3]; 3], step: [f64; 3], change: [f64; 3]) -> [[f64; 3]; 3] {
+    let curvature = dot(step, change);
     if curvature.is_nan() || curvature <= 1e-12 {
         return inverse;
     }
-    let product = inverse.map(|row| dot(row, turned));
-    let outer = (1.0 + dot(turned, product) / curvature) / curvature;
+    let product = inverse.map(|row| dot(row, change));
+    let outer = (1.0 + dot(change, product) / curvature) / curvature;
     std::array::from_fn(|i| {
         std::array::from_fn(|j| {
-            inverse[i][j] + outer * moved[i] * moved[j] - (product[i] * moved[j] + moved[i] * product[j]) / curvature
+            inverse[i][j] + outer * step[i] * step[j] - (product[i] * step[j] + step[i] * product[j]) / curvature
         })
     })
 }
@@ -76,15 +76,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn descent_finds_the_least_value_of_a_skew_bowl() {
+    fn descent_finds_the_minimum_of_a_skewed_quadratic() {
         let least = [0.3, -0.2, 1.1];
         let bowl = |x: [f64; 3]| {
             let d = [0, 1, 2].map(|k| x[k] - least[k]);
             let g = [8.0 * d[0] + d[1], d[0] + 2.0 * d[1], 0.5 * d[2]];
             Some((0.5 * dot(d, g), g))
         };
-        let (found, value) = descend([0.0; 3], [0.5; 3], bowl).unwrap();
-        assert!((0..3).all(|k| (found[k] - least[k]).abs() < 1e-2) && value < 1e-3, "{found:?}: {value}");
+        let (position, value) = descend([0.0; 3], [0.5; 3], bowl).unwrap();
+        assert!((0..3).all(|k| (position[k] - least[k]).abs() < 1e-2) && value < 1e-3, "{position:?}: {value}");
         assert!(descend([0.0; 3], [1.0; 3], |_| None).is_none());
     }
 }

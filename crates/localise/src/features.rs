@@ -27,8 +27,8 @@ pub struct FingerprintFeatures {
 }
 
 impl FingerprintFeatures {
-    /// Creates the features for the links `known` of `data`.
-    pub fn new(data: &Dataset, known: &[usize]) -> Self {
+    /// Creates the features for the `training` links of `data`.
+    pub fn new(data: &Dataset, training: &[usize]) -> Self {
         let (task, width, height) = (data.task(), data.width, data.height);
         let block = if task.has_pixels {
             (1..=width.max(height)).find(|b| width.div_ceil(*b) * height.div_ceil(*b) <= MOST).unwrap_or(1)
@@ -37,7 +37,7 @@ impl FingerprintFeatures {
         };
         let mut faintest = FAINTEST;
         if task.is_complex {
-            let links = || known.iter().step_by(known.len().div_ceil(LINKS).max(1));
+            let links = || training.iter().step_by(training.len().div_ceil(LINKS).max(1));
             let power = |i: &usize| data.image(*i).pixels.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
             let count = (links().count() * width * height / 2).max(1) as f64;
             faintest *= links().map(power).sum::<f64>() / count;
@@ -94,7 +94,8 @@ impl FingerprintFeatures {
         d_pixels
     }
 
-    /// Returns what roots are taken of: the mean of every block, negative pixels as 0, or the power of every gain.
+    /// Returns the levels before the root: the mean of every block, with negative pixels as 0, or the power of every
+    /// gain.
     fn levels(&self, image: &Image) -> Vec<Real> {
         let mut levels = vec![0.0; self.count()];
         if self.task.is_complex {
@@ -114,15 +115,17 @@ impl FingerprintFeatures {
     /// Returns the block of pixel `k`, and its number of pixels.
     fn block_of(&self, k: usize) -> (usize, Real) {
         let (b, x, y) = (self.block, k % self.width / self.block, k / self.width / self.block);
-        let side = |place: usize, size: usize| b.min(size - place * b);
+        let side = |index: usize, size: usize| b.min(size - index * b);
         (y * self.width.div_ceil(b) + x, (side(x, self.width) * side(y, self.height)) as Real)
     }
 
+    /// Returns the feature of a level: its square root; for channels, the root of the magnitude.
     fn root(&self, level: Real) -> Real {
         let root = (level + self.faintest).sqrt();
         if self.task.is_complex { root.sqrt() } else { root }
     }
 
+    /// Returns the derivative of [`Self::root`].
     fn slope(&self, level: Real) -> Real {
         let root = (level + self.faintest).sqrt();
         if self.task.is_complex { 0.25 / (root * root.sqrt()) } else { 0.5 / root }

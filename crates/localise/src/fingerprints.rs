@@ -5,7 +5,7 @@ use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Dataset, FittingSet, Link, Predict};
 use rayon::prelude::*;
 
-/// Features at K positions, structure of arrays. NaN stands for a value that is not known.
+/// Features at K positions, structure of arrays. NaN stands for an unknown value.
 #[derive(Clone, Debug, Default)]
 pub struct Fingerprints {
     /// Positions `[K]`, metres.
@@ -16,22 +16,22 @@ pub struct Fingerprints {
     width: usize,
 }
 
-/// Features of all receivers for one transmitter, of which some are known.
-struct Row<'a> {
+/// Builder of the features of all receivers for one transmitter.
+struct RowBuilder<'a> {
     data: &'a Dataset,
     features: &'a FingerprintFeatures,
     /// Value of a receiver without a link.
-    unheard: f32,
+    missing: f32,
 }
 
-impl Row<'_> {
-    /// Returns the features of transmitter `t`; `of` returns those of a link.
-    fn of(&self, t: usize, of: impl Fn(usize) -> Vec<f32>) -> Vec<f32> {
+impl RowBuilder<'_> {
+    /// Returns the features of transmitter `t`; `link_features` returns those of a link.
+    fn build(&self, t: usize, link_features: impl Fn(usize) -> Vec<f32>) -> Vec<f32> {
         let count = self.features.count();
-        let mut row = vec![self.unheard; count * self.data.scene.receivers.len()];
+        let mut row = vec![self.missing; count * self.data.scene.receivers.len()];
         for link in self.data.links_of(&[t]) {
             let Link { receiver, .. } = self.data.links[link];
-            row[receiver * count..][..count].copy_from_slice(&of(link));
+            row[receiver * count..][..count].copy_from_slice(&link_features(link));
         }
         row
     }
@@ -39,7 +39,7 @@ impl Row<'_> {
 
 impl Fingerprints {
     /// Returns the measured fingerprints of `transmitters`. Powers of receivers without a link are `floor`: the transmitter
-    /// was not heard.
+    /// was not received.
     pub fn measured(features: &FingerprintFeatures, data: &Dataset, transmitters: &[usize], floor: f32) -> Self {
         Self::new(features, data, transmitters, floor, |link| features.of(&data.image(link)))
     }
@@ -55,16 +55,17 @@ impl Fingerprints {
         Self::new(features, data, transmitters, floor, |link| features.of(&model.predict(data.query(link))))
     }
 
+    /// Creates the fingerprints of `transmitters`; `link_features` returns the features of a link.
     fn new(
         features: &FingerprintFeatures,
         data: &Dataset,
         transmitters: &[usize],
         floor: f32,
-        of: impl Fn(usize) -> Vec<f32> + Sync,
+        link_features: impl Fn(usize) -> Vec<f32> + Sync,
     ) -> Self {
-        let unheard = if features.task().is_scalar { floor } else { f32::NAN };
-        let row = Row { data, features, unheard };
-        let rows: Vec<Vec<f32>> = transmitters.par_iter().map(|&t| row.of(t, &of)).collect();
+        let missing = if features.task().is_scalar { floor } else { f32::NAN };
+        let builder = RowBuilder { data, features, missing };
+        let rows: Vec<Vec<f32>> = transmitters.par_iter().map(|&t| builder.build(t, &link_features)).collect();
         let positions = transmitters.iter().map(|&t| data.transmitters[t].position).collect();
         Self { positions, values: rows.concat(), width: features.count() * data.scene.receivers.len() }
     }
@@ -87,7 +88,8 @@ impl Fingerprints {
     /// Returns a mixture with a `share` of `other`, which has the same positions.
     #[must_use]
     pub fn blended(&self, other: &Self, share: f32) -> Self {
-        let values = self.values.iter().zip(&other.values).map(|(own, other)| own + share * (other - own)).collect();
+        let values =
+            self.values.iter().zip(&other.values).map(|(value, other)| value + share * (other - value)).collect();
         Self { positions: self.positions.clone(), values, width: self.width }
     }
 
@@ -99,8 +101,8 @@ impl Fingerprints {
         Self { positions: kept.iter().map(|k| self.positions[*k]).collect(), values, width: self.width }
     }
 
-    /// Returns the mean squared difference of an observation from every fingerprint, over the features that both know;
-    /// infinite if there are none.
+    /// Returns the mean squared difference of an observation from every fingerprint, over the features that both
+    /// contain; infinite if there are none.
     pub fn misfits(&self, observation: &[f32]) -> Vec<f32> {
         (0..self.len()).map(|k| misfit(observation, self.row(k))).collect()
     }
@@ -109,7 +111,7 @@ impl Fingerprints {
 /// Number of sums that run side by side.
 const LANES: usize = 16;
 
-/// Mean squared difference over the features that both know.
+/// Returns the mean squared difference over the features that both contain.
 fn misfit(a: &[f32], b: &[f32]) -> f32 {
     let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
     let (mut left, mut right) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
@@ -139,18 +141,17 @@ pub struct NearestFingerprints {
 }
 
 impl NearestFingerprints {
-    /// Fits to the training links; `floor` is the power of a receiver that did not hear a transmitter.
-    pub fn fit(data: &Dataset, known: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
+    /// Fits to the training links; `floor` is the power of a receiver that did not receive a transmitter.
+    pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
         let of = |links: &[usize]| Fingerprints::measured(features, data, &data.transmitters_of(links), floor);
-        let (fingerprints, truths) = (of(known.train), of(known.validation));
+        let (fingerprints, truths) = (of(links.train), of(links.validation));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {
             let error = |k: usize| {
-                let one = |i: usize| distance(best.nearest(truths.row(i), k), truths.positions[i]);
-                mean_and_median((0..truths.len()).into_par_iter().map(one).collect())[0]
+                let sample_error = |i: usize| distance(best.nearest(truths.row(i), k), truths.positions[i]);
+                mean_and_median((0..truths.len()).into_par_iter().map(sample_error).collect())[0]
             };
-            best.k =
-                COUNTS.map(|k| (error(k), k)).into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1, |own| own.1);
+            best.k = COUNTS.map(|k| (error(k), k)).into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1, |(_, k)| k);
         }
         best
     }
@@ -160,14 +161,15 @@ impl NearestFingerprints {
         self.nearest(observation, self.k)
     }
 
+    /// Returns the mean position of the `k` fingerprints of least misfit, metres.
     fn nearest(&self, observation: &[f32], k: usize) -> [f64; 3] {
         let misfits = self.fingerprints.misfits(observation);
         let mut order: Vec<usize> = (0..misfits.len()).collect();
         order.sort_by(|a, b| misfits[*a].total_cmp(&misfits[*b]));
         order.truncate(k);
         let mut mean = [0.0; 3];
-        for place in &order {
-            (0..3).for_each(|axis| mean[axis] += self.fingerprints.positions[*place][axis] / order.len() as f64);
+        for neighbour in &order {
+            (0..3).for_each(|axis| mean[axis] += self.fingerprints.positions[*neighbour][axis] / order.len() as f64);
         }
         mean
     }

@@ -34,10 +34,10 @@ struct ComparedSample<'a> {
 pub struct Locator<'a> {
     features: FingerprintFeatures,
     model: &'a dyn Predict,
-    /// The model without the validation samples, if it can leave them out: it would repeat those that choose.
+    /// Model without the validation samples, if it supports this. A model that stores samples has no error at them.
     without: Option<Box<dyn Predict + 'a>>,
     fingerprints: Fingerprints,
-    /// Power of a receiver that did not hear a transmitter.
+    /// Power of a receiver that did not receive a transmitter.
     floor: f32,
     /// Half the distance between neighbouring training positions, metres.
     spacing: f64,
@@ -73,42 +73,43 @@ impl Located {
 }
 
 impl<'a> Locator<'a> {
-    /// Fits to the training links `known.train` of `data`. `shares` are the shares of the model among which the validation
-    /// links choose; without validation links the first is taken. A model that can leave samples out ([`Predict::without`]),
-    /// such as Kriging, is used without the validation links.
+    /// Fits to the training links `links.train` of `data`. `shares` are the shares of the model among which the
+    /// validation links choose; without validation links the first is taken. A model that can leave samples out
+    /// ([`Predict::without`]), such as Kriging, is used without the validation links.
     ///
     /// # Errors
     /// Data without positions, or with a moving receiver.
-    pub fn fit(data: &Dataset, known: FittingSet<'_>, model: &'a dyn Predict, shares: &[f32]) -> Result<Self> {
-        let what = if !data.placed || data.features.is_some() {
+    pub fn fit(data: &Dataset, links: FittingSet<'_>, model: &'a dyn Predict, shares: &[f32]) -> Result<Self> {
+        let problem = if !data.placed || data.features.is_some() {
             Some("they have no transmitter positions; localisation compares with known positions")
         } else if data.orientations.is_some() {
             Some("the receiver moves; localisation needs fixed receivers")
         } else {
             None
         };
-        if let Some(what) = what {
-            return Err(Error::Config(format!("{}: {what}", data.title)));
+        if let Some(problem) = problem {
+            return Err(Error::Config(format!("{}: {problem}", data.title)));
         }
-        let (train, validation) = (data.transmitters_of(known.train), data.transmitters_of(known.validation));
-        let without = if validation.is_empty() { None } else { model.without(known.validation) };
+        let (train, validation) = (data.transmitters_of(links.train), data.transmitters_of(links.validation));
+        let without = if validation.is_empty() { None } else { model.without(links.validation) };
         let used = without.as_deref().unwrap_or(model);
-        let features = FingerprintFeatures::new(data, known.train);
-        let weakest = |own: &[Real]| known.train.iter().map(|i| own[*i] as f32).fold(f32::INFINITY, f32::min);
+        let features = FingerprintFeatures::new(data, links.train);
+        let weakest = |powers: &[Real]| links.train.iter().map(|i| powers[*i] as f32).fold(f32::INFINITY, f32::min);
         let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
         let measured = Fingerprints::measured(&features, data, &train, floor);
         let is_used = |share: &f32| *share > 0.0;
         let predicted =
             shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, used));
-        let truths = Fingerprints::measured(&features, data, &validation, floor);
-        let sample = |k: usize| ValidationSample { observation: truths.row(k).to_vec(), position: truths.positions[k] };
-        let truths: Vec<ValidationSample> = (0..truths.len()).map(sample).collect();
+        let samples = Fingerprints::measured(&features, data, &validation, floor);
+        let sample =
+            |k: usize| ValidationSample { observation: samples.row(k).to_vec(), position: samples.positions[k] };
+        let samples: Vec<ValidationSample> = (0..samples.len()).map(sample).collect();
         let spacing = spacing(&measured.positions);
         let to_training = |sample: &ValidationSample| {
-            measured.positions.iter().map(|place| distance(*place, sample.position)).fold(f64::INFINITY, f64::min)
+            measured.positions.iter().map(|position| distance(*position, sample.position)).fold(f64::INFINITY, f64::min)
         };
-        let validation_distance = median(truths.iter().map(to_training));
-        let mut own = Self {
+        let validation_distance = median(samples.iter().map(to_training));
+        let mut locator = Self {
             features,
             model,
             without,
@@ -117,36 +118,48 @@ impl<'a> Locator<'a> {
             floor,
             spacing,
             area: None,
-            validation: truths.len(),
+            validation: samples.len(),
             validation_distance,
             level: None,
         };
+        let error = locator.choose_share(shares, &measured, predicted.as_ref(), &samples)?;
+        data.observations.check()?;
+        locator.choose_descent(&samples, error);
+        Ok(locator)
+    }
+
+    /// Chooses the share of the model, with the level and the settings of the mode, by the mean error of validation
+    /// samples. Returns this error, metres.
+    fn choose_share(
+        &mut self,
+        shares: &[f32],
+        measured: &Fingerprints,
+        predicted: Option<&Fingerprints>,
+        samples: &[ValidationSample],
+    ) -> Result<f64> {
         let mut best: Option<(f64, Choice, Option<f32>, Fingerprints)> = None;
         for share in shares {
-            own.fingerprints =
-                predicted.as_ref().map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
+            self.fingerprints = predicted.map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
             let misfits: Vec<Vec<f32>> =
-                truths.par_iter().map(|sample| own.fingerprints.misfits(&sample.observation)).collect();
-            let positions = &own.fingerprints.positions;
-            own.choice = Choice::most_likely(*share, positions, &truths, &misfits, spacing);
-            own.level = level(positions, &truths, &misfits, own.choice);
-            let error = own.choose_mode(&truths);
+                samples.par_iter().map(|sample| self.fingerprints.misfits(&sample.observation)).collect();
+            let positions = &self.fingerprints.positions;
+            self.choice = Choice::most_likely(*share, positions, samples, &misfits, self.spacing);
+            self.level = level(positions, samples, &misfits, self.choice);
+            let error = self.choose_mode(samples);
             if best.as_ref().is_none_or(|(least, ..)| error < *least) {
-                best = Some((error, own.choice, own.level, own.fingerprints.clone()));
+                best = Some((error, self.choice, self.level, self.fingerprints.clone()));
             }
         }
-        data.observations.check()?;
         let error;
-        (error, own.choice, own.level, own.fingerprints) =
+        (error, self.choice, self.level, self.fingerprints) =
             best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
-        own.choose_descent(&truths, error);
-        Ok(own)
+        Ok(error)
     }
 
     /// Restricts fingerprints and estimates to positions that satisfy `is_possible`, a convex area of the floor.
     ///
     /// # Errors
-    /// No training position does.
+    /// No training position satisfies `is_possible`.
     pub fn within(mut self, is_possible: impl Fn([f64; 2]) -> bool + Send + Sync + 'a) -> Result<Self> {
         self.fingerprints = self.fingerprints.filtered(|[x, y, _]| is_possible([x, y]));
         self.area = Some(Box::new(is_possible));
@@ -161,7 +174,7 @@ impl<'a> Locator<'a> {
         &self.features
     }
 
-    /// Returns the power of a receiver that did not hear a transmitter, dBm.
+    /// Returns the power of a receiver that did not receive a transmitter, dBm.
     pub fn floor(&self) -> f32 {
         self.floor
     }
@@ -191,14 +204,14 @@ impl<'a> Locator<'a> {
         }
     }
 
-    /// Returns what is known of `transmitters` of `data`, as [`Self::locate`] takes it.
+    /// Returns the features of `transmitters` of `data` at all receivers, for [`Self::locate`].
     pub fn observations(&self, data: &Dataset, transmitters: &[usize]) -> Vec<Vec<f32>> {
         let all = Fingerprints::measured(&self.features, data, transmitters, self.floor);
         (0..all.len()).map(|k| all.row(k).to_vec()).collect()
     }
 
     /// Locates a transmitter from its features at all receivers, `[receivers, count]`; NaN for unknown values. Powers below
-    /// [`Self::floor`] count as this: the receiver did not hear the transmitter.
+    /// [`Self::floor`] count as this: the receiver did not receive the transmitter.
     pub fn locate(&self, observation: &[f32]) -> Located {
         self.locate_without(observation, None)
     }
@@ -206,11 +219,12 @@ impl<'a> Locator<'a> {
     /// Locates as [`Self::locate`], without the training samples at the position `left_out`.
     pub fn locate_without(&self, observation: &[f32], left_out: Option<[f64; 3]>) -> Located {
         let is_scalar = self.features.task().is_scalar;
-        let heard = |v: &f32| if is_scalar && *v < self.floor { self.floor } else { *v };
-        let observation = &observation.iter().map(heard).collect::<Vec<f32>>()[..];
+        let raised = |v: &f32| if is_scalar && *v < self.floor { self.floor } else { *v };
+        let observation = &observation.iter().map(raised).collect::<Vec<f32>>()[..];
         let mut misfits = self.fingerprints.misfits(observation);
-        let own = misfits.iter_mut().zip(&self.fingerprints.positions).filter(|(_, place)| left_out == Some(**place));
-        own.for_each(|(misfit, _)| *misfit = f32::INFINITY);
+        let excluded =
+            misfits.iter_mut().zip(&self.fingerprints.positions).filter(|(_, position)| left_out == Some(**position));
+        excluded.for_each(|(misfit, _)| *misfit = f32::INFINITY);
         let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
         let (density, region) = self.density_and_region(&misfits);
         let position = self.estimate(observation, &density, &region);
@@ -218,6 +232,7 @@ impl<'a> Locator<'a> {
         Located { position, misfit: f64::from(least) / self.choice.scale, region }
     }
 
+    /// Returns the density over the floor and its region, given the misfits `[K]`.
     fn density_and_region(&self, misfits: &[f32]) -> (Density, Region) {
         let density = self.choice.density(misfits, &self.fingerprints.positions);
         let region = density.grid().region(self.level.unwrap_or(LEVEL));
@@ -232,21 +247,21 @@ impl<'a> Locator<'a> {
             return mode;
         }
         let is_in_part = |[x, y, _]: &[f64; 3]| region.part_at([*x, *y]) == part;
-        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|own| own([*x, *y]));
-        let found = self.descended(observation, density.spread(mode, is_in_part), mode);
-        found.filter(|place| is_in_part(place) && is_possible(place)).unwrap_or(mode)
+        let is_possible = |[x, y, _]: &[f64; 3]| self.area.as_ref().is_none_or(|holds| holds([*x, *y]));
+        let refined = self.refined_position(observation, density.spread(mode, is_in_part), mode);
+        refined.filter(|position| is_in_part(position) && is_possible(position)).unwrap_or(mode)
     }
 
     /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of
     /// `spread` and the spacing.
-    fn descended(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
+    fn refined_position(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
         let scales = spread.map(|deviation| deviation.hypot(self.spacing));
         let gain = self.choice.sharpness / self.choice.scale;
         let function = |at: [f64; 3]| {
             let (misfit, gradient) = self.misfit(observation, at)?;
-            let away = [0, 1, 2].map(|k| (at[k] - start[k]) / scales[k]);
-            let value = gain * misfit + 0.5 * away.iter().map(|a| a * a).sum::<f64>();
-            Some((value, [0, 1, 2].map(|k| gain * gradient[k] + away[k] / scales[k])))
+            let offset = [0, 1, 2].map(|k| (at[k] - start[k]) / scales[k]);
+            let value = gain * misfit + 0.5 * offset.iter().map(|a| a * a).sum::<f64>();
+            Some((value, [0, 1, 2].map(|k| gain * gradient[k] + offset[k] / scales[k])))
         };
         descend(start, scales, function).map(|(position, _)| position)
     }
@@ -255,24 +270,24 @@ impl<'a> Locator<'a> {
     fn misfit(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
         let count = self.features.count();
         let is_scalar = self.features.task().is_scalar;
-        let is_heard = |v: &&f32| !v.is_nan() && (!is_scalar || **v > self.floor);
-        let known = observation.iter().filter(is_heard).count().max(1) as f64;
+        let is_received = |v: &&f32| !v.is_nan() && (!is_scalar || **v > self.floor);
+        let received = observation.iter().filter(is_received).count().max(1) as f64;
         let (mut sum, mut gradient) = (0.0, [0.0; 3]);
-        for (receiver, own) in observation.chunks_exact(count).enumerate() {
-            if !own.iter().any(|v| is_heard(&v)) {
+        for (receiver, features) in observation.chunks_exact(count).enumerate() {
+            if !features.iter().any(|v| is_received(&v)) {
                 continue;
             }
             let differences = |image: &Image| {
-                let of = self.features.of(image);
-                of.iter().zip(own).map(|(f, o)| if o.is_nan() { 0.0 } else { f - o }).collect::<Vec<f32>>()
+                let predicted = self.features.of(image);
+                predicted.iter().zip(features).map(|(f, o)| if o.is_nan() { 0.0 } else { f - o }).collect::<Vec<f32>>()
             };
             let cotangent = |image: &Image| -> Vec<Real> {
-                let d: Vec<f32> = differences(image).iter().map(|d| 2.0 * d / known as f32).collect();
+                let d: Vec<f32> = differences(image).iter().map(|d| 2.0 * d / received as f32).collect();
                 self.features.vjp(image, &d)
             };
             let model = self.without.as_deref().unwrap_or(self.model);
             let (image, d) = model.predict_vjp(Query::at(at, receiver), &cotangent)?;
-            sum += differences(&image).iter().map(|d| f64::from(*d).powi(2)).sum::<f64>() / known;
+            sum += differences(&image).iter().map(|d| f64::from(*d).powi(2)).sum::<f64>() / received;
             (0..3).for_each(|k| gradient[k] += d[k]);
         }
         Some((sum, gradient))
@@ -280,14 +295,14 @@ impl<'a> Locator<'a> {
 
     /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples, and returns this error,
     /// metres.
-    fn choose_mode(&mut self, truths: &[ValidationSample]) -> f64 {
-        let compared = self.compared(truths);
+    fn choose_mode(&mut self, samples: &[ValidationSample]) -> f64 {
+        let compared = self.compared(samples);
         let chosen = self.choice;
-        let all = SHARPNESSES.into_iter().flat_map(|mode_sharpness| {
-            WIDER.map(|wider| Choice { mode_bandwidth: wider * chosen.bandwidth, mode_sharpness, ..chosen })
+        let choices = SHARPNESSES.into_iter().flat_map(|mode_sharpness| {
+            WIDER.map(|factor| Choice { mode_bandwidth: factor * chosen.bandwidth, mode_sharpness, ..chosen })
         });
         let mut best = (f64::INFINITY, chosen);
-        for choice in all {
+        for choice in choices {
             self.choice = choice;
             let error = self.mean_error(&compared);
             best = if error < best.0 { (error, choice) } else { best };
@@ -297,27 +312,28 @@ impl<'a> Locator<'a> {
     }
 
     /// Turns descent on if it lowers the mean error of validation samples below `error`.
-    fn choose_descent(&mut self, truths: &[ValidationSample], error: f64) {
+    fn choose_descent(&mut self, samples: &[ValidationSample], error: f64) {
         self.choice.descends = true;
-        self.choice.descends = self.mean_error(&self.compared(truths)) < error;
+        self.choice.descends = self.mean_error(&self.compared(samples)) < error;
     }
 
     /// Returns evenly chosen validation samples with their densities and regions.
-    fn compared<'t>(&self, truths: &'t [ValidationSample]) -> Vec<ComparedSample<'t>> {
-        let some: Vec<&ValidationSample> = truths.iter().step_by(truths.len().div_ceil(COMPARED).max(1)).collect();
-        let one = |sample: &'t ValidationSample| {
+    fn compared<'t>(&self, samples: &'t [ValidationSample]) -> Vec<ComparedSample<'t>> {
+        let selected: Vec<&ValidationSample> =
+            samples.iter().step_by(samples.len().div_ceil(COMPARED).max(1)).collect();
+        let with_density = |sample: &'t ValidationSample| {
             let (density, region) = self.density_and_region(&self.fingerprints.misfits(&sample.observation));
             ComparedSample { sample, density, region }
         };
-        some.into_par_iter().map(one).collect()
+        selected.into_par_iter().map(with_density).collect()
     }
 
     /// Returns the mean error of estimates, metres; NaN without samples.
     fn mean_error(&self, compared: &[ComparedSample<'_>]) -> f64 {
-        let one = |ComparedSample { sample, density, region }: &ComparedSample<'_>| {
+        let error = |ComparedSample { sample, density, region }: &ComparedSample<'_>| {
             distance(self.estimate(&sample.observation, density, region), sample.position)
         };
-        mean(compared.par_iter().map(one).collect::<Vec<f64>>())
+        mean(compared.par_iter().map(error).collect::<Vec<f64>>())
     }
 }
 

@@ -83,11 +83,12 @@ impl Density {
         sum.map(|v| v / total)
     }
 
-    /// Returns the root mean square distances along the axes of the selected positions from a place, metres; 0 without any.
-    pub(crate) fn spread(&self, place: [f64; 3], is_selected: impl Fn(&[f64; 3]) -> bool) -> [f64; 3] {
+    /// Returns the root mean square distances along the axes of the selected positions from a position, metres; 0
+    /// without any.
+    pub(crate) fn spread(&self, position: [f64; 3], is_selected: impl Fn(&[f64; 3]) -> bool) -> [f64; 3] {
         let selected = || self.kernels.iter().filter(|(_, p)| is_selected(p));
         let sum: f64 = selected().map(|(w, _)| w).sum();
-        let square = |k: usize| selected().map(|(w, p)| w * (p[k] - place[k]).powi(2)).sum::<f64>();
+        let square = |k: usize| selected().map(|(w, p)| w * (p[k] - position[k]).powi(2)).sum::<f64>();
         [0, 1, 2].map(|k| if sum > 0.0 { (square(k) / sum).sqrt() } else { 0.0 })
     }
 
@@ -123,10 +124,12 @@ pub(crate) struct Grid<'a> {
 }
 
 impl Grid<'_> {
+    /// Returns the cell that contains a point.
     fn cell(&self, point: [f64; 2]) -> [i64; 2] {
         point.map(|v| (v / self.step).floor() as i64)
     }
 
+    /// Returns the centre of a cell, metres.
     fn centre(&self, cell: [i64; 2]) -> [f64; 2] {
         cell.map(|k| (k as f64 + 0.5) * self.step)
     }
@@ -211,8 +214,8 @@ impl Region {
             }
             self.count += 1;
             self.parts[start] = self.count;
-            let mut open = vec![start];
-            while let Some(k) = open.pop() {
+            let mut stack = vec![start];
+            while let Some(k) = stack.pop() {
                 let column = k % columns;
                 let sides = [
                     (column > 0).then(|| k - 1),
@@ -223,7 +226,7 @@ impl Region {
                 for side in sides.into_iter().flatten() {
                     if self.parts[side] == 0 && is_inside(side) {
                         self.parts[side] = self.count;
-                        open.push(side);
+                        stack.push(side);
                     }
                 }
             }
@@ -242,16 +245,16 @@ impl Region {
     /// the part, that of its kernels at the width of the density.
     pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64, sharpness: f64) -> (u32, [f64; 3]) {
         let part = self.most_probable_part();
-        let is_in_part = |place: [f64; 2]| self.part_at(place) == part;
-        let own = || density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y]));
-        let largest = own().next().map_or(1.0, |(w, _)| *w);
-        let sharper = own().map(|(w, p)| ((w / largest).powf(sharpness), *p)).collect();
-        let inside = |mode: &[f64; 2]| is_in_part(*mode);
+        let is_in_part = |point: [f64; 2]| self.part_at(point) == part;
+        let inner_kernels = || density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y]));
+        let largest = inner_kernels().next().map_or(1.0, |(w, _)| *w);
+        let sharper = inner_kernels().map(|(w, p)| ((w / largest).powf(sharpness), *p)).collect();
+        let is_mode_inside = |mode: &[f64; 2]| is_in_part(*mode);
         let plain = || {
-            let kernels = own().copied().collect();
-            Density { kernels, bandwidth: density.bandwidth }.mode().filter(inside)
+            let kernels = inner_kernels().copied().collect();
+            Density { kernels, bandwidth: density.bandwidth }.mode().filter(is_mode_inside)
         };
-        let mode = Density { kernels: sharper, bandwidth }.mode().filter(inside).or_else(plain);
+        let mode = Density { kernels: sharper, bandwidth }.mode().filter(is_mode_inside).or_else(plain);
         let [x, y] = mode.unwrap_or_else(|| self.highest_of(part));
         (part, [x, y, density.mean([x, y], 2)[2]])
     }
@@ -297,13 +300,13 @@ impl Region {
                 let ends = [[-dy, dx], [dx, dy], [dy, -dx]].map(|[x, y]| [at[0] + x, at[1] + y]);
                 next = ends.into_iter().find(|end| edges.contains(&[at, *end])).unwrap_or(start);
             }
-            outlines.push(self.straight(&corners));
+            outlines.push(self.turning_corners(&corners));
         }
         outlines
     }
 
     /// Returns the corners at which a closed outline turns, metres.
-    fn straight(&self, corners: &[[i64; 2]]) -> Vec<[f64; 2]> {
+    fn turning_corners(&self, corners: &[[i64; 2]]) -> Vec<[f64; 2]> {
         let n = corners.len();
         let turns = |i: &usize| {
             let [a, b, c] = [corners[(i + n - 1) % n], corners[*i], corners[(i + 1) % n]];
@@ -318,7 +321,7 @@ impl Region {
 mod tests {
     use super::*;
 
-    /// A region of cells of 1 m whose rows, lowest first, have a `#` inside.
+    /// Returns a region of cells of 1 m whose rows, lowest first, have a `#` inside.
     fn region(rows: &[&str]) -> Region {
         let values: Vec<f32> = rows.concat().bytes().map(|b| f32::from(u8::from(b == b'#'))).collect();
         let (columns, parts) = (rows[0].len(), vec![0; values.len()]);
@@ -343,9 +346,9 @@ mod tests {
             (&["####", "#.##", "##.#", "####"][..], 1, &[-2.0, 16.0][..]),
         ] {
             let region = region(rows);
-            let mut found: Vec<f64> = region.outlines().iter().map(area).collect();
-            found.sort_by(f64::total_cmp);
-            assert_eq!((region.parts(), &found[..]), (parts, areas), "{rows:?}");
+            let mut signed_areas: Vec<f64> = region.outlines().iter().map(area).collect();
+            signed_areas.sort_by(f64::total_cmp);
+            assert_eq!((region.parts(), &signed_areas[..]), (parts, areas), "{rows:?}");
             assert_eq!(region.area(), areas.iter().sum::<f64>());
         }
         assert!(region(&["###", "#.#", "###"]).outlines().iter().all(|outline| outline.len() == 4));
@@ -365,8 +368,8 @@ mod tests {
     #[test]
     fn estimate_is_the_mode_of_the_most_probable_part() {
         // The highest mode has one position; three others close together are more probable.
-        let places = [[0.0, 0.0, 1.0], [6.0, 0.0, 2.0], [6.9, 0.0, 2.0], [7.8, 0.0, 2.0]];
-        let density = Density::new(&[0.34, 0.22, 0.22, 0.22], &places, 0.4);
+        let positions = [[0.0, 0.0, 1.0], [6.0, 0.0, 2.0], [6.9, 0.0, 2.0], [7.8, 0.0, 2.0]];
+        let density = Density::new(&[0.34, 0.22, 0.22, 0.22], &positions, 0.4);
         let region = density.grid().region(0.1);
         let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4, 1.0);
         assert_eq!(region.parts(), 2);
@@ -376,10 +379,10 @@ mod tests {
 
     #[test]
     fn region_of_a_level_holds_the_point_of_this_level() {
-        let places: Vec<[f64; 3]> = (0..60).map(|k| [f64::from(k * 7 % 20), f64::from(k * 11 % 13), 0.0]).collect();
+        let positions: Vec<[f64; 3]> = (0..60).map(|k| [f64::from(k * 7 % 20), f64::from(k * 11 % 13), 0.0]).collect();
         let weights: Vec<f64> = (0..60).map(|k| 0.9_f64.powi(k)).collect();
         for bandwidth in [0.2, 1.0, 5.0] {
-            let density = Density::new(&weights, &places, bandwidth);
+            let density = Density::new(&weights, &positions, bandwidth);
             let grid = density.grid();
             for k in 0..200 {
                 let point = [f64::from(k * 37 % 101) * 0.31 - 5.0, f64::from(k * 53 % 103) * 0.2 - 4.0];

@@ -1,4 +1,4 @@
-//! A hall with four receivers, whose powers follow a law of distance with noise.
+//! Localisation in a hall with four receivers, whose powers follow a path-loss model with noise.
 
 use crate::{FingerprintFeatures, Locator, NearestFingerprints, mean_and_median};
 use pwrfgs_core::neighbours::distance;
@@ -11,10 +11,10 @@ fn dbm(tx: [f64; 3], receiver: usize) -> f64 {
     -40.0 - 30.0 * distance(tx, RECEIVERS[receiver]).log10()
 }
 
-/// The law itself, with its derivative.
-struct Law;
+/// The path-loss model, with its derivative.
+struct PathLoss;
 
-impl Predict for Law {
+impl Predict for PathLoss {
     fn predict(&self, query: Query<'_>) -> Image {
         Image { width: 1, height: 1, pixels: vec![dbm(query.tx, query.receiver) as Real] }
     }
@@ -28,14 +28,14 @@ impl Predict for Law {
     }
 }
 
-/// 300 training positions 0.4 to 0.5 m apart, then 120 validation and 120 test positions at random.
+/// Returns 300 training positions 0.4 to 0.5 m apart, then 120 validation and 120 test positions at random.
 fn hall() -> (Dataset, [Vec<usize>; 3]) {
     let random = &mut rng::stream(0, "hall", 0);
     let grid = (0..300).map(|k| [0.25 + 0.5 * f64::from(k % 20), 0.2 + 0.4 * f64::from(k / 20), 1.0]);
-    let mut places: Vec<[f64; 3]> = grid.collect();
+    let mut positions: Vec<[f64; 3]> = grid.collect();
     let mut uniform = |size: f64| size * f64::from(rng::uniform(random) as f32);
-    places.extend((0..240).map(|_| [uniform(10.0), uniform(6.0), 1.0]));
-    let samples = places
+    positions.extend((0..240).map(|_| [uniform(10.0), uniform(6.0), 1.0]));
+    let samples = positions
         .iter()
         .enumerate()
         .flat_map(|(k, tx)| (0..4).map(move |receiver| Sample { id: k as u32, tx: *tx, receiver }));
@@ -51,19 +51,20 @@ fn hall() -> (Dataset, [Vec<usize>; 3]) {
 #[test]
 fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten() {
     let (data, [train, validation, test]) = hall();
-    let known = FittingSet { train: &train, validation: &validation };
-    let locator = Locator::fit(&data, known, &Law, &[0.0, 0.5, 1.0]).unwrap();
+    let links = FittingSet { train: &train, validation: &validation };
+    let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 0.5, 1.0]).unwrap();
     assert!(locator.choice.share > 0.0, "the exact law is better than noisy measurements: {:?}", locator.choice);
     let transmitters = data.transmitters_of(&test);
     let observations = locator.observations(&data, &transmitters);
     let truth = |k: usize| data.transmitters[transmitters[k]].position;
-    let located: Vec<_> = observations.iter().map(|own| locator.locate(own)).collect();
-    let errors = located.iter().enumerate().map(|(k, own)| distance(own.position, truth(k))).collect();
-    let nearest = NearestFingerprints::fit(&data, known, locator.features(), locator.floor());
-    let baseline = observations.iter().enumerate().map(|(k, own)| distance(nearest.locate(own), truth(k))).collect();
+    let located: Vec<_> = observations.iter().map(|features| locator.locate(features)).collect();
+    let errors = located.iter().enumerate().map(|(k, estimate)| distance(estimate.position, truth(k))).collect();
+    let nearest = NearestFingerprints::fit(&data, links, locator.features(), locator.floor());
+    let baseline =
+        observations.iter().enumerate().map(|(k, features)| distance(nearest.locate(features), truth(k))).collect();
     let ([mean, median], [worse, _]) = (mean_and_median(errors), mean_and_median(baseline));
     assert!(mean < worse && median < 0.5, "{mean} m and {median} m, nearest fingerprints {worse} m");
-    let held = located.iter().enumerate().filter(|(k, own)| own.holds(truth(*k)) == Some(true)).count();
+    let held = located.iter().enumerate().filter(|(k, estimate)| estimate.holds(truth(*k)) == Some(true)).count();
     assert!((96..=118).contains(&held), "{held} of 120 regions hold the true position");
     let outline = located[0].region.as_ref().unwrap().outlines();
     assert!(!outline.is_empty());
@@ -72,15 +73,15 @@ fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten()
 #[test]
 fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
     let (data, [train, validation, _]) = hall();
-    let known = FittingSet { train: &train, validation: &validation };
-    let locator = Locator::fit(&data, known, &Law, &[1.0]).unwrap();
+    let links = FittingSet { train: &train, validation: &validation };
+    let locator = Locator::fit(&data, links, &PathLoss, &[1.0]).unwrap();
     let whole = locator.observations(&data, &[305]).remove(0);
     let some = [whole[0], f32::NAN, whole[2], whole[3]];
     let apart = distance(locator.locate(&whole).position, locator.locate(&some).position);
     assert!(apart < 1.5, "three receivers are enough: {apart} m apart");
     let weak = |dbm: f32| locator.locate(&[whole[0], dbm, whole[2], whole[3]]).position;
-    assert_eq!(weak(locator.floor()), weak(-200.0), "not heard is not heard");
-    let own = Locator::fit(&data, known, &Law, &[0.0]).unwrap();
+    assert_eq!(weak(locator.floor()), weak(-200.0), "powers below the floor count as the floor");
+    let own = Locator::fit(&data, links, &PathLoss, &[0.0]).unwrap();
     let (first, place) = (own.observations(&data, &[0]).remove(0), data.transmitters[0].position);
     assert_eq!(own.locate(&first).misfit, 0.0, "a training sample has its own fingerprint");
     assert!(own.locate_without(&first, Some(place)).misfit > 0.0);
@@ -107,34 +108,34 @@ fn derivative_of_features_agrees_with_central_differences() {
         let image = |pixels: Vec<Real>| Image { width: data.width, height: data.height, pixels };
         let (pixels, d) = (values(numbers), values(features.count()));
         let d: Vec<f32> = d.iter().map(|d| *d as f32).collect();
-        let found = features.vjp(&image(pixels.clone()), &d);
+        let gradient = features.vjp(&image(pixels.clone()), &d);
         let along = values(numbers);
         let sum = |h: Real| {
             let moved = pixels.iter().zip(&along).map(|(p, a)| p + h * a).collect();
             features.of(&image(moved)).iter().zip(&d).map(|(f, d)| f64::from(f * d)).sum::<f64>()
         };
         let difference = (sum(0.02) - sum(-0.02)) / 0.04;
-        let expected: f64 = found.iter().zip(&along).map(|(f, a)| (f * a) as f64).sum();
+        let expected: f64 = gradient.iter().zip(&along).map(|(f, a)| (f * a) as f64).sum();
         assert!((difference - expected).abs() < 2e-2 * expected.abs(), "{difference} and {expected}");
     }
 }
 
-/// One receiver at the corner of a hall, and two areas that are equally far from it: powers cannot tell them apart.
+/// One receiver at the corner of a hall, and two areas that are equally far from it: powers cannot distinguish them.
 #[test]
 fn estimate_between_two_areas_is_in_one_of_them() {
     let noise = &mut rng::stream(2, "areas", 0);
-    let place = |k: u32| {
+    let position = |k: u32| {
         let cell = k * 37 % 200;
         let [along, across] = [f64::from(cell % 20) * 0.1, 14.0 + f64::from(cell / 20) * 0.2];
         if cell.is_multiple_of(2) { [along, across, 1.0] } else { [across, along, 1.0] }
     };
-    let samples: Vec<Sample> = (0..200).map(|k| Sample { id: k, tx: place(k), receiver: 0 }).collect();
+    let samples: Vec<Sample> = (0..200).map(|k| Sample { id: k, tx: position(k), receiver: 0 }).collect();
     let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, 0) as Real + 0.1 * rng::normal(noise)).collect();
     let receiver = Receiver::new("r", Pose { position: RECEIVERS[0], ..Pose::IDENTITY });
     let data = Dataset::of_links("areas", vec![receiver], vec![], &samples, Observations::from(powers)).unwrap();
     let (train, validation): (Vec<usize>, Vec<usize>) = ((0..140).collect(), (140..200).collect());
-    let known = FittingSet { train: &train, validation: &validation };
-    let locator = Locator::fit(&data, known, &Law, &[0.0, 1.0]).unwrap();
+    let links = FittingSet { train: &train, validation: &validation };
+    let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 1.0]).unwrap();
     assert!(locator.validates_between_training());
     let mut several = 0;
     for observation in locator.observations(&data, &(140..200).collect::<Vec<_>>()) {
@@ -148,7 +149,7 @@ fn estimate_between_two_areas_is_in_one_of_them() {
     assert!(several > 30, "{several} of 60 regions have a part in each area");
 }
 
-/// A constant; without samples it is the law.
+/// Constant model; without samples, the path-loss model.
 struct FromSamples;
 
 impl Predict for FromSamples {
@@ -158,17 +159,17 @@ impl Predict for FromSamples {
 
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
         assert_eq!(links, (1200..1680).collect::<Vec<_>>());
-        Some(Box::new(Law))
+        Some(Box::new(PathLoss))
     }
 }
 
 #[test]
 fn model_of_samples_is_used_without_validation_samples() {
     let (data, [train, validation, _]) = hall();
-    let known = FittingSet { train: &train, validation: &validation };
-    let [without, law] = [&FromSamples as &dyn Predict, &Law].map(|model| {
-        let locator = Locator::fit(&data, known, model, &[1.0]).unwrap();
+    let links = FittingSet { train: &train, validation: &validation };
+    let [without, path_loss] = [&FromSamples as &dyn Predict, &PathLoss].map(|model| {
+        let locator = Locator::fit(&data, links, model, &[1.0]).unwrap();
         locator.locate(&locator.observations(&data, &[305])[0]).position
     });
-    assert_eq!(without, law);
+    assert_eq!(without, path_loss);
 }
