@@ -54,9 +54,9 @@ pub fn ascend(
     rng::shuffle(random, &mut order);
     let shift = [(); 2].map(|()| rng::uniform_f64(random));
     let traced = SAMPLE.min(transmitters);
-    let mut search = Search { order, traced, area, trace, places: Vec::new(), subsets: Vec::new(), links: 0 };
+    let mut search = Search { order, traced, area, trace, candidates: Vec::new(), subsets: Vec::new(), links: 0 };
     search.screen(SCREENED.0 + SCREENED.1 * count, shift)?;
-    let screened = search.places.len();
+    let screened = search.candidates.len();
     for subset in combinations(screened, count).unwrap_or_default() {
         search.assess(subset);
     }
@@ -74,7 +74,7 @@ pub fn ascend(
 
 /// Receiver position with its powers from the traced transmitters.
 #[derive(Clone, Debug)]
-struct Traced {
+struct TracedPosition {
     at: [f64; 2],
     powers: Vec<f64>,
 }
@@ -87,12 +87,13 @@ struct Subset {
 }
 
 impl Subset {
-    /// Order of falling values.
+    /// Orders subsets by falling value.
     fn by_value(&self, other: &Self) -> std::cmp::Ordering {
         other.value.total_cmp(&self.value).then_with(|| self.receivers.cmp(&other.receivers))
     }
 }
 
+/// State of the search.
 struct Search<F> {
     /// Random order of the transmitters.
     order: Vec<usize>,
@@ -100,7 +101,7 @@ struct Search<F> {
     traced: usize,
     area: [[f64; 2]; 2],
     trace: F,
-    places: Vec<Traced>,
+    candidates: Vec<TracedPosition>,
     subsets: Vec<Subset>,
     links: usize,
 }
@@ -111,33 +112,34 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         let [low, high] = self.area;
         for k in 1..=20 * count {
             let part = [0, 1].map(|axis| (halton(k, [2, 3][axis]) + shift[axis]).fract());
-            self.place([0, 1].map(|axis| low[axis] + part[axis] * (high[axis] - low[axis])))?;
-            if self.places.len() == count {
+            self.candidate_at([0, 1].map(|axis| low[axis] + part[axis] * (high[axis] - low[axis])))?;
+            if self.candidates.len() == count {
                 break;
             }
         }
         Ok(())
     }
 
-    /// Index of the position `at`, traced at the first call; `None` if it is not free or outside.
-    fn place(&mut self, at: [f64; 2]) -> Result<Option<usize>> {
-        let is_here = |own: &Traced| (0..2).all(|k| (own.at[k] - at[k]).abs() < 1e-6);
-        let found = self.places.iter().position(is_here);
-        if found.is_some() || (0..2).any(|k| !(self.area[0][k]..=self.area[1][k]).contains(&at[k])) {
-            return Ok(found);
+    /// Returns the index of the position `at`, traced at the first call; `None` if it is not free or outside.
+    fn candidate_at(&mut self, at: [f64; 2]) -> Result<Option<usize>> {
+        let is_here = |candidate: &TracedPosition| (0..2).all(|k| (candidate.at[k] - at[k]).abs() < 1e-6);
+        let index = self.candidates.iter().position(is_here);
+        if index.is_some() || (0..2).any(|k| !(self.area[0][k]..=self.area[1][k]).contains(&at[k])) {
+            return Ok(index);
         }
         let Some(powers) = (self.trace)(at, &self.order[..self.traced])? else { return Ok(None) };
         self.links += powers.len();
-        self.places.push(Traced { at, powers });
-        Ok(Some(self.places.len() - 1))
+        self.candidates.push(TracedPosition { at, powers });
+        Ok(Some(self.candidates.len() - 1))
     }
 
     /// Computes the coverage of a subset: exact if all transmitters are traced in the selection, otherwise smoothed.
     fn value(&self, receivers: &[usize], is_exact: bool) -> f64 {
-        let powers: Vec<&[f64]> = receivers.iter().map(|&k| &self.places[k].powers[..]).collect();
+        let powers: Vec<&[f64]> = receivers.iter().map(|&k| &self.candidates[k].powers[..]).collect();
         if is_exact { coverage(&powers) } else { soft_coverage(&powers) }
     }
 
+    /// Computes the smoothed coverage of a subset and stores the subset.
     fn assess(&mut self, mut receivers: Vec<usize>) -> Subset {
         receivers.sort_unstable();
         let subset = Subset { value: self.value(&receivers, false), receivers };
@@ -145,13 +147,13 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         subset
     }
 
-    /// Coordinate ascent.
+    /// Climbs from `subset` by coordinate ascent; all assessed subsets are stored.
     fn climb(&mut self, mut subset: Subset, mut step: f64) -> Result<()> {
         for _ in 0..=HALVINGS {
             loop {
                 let mut has_moved = false;
                 for k in 0..2 * subset.receivers.len() {
-                    has_moved |= self.walk(&mut subset, (k / 2, k % 2), step)?;
+                    has_moved |= self.try_move(&mut subset, (k / 2, k % 2), step)?;
                 }
                 if !has_moved {
                     break;
@@ -162,12 +164,12 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         Ok(())
     }
 
-    /// Moves a receiver along an axis, one way or the other, if that raises the value.
-    fn walk(&mut self, subset: &mut Subset, (receiver, axis): (usize, usize), step: f64) -> Result<bool> {
-        for way in [step, -step] {
-            let mut at = self.places[subset.receivers[receiver]].at;
-            at[axis] += way;
-            let Some(moved) = self.place(at)? else { continue };
+    /// Moves a receiver along an axis, forwards or backwards, if that raises the value.
+    fn try_move(&mut self, subset: &mut Subset, (receiver, axis): (usize, usize), step: f64) -> Result<bool> {
+        for shift in [step, -step] {
+            let mut at = self.candidates[subset.receivers[receiver]].at;
+            at[axis] += shift;
+            let Some(moved) = self.candidate_at(at)? else { continue };
             let mut receivers = subset.receivers.clone();
             receivers[receiver] = moved;
             let next = self.assess(receivers);
@@ -185,12 +187,12 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         self.subsets.dedup_by(|a, b| a.receivers == b.receivers);
         self.subsets.truncate(kept);
         let to = self.traced.saturating_add(added).min(self.order.len());
-        let used: BTreeSet<usize> = self.subsets.iter().flat_map(|own| own.receivers.iter().copied()).collect();
+        let used: BTreeSet<usize> = self.subsets.iter().flat_map(|subset| subset.receivers.iter().copied()).collect();
         let added = &self.order[self.traced..to];
         for k in used.into_iter().filter(|_| !added.is_empty()) {
-            let powers = (self.trace)(self.places[k].at, added)?.expect("a traced position is free");
+            let powers = (self.trace)(self.candidates[k].at, added)?.expect("a traced position is free");
             self.links += powers.len();
-            self.places[k].powers.extend(powers);
+            self.candidates[k].powers.extend(powers);
         }
         self.traced = to;
         for k in 0..self.subsets.len() {
@@ -200,26 +202,26 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         Ok(())
     }
 
-    /// The best subset, after the selection.
+    /// Returns the best subset, after the selection.
     fn best(&self) -> Option<AscentResult> {
         let best = self.subsets.first()?;
-        let receivers: Vec<&Traced> = best.receivers.iter().map(|&k| &self.places[k]).collect();
-        let in_order = |own: &&Traced| {
+        let receivers: Vec<&TracedPosition> = best.receivers.iter().map(|&k| &self.candidates[k]).collect();
+        let in_order = |receiver: &&TracedPosition| {
             let mut powers = vec![0.0; self.order.len()];
-            self.order.iter().zip(&own.powers).for_each(|(&t, power)| powers[t] = *power);
+            self.order.iter().zip(&receiver.powers).for_each(|(&t, power)| powers[t] = *power);
             powers
         };
         Some(AscentResult {
-            receivers: receivers.iter().map(|own| own.at).collect(),
+            receivers: receivers.iter().map(|receiver| receiver.at).collect(),
             powers: receivers.iter().map(in_order).collect(),
             coverage: best.value,
-            positions: self.places.len(),
+            positions: self.candidates.len(),
             links: self.links,
         })
     }
 }
 
-/// Element `k` of the van der Corput sequence in `base`.
+/// Returns the element `k` of the van der Corput sequence in `base`.
 fn halton(mut k: usize, base: usize) -> f64 {
     let (mut value, mut digit) = (0.0, 1.0 / base as f64);
     while k > 0 {
@@ -235,13 +237,14 @@ mod tests {
 
     const TRANSMITTERS: usize = 32 * 24;
 
-    /// Powers in an empty box of 8 m x 6 m: they fall with 20 log10 of the distance.
+    /// Returns the powers in an empty box of 8 m x 6 m: they fall with 20 log10 of the distance.
     fn powers([x, y]: [f64; 2], which: &[usize]) -> Vec<f64> {
         let at = |t: usize| [(t % 32) as f64, (t / 32) as f64].map(|k| 0.125 + 0.25 * k);
         let power = |[a, b]: [f64; 2]| -10.0 * ((x - a).powi(2) + (y - b).powi(2) + 1.0).log10();
         which.iter().map(|&t| power(at(t))).collect()
     }
 
+    /// Searches `count` receivers in the box.
     fn in_box(count: usize, seed: u64) -> AscentResult {
         let trace = |at: [f64; 2], which: &[usize]| Ok(Some(powers(at, which)));
         ascend(count, seed, [[0.0, 0.0], [8.0, 6.0]], TRANSMITTERS, trace).unwrap().unwrap()
@@ -271,7 +274,7 @@ mod tests {
 
     #[test]
     fn no_free_position_gives_no_result() {
-        let found = ascend(1, 0, [[0.0; 2], [1.0; 2]], 5, |_, _| Ok(None));
-        assert_eq!(found.unwrap(), None);
+        let result = ascend(1, 0, [[0.0; 2], [1.0; 2]], 5, |_, _| Ok(None));
+        assert_eq!(result.unwrap(), None);
     }
 }

@@ -11,8 +11,8 @@ const SMOOTHING_DB: f64 = 1.0;
 /// Halvings in the search for the soft percentile.
 const HALVINGS: usize = 60;
 
-/// 10th percentile of the strongest power, with linear interpolation between transmitters. `powers` holds one slice of powers
-/// in dBm `[T]` per receiver. NaN without transmitters or receivers.
+/// Returns the 10th percentile of the strongest power, with linear interpolation between transmitters. `powers` holds
+/// one slice of powers in dBm `[T]` per receiver. NaN without transmitters or receivers.
 pub fn coverage(powers: &[&[f64]]) -> f64 {
     let mut strongest = strongest(powers);
     if strongest.is_empty() {
@@ -24,12 +24,13 @@ pub fn coverage(powers: &[&[f64]]) -> f64 {
     if rank.fract() > 0.0 { *low + rank.fract() * (next - *low) } else { *low }
 }
 
-/// Strongest power per transmitter `[T]`, dBm; `powers` holds one slice of powers `[T]` per receiver.
+/// Returns the strongest power per transmitter `[T]`, dBm; `powers` holds one slice of powers `[T]` per receiver.
 pub fn strongest(powers: &[&[f64]]) -> Vec<f64> {
     over_receivers(powers, largest)
 }
 
-/// Smooth [`coverage`]: the q at which the mean of 1 / (1 + exp((v − q) / 1 dB)) is 0.1, over soft maxima v of the powers.
+/// Returns the smooth [`coverage`]: the q at which the mean of 1 / (1 + exp((v − q) / 1 dB)) is 0.1, over soft maxima v
+/// of the powers.
 pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
     let soft = over_receivers(powers, |values| {
         let largest = largest(values);
@@ -48,17 +49,17 @@ pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// `reduce` of the powers of all receivers, per transmitter.
+/// Returns `reduce` of the powers of all receivers, per transmitter.
 fn over_receivers(powers: &[&[f64]], reduce: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let mut values = vec![0.0; powers.len()];
-    let of = |t: usize| {
-        values.iter_mut().zip(powers).for_each(|(value, own)| *value = own[t]);
+    let reduced = |t: usize| {
+        values.iter_mut().zip(powers).for_each(|(value, powers)| *value = powers[t]);
         reduce(&values)
     };
-    (0..powers.first().map_or(0, |own| own.len())).map(of).collect()
+    (0..powers.first().map_or(0, |first| first.len())).map(reduced).collect()
 }
 
-/// Largest value.
+/// Returns the largest value.
 fn largest(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
 }
@@ -77,8 +78,8 @@ pub struct Subset {
     pub evaluations: usize,
 }
 
-/// Best `count` receivers of all subsets, the first of equal ones; `None` if there are more than 100,000 subsets. `powers` holds
-/// powers in dBm `[T]` per receiver.
+/// Returns the best `count` receivers of all subsets, the first of equal ones; `None` if there are more than 100,000
+/// subsets. `powers` holds powers in dBm `[T]` per receiver.
 pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<Subset> {
     let subsets = combinations(powers.len(), count)?;
     let all: Vec<f64> = subsets.par_iter().map(|subset| coverage_of(powers, subset)).collect();
@@ -90,28 +91,28 @@ pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<Subset> {
 /// Selects `count` receivers one after another, each raising the coverage most; of equal ones the first that raises the mean of
 /// the strongest powers most. (A few receivers may leave more than a tenth of the transmitters without a link.)
 pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> Subset {
-    let mut found = Subset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
+    let mut subset = Subset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
     let mut strongest: Vec<f64> = vec![f64::NEG_INFINITY; powers.first().map_or(0, Vec::len)];
-    while found.receivers.len() < count.min(powers.len()) {
-        let free: Vec<usize> = (0..powers.len()).filter(|r| !found.receivers.contains(r)).collect();
+    while subset.receivers.len() < count.min(powers.len()) {
+        let free: Vec<usize> = (0..powers.len()).filter(|r| !subset.receivers.contains(r)).collect();
         let value = |&r: &usize| {
-            let sum: f64 = strongest.iter().zip(&powers[r]).map(|(strongest, own)| strongest.max(*own)).sum();
+            let sum: f64 = strongest.iter().zip(&powers[r]).map(|(strongest, power)| strongest.max(*power)).sum();
             (coverage(&[&strongest, &powers[r]]), sum)
         };
         let all: Vec<(f64, f64)> = free.par_iter().map(value).collect();
-        found.evaluations += free.len();
+        subset.evaluations += free.len();
         let pairs = free.into_iter().zip(all);
         let Some((next, (value, _))) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best }) else {
             break;
         };
-        found.receivers.push(next);
-        found.coverage = value;
-        strongest.iter_mut().zip(&powers[next]).for_each(|(strongest, own)| *strongest = strongest.max(*own));
+        subset.receivers.push(next);
+        subset.coverage = value;
+        strongest.iter_mut().zip(&powers[next]).for_each(|(strongest, power)| *strongest = strongest.max(*power));
     }
-    found
+    subset
 }
 
-/// `draws` random subsets of `count` of `total` receivers.
+/// Returns `draws` random subsets of `count` of `total` receivers.
 pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Vec<Vec<usize>> {
     let draw = |k: usize| {
         let mut all: Vec<usize> = (0..total).collect();
@@ -122,7 +123,7 @@ pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Ve
     (0..draws).map(draw).collect()
 }
 
-/// All subsets of `count` of `total` in lexical order; `None` if they are more than 100,000.
+/// Returns all subsets of `count` of `total` in lexical order; `None` if they are more than 100,000.
 pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
     // As many subsets are left out as are chosen; up to half of `total`, the number rises with every factor.
     (0..count.min(total.checked_sub(count)?)).try_fold(1, |size: usize, k| {
@@ -139,7 +140,7 @@ pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
     }
 }
 
-/// Coverage of a subset of receivers with these powers `[T]` each, dBm.
+/// Returns the coverage of a subset of receivers with these powers `[T]` each, dBm.
 pub fn coverage_of(powers: &[Vec<f64>], subset: &[usize]) -> f64 {
     coverage(&subset.iter().map(|&r| &powers[r][..]).collect::<Vec<_>>())
 }
@@ -168,10 +169,11 @@ mod tests {
         assert!(soft_coverage(&[&powers, &powers]) > soft);
     }
 
+    /// Returns random powers `[receivers][transmitters]`, dBm.
     fn random_powers(receivers: usize, transmitters: usize) -> Vec<Vec<f64>> {
         let mut random = rng::stream(1, "powers", 0);
-        let mut of_one = || (0..transmitters).map(|_| -90.0 + 40.0 * rng::uniform_f64(&mut random)).collect();
-        (0..receivers).map(|_| of_one()).collect()
+        let mut receiver_powers = || (0..transmitters).map(|_| -90.0 + 40.0 * rng::uniform_f64(&mut random)).collect();
+        (0..receivers).map(|_| receiver_powers()).collect()
     }
 
     #[test]

@@ -27,9 +27,9 @@ pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
         return None;
     }
     rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
-    let of_receivers = data.by_receiver(links);
-    let trends: Vec<Trend<'_>> = of_receivers.iter().map(|own| Trend::of(data, own)).collect();
-    let cases: Vec<_> = of_receivers.iter().flat_map(|own| preceding(data, own, NEIGHBOURS)).collect();
+    let by_receiver = data.by_receiver(links);
+    let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::of(data, links)).collect();
+    let cases: Vec<_> = by_receiver.iter().flat_map(|links| preceding(data, links, NEIGHBOURS)).collect();
     if cases.len() < 2 {
         return None;
     }
@@ -40,28 +40,28 @@ pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
     (reach > 0.0).then(|| most_likely(&cases, reach))
 }
 
-/// Most likely exponential correlation with a length scale from 1/64 to once `reach` (metres), in steps of a factor √2, and a
-/// noise variance from 1/1024 to 4 times the process variance, in steps of a factor 2.
+/// Returns the most likely exponential correlation with a length scale from 1/64 to once `reach` (metres), in steps of
+/// a factor √2, and a noise variance from 1/1024 to 4 times the process variance, in steps of a factor 2.
 ///
 /// Longer scales than the distances between measurements are not identified: variogram and noise stay the same if scale and
 /// process variance grow together.
 fn most_likely(cases: &HeldOutCases, reach: f64) -> Correlation {
-    let of = |[length, noise]: [i32; 2]| {
+    let correlation = |[length, noise]: [i32; 2]| {
         let scale = reach * (-0.5 * f64::from(length)).exp2();
         let scales = [scale, scale, scale, f64::INFINITY];
         Correlation { kind: CorrelationKind::Exponential, scales, noise: 4.0 * (-f64::from(noise)).exp2() }
     };
     let likelihood = |at: [i32; 2]| {
-        let found = cases.log_likelihood(&of(at));
-        if found.is_nan() { f64::NEG_INFINITY } else { found }
+        let value = cases.log_likelihood(&correlation(at));
+        if value.is_nan() { f64::NEG_INFINITY } else { value }
     };
     let grid = (0..=12).flat_map(|length| (0..=12).map(move |noise| [length, noise]));
-    let found = grid.map(|at| (at, likelihood(at))).reduce(|best, next| if next.1 > best.1 { next } else { best });
-    of(found.map_or([4, 5], |(at, _)| at))
+    let best_point = grid.map(|at| (at, likelihood(at))).reduce(|best, next| if next.1 > best.1 { next } else { best });
+    correlation(best_point.map_or([4, 5], |(at, _)| at))
 }
 
-/// Main metric of Kriging, fitted on these transmitters, for each link of `test`. Every fourth transmitter fits the correlation;
-/// predictions use all.
+/// Returns the main metric of Kriging, fitted on these transmitters, for each link of `test`. Every fourth transmitter
+/// fits the correlation; predictions use all.
 ///
 /// # Errors
 /// Data without positions, or an observation that cannot be read.
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
     use pwrfgs_core::{Pose, Sample, Spectra};
 
-    /// Spectra of values that vary with this length along x, at random positions.
+    /// Returns spectra of values that vary with this length along x, at random positions.
     fn waves(length: f64) -> Dataset {
         let mut random = rng::stream(2, "waves", 0);
         let samples: Vec<Sample> =
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn learned_scale_follows_data_and_few_data_teach_nothing() {
+    fn learned_scale_follows_data_and_two_links_give_none() {
         let all: Vec<usize> = (0..150).collect();
         let [short, long] = [0.1, 2.0].map(|length| learn(&waves(length), &all).unwrap());
         assert!(short.scales[0] < 0.5 * long.scales[0], "{short:?} and {long:?}");

@@ -32,28 +32,28 @@ impl Posterior {
         Self { correlation, columns: [0, 1, 2].map(column), factor, variances }
     }
 
-    /// Number of points P.
+    /// Returns the number of points P.
     pub(crate) fn len(&self) -> usize {
         self.variances.len()
     }
 
-    /// Variances `[P]` without measurement noise.
+    /// Returns the variances `[P]` without measurement noise.
     pub(crate) fn variances(&self) -> &[f64] {
         &self.variances
     }
 
-    /// Noise variance of a measurement.
+    /// Returns the noise variance of a measurement.
     pub(crate) fn noise(&self) -> f64 {
         self.correlation.noise
     }
 
-    /// Prior covariance of points `p` and `q`.
+    /// Returns the prior covariance of points `p` and `q`.
     pub(crate) fn prior(&self, p: usize, q: usize) -> f64 {
         let squared: f64 = self.columns.iter().map(|column| (column[p] - column[q]).powi(2)).sum();
         self.correlation.kind.at(squared.sqrt())
     }
 
-    /// Rows of the factor, one per measurement, each `[P]`.
+    /// Returns the rows of the factor, one per measurement, each `[P]`.
     pub(crate) fn rows(&self) -> impl Iterator<Item = &[f64]> + Clone {
         self.factor.chunks_exact(self.len().max(1))
     }
@@ -109,11 +109,11 @@ mod tests {
         let mut posterior = Posterior::new(correlation, &points);
         let measured: Vec<usize> = (0..40).map(|k| 13 * k).collect();
         measured.iter().for_each(|&s| _ = posterior.add(s));
-        let places: Vec<_> = measured.iter().map(|&s| correlation.scaled(in_space(points[s]))).collect();
+        let measured_points: Vec<_> = measured.iter().map(|&s| correlation.scaled(in_space(points[s]))).collect();
         for p in [1, 13, 299, 599] {
-            let known = solve(&correlation, Mean::Zero, &places, correlation.scaled(in_space(points[p])));
-            let found = posterior.variances()[p] + correlation.noise;
-            assert!((found - known.variance).abs() < 1e-9, "{found} and {}", known.variance);
+            let kriging = solve(&correlation, Mean::Zero, &measured_points, correlation.scaled(in_space(points[p])));
+            let variance = posterior.variances()[p] + correlation.noise;
+            assert!((variance - kriging.variance).abs() < 1e-9, "{variance} and {}", kriging.variance);
         }
     }
 }

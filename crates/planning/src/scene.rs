@@ -11,8 +11,8 @@ use std::sync::atomic::AtomicBool;
 /// Largest number of grid points, free or not.
 const MOST: f64 = 1e6;
 
-/// Positions on a grid of `step` metres at `height` (metres) over the floor of `scene`, half a step from its bounds and outside
-/// its objects. Every second row is reversed, so that the grid is a walk.
+/// Returns the positions on a grid of `step` metres at `height` (metres) over the floor of `scene`, half a step from
+/// its bounds and outside its objects. Every second row is reversed, so that the grid is a walk.
 ///
 /// # Errors
 /// A step or height out of range, a scene that cannot be built, or no free position.
@@ -20,9 +20,9 @@ pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64;
     grid(scene, &from_scene(scene)?, step, height)
 }
 
-/// As [`floor_grid`], in the `world` of the scene.
+/// Same as [`floor_grid`], in the `world` of the scene.
 fn grid(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
-    let refuse = |what: String| Error::Config(format!("scene `{}`: {what}", scene.name));
+    let refuse = |problem: String| Error::Config(format!("scene `{}`: {problem}", scene.name));
     if !(step.is_finite() && step > 0.0) {
         return Err(refuse(format!("a grid step of {step} m, expected more than 0, such as 0.25")));
     }
@@ -46,7 +46,7 @@ fn grid(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<
     let grid = (0..rows as usize).flat_map(|row| (0..columns as usize).map(move |column| (row, column)));
     let free: Vec<[f64; 3]> = grid
         .map(|(row, column)| at(row, column))
-        .filter(|place| world.check_free(*place).is_ok())
+        .filter(|point| world.check_free(*point).is_ok())
         .map(Into::into)
         .collect();
     if free.is_empty() {
@@ -105,16 +105,16 @@ impl SceneCoverage {
         )))
     }
 
-    /// Powers in dBm of a receiver from these transmitters, without receiver errors.
+    /// Returns the powers in dBm of a receiver from these transmitters, without receiver errors.
     fn powers(&self, receiver: &PreparedReceiver, transmitters: impl ParallelIterator<Item = usize>) -> Vec<f64> {
         let sent = self.simulator.scene().transmitter.power_dbm;
-        let (center, what) = (DVec3::from(receiver.pose().position), ObservationKind::Power { noise_db: 0.0 });
+        let (center, kind) = (DVec3::from(receiver.pose().position), ObservationKind::Power { noise_db: 0.0 });
         let power = |t: usize| {
             let tx = DVec3::from(self.transmitters[t]);
             if tx.distance(center) < TOUCHING {
                 return sent;
             }
-            match receiver.observe(tx, &what, None).observed {
+            match receiver.observe(tx, &kind, None).observed {
                 SimulatedObservation::Power(dbm) if dbm.is_finite() => dbm,
                 _ => sent, // a transmitter at an antenna
             }
@@ -122,14 +122,15 @@ impl SceneCoverage {
         transmitters.map(power).collect()
     }
 
-    /// Powers of a receiver of the grid; those of no signal if one of its antennas is in an object.
-    fn traced(&self, place: [f64; 3]) -> Vec<f64> {
-        let receiver = self.simulator.receiver_at(place);
+    /// Returns the powers of a receiver of the grid; those of no signal if one of its antennas is in an object.
+    fn powers_at(&self, position: [f64; 3]) -> Vec<f64> {
+        let receiver = self.simulator.receiver_at(position);
         let all = (0..self.transmitters.len()).into_par_iter();
         receiver.map_or_else(|_in_object| vec![SILENT_DBM; all.len()], |receiver| self.powers(&receiver, all.clone()))
     }
 
-    /// Powers in dBm `[T]` per receiver of the grid. `progress` gets the number of traced receivers and their total.
+    /// Returns the powers in dBm `[T]` per receiver of the grid. `progress` gets the number of traced receivers and
+    /// their total.
     ///
     /// # Errors
     /// [`Error::Stopped`] if `stop` is set.
@@ -138,7 +139,7 @@ impl SceneCoverage {
         for chunk in self.candidates.chunks(CHUNK) {
             check_stopped(stop)?;
             progress(powers.len(), self.candidates.len());
-            let all: Vec<Vec<f64>> = chunk.par_iter().map(|place| self.traced(*place)).collect();
+            let all: Vec<Vec<f64>> = chunk.par_iter().map(|position| self.powers_at(*position)).collect();
             powers.extend(all);
         }
         Ok(powers)
@@ -149,20 +150,20 @@ impl SceneCoverage {
     /// # Errors
     /// No free position, or [`Error::Stopped`] if `stop` is set.
     pub fn ascend(&self, count: usize, seed: u64, stop: &AtomicBool) -> Result<AscentResult> {
-        let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|place| place[k])));
-        let found = ascend(count, seed, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
+        let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|position| position[k])));
+        let result = ascend(count, seed, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
             check_stopped(stop)?;
             let receiver = self.simulator.receiver_at([x, y, self.mount]).ok();
             Ok(receiver.map(|receiver| self.powers(&receiver, which.par_iter().copied())))
         })?;
         let none = || {
-            let what = "not enough free receiver positions; give another --mount height or fewer receivers";
-            Error::Config(format!("scene `{}`: {what}", self.simulator.scene().name))
+            let problem = "not enough free receiver positions; give another --mount height or fewer receivers";
+            Error::Config(format!("scene `{}`: {problem}", self.simulator.scene().name))
         };
-        found.ok_or_else(none)
+        result.ok_or_else(none)
     }
 
-    /// Height of the receivers, metres.
+    /// Returns the height of the receivers, metres.
     pub fn mount(&self) -> f64 {
         self.mount
     }

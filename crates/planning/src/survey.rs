@@ -22,8 +22,8 @@ const DEFAULT_NOISE: f64 = 0.1;
 /// Number of measurements before the correlation is learned first; then at every doubling.
 const FIRST_LEARNED: usize = 8;
 
-/// Exponential correlation of a region without measurements: a length scale of a fifth of its diagonal, and a noise variance
-/// of a tenth.
+/// Returns the exponential correlation of a region without measurements: a length scale of a fifth of its diagonal, and
+/// a noise variance of a tenth.
 pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
     let diagonal = diagonal(region);
     let length = if diagonal > 0.0 { DEFAULT_LENGTH * diagonal } else { 1.0 };
@@ -34,7 +34,7 @@ pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
     }
 }
 
-/// Diagonal of the smallest box around `points`, metres.
+/// Returns the diagonal of the smallest box around `points`, metres.
 pub(crate) fn diagonal(points: &[[f64; 3]]) -> f64 {
     let extent = |k: usize| {
         let (low, high) = bounds(points.iter().map(|p| p[k]));
@@ -63,15 +63,16 @@ pub struct SurveyPlan {
 }
 
 impl Survey {
-    /// Creates the survey of `candidates` with the `region` to predict and measurements at `known` positions, metres.
-    pub fn new(candidates: &[[f64; 3]], region: &[[f64; 3]], known: &[[f64; 3]]) -> Self {
+    /// Creates the survey of `candidates` with the `region` to predict and measurements at `measured` positions,
+    /// metres.
+    pub fn new(candidates: &[[f64; 3]], region: &[[f64; 3]], measured: &[[f64; 3]]) -> Self {
         let mut points = candidates.to_vec();
         let mut sorted: Vec<usize> = (0..candidates.len()).collect();
         let order = |a: &[f64; 3], b: &[f64; 3]| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal);
         sorted.sort_by(|&a, &b| order(&candidates[a], &candidates[b]).then(a.cmp(&b)));
         let region = region.iter().map(|point| {
-            let found = sorted.binary_search_by(|&i| order(&candidates[i], point));
-            found.map_or_else(
+            let index = sorted.binary_search_by(|&i| order(&candidates[i], point));
+            index.map_or_else(
                 |_absent| {
                     points.push(*point);
                     points.len() - 1
@@ -81,7 +82,7 @@ impl Survey {
         });
         let region = region.collect();
         let first = points.len();
-        points.extend(known);
+        points.extend(measured);
         Self { candidates: candidates.len(), region, known: (first..points.len()).collect(), points }
     }
 
@@ -119,14 +120,14 @@ impl Survey {
         }
     }
 
-    /// Prior covariances of candidates and region `[M,R]`.
+    /// Returns the prior covariances of candidates and region `[M,R]`.
     fn prior(&self, correlation: Correlation) -> Vec<f64> {
         let (posterior, region) = (Posterior::new(correlation, &self.points), &self.region);
         let row = |j: usize| region.iter().map(|&r| posterior.prior(j, r)).collect::<Vec<f64>>();
         (0..self.candidates).into_par_iter().flat_map_iter(row).collect()
     }
 
-    /// State after the known measurements and those of `plan`.
+    /// Returns the state after the known measurements and those of `plan`.
     fn search(&self, plan: &SurveyPlan) -> Search<'_> {
         let prior = self.prior(plan.correlation);
         let mut search = Search {
@@ -169,7 +170,8 @@ impl Survey {
         all
     }
 
-    /// Mean variance over the region, in units of the process variance, before (first) and after each measurement of `order`.
+    /// Returns the mean variance over the region, in units of the process variance, before (first) and after each
+    /// measurement of `order`.
     pub fn mean_variances(&self, correlation: Correlation, order: &[usize]) -> Vec<f64> {
         let mut posterior = Posterior::new(correlation, &self.points);
         self.known.iter().for_each(|&s| _ = posterior.add(s));
@@ -186,7 +188,7 @@ impl Survey {
     }
 }
 
-/// Candidate with the largest value, the first of equal ones.
+/// Returns the candidate with the largest value, the first of equal ones.
 fn first_largest(candidates: impl Iterator<Item = usize>, value: impl Fn(usize) -> f64) -> usize {
     let best = candidates.map(|j| (value(j), j)).reduce(|best, next| if next.0 > best.0 { next } else { best });
     best.map_or(0, |(_, j)| j)
@@ -204,12 +206,13 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Free candidate that lowers the summed variance most.
+    /// Returns the free candidate that lowers the summed variance most.
     fn best(&self) -> usize {
         let (variances, noise) = (self.posterior.variances(), self.posterior.noise());
         first_largest((0..self.sums.len()).filter(|&j| !self.is_taken[j]), |j| self.sums[j] / (variances[j] + noise))
     }
 
+    /// Adds a measurement at point `s` and updates the sums S.
     fn add(&mut self, s: usize) {
         let before = self.posterior.rows().count();
         let row = self.posterior.add(s).to_vec();
@@ -235,7 +238,7 @@ impl Search<'_> {
     }
 }
 
-/// Scalar product in a fixed order of eight partial sums.
+/// Returns the scalar product in a fixed order of eight partial sums.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     let (a, b) = (a.chunks_exact(8), b.chunks_exact(8));
@@ -249,16 +252,19 @@ mod tests {
     use super::*;
     use pwrfgs_core::Cholesky;
 
+    /// Returns an exponential correlation with one length scale.
     fn exponential(scale: f64, noise: f64) -> Correlation {
         Correlation { kind: CorrelationKind::Exponential, scales: [scale, scale, scale, f64::INFINITY], noise }
     }
 
+    /// Returns `count` random points in a box of 3 x 2 x 0.5 m.
     fn scattered(count: usize, seed: u64) -> Vec<[f64; 3]> {
         let mut random = rng::stream(seed, "scattered", 0);
         (0..count).map(|_| [3.0, 2.0, 0.5].map(|side| side * rng::uniform_f64(&mut random))).collect()
     }
 
-    /// Variance summed over `region` after measurements at `measured`, by the inverse of their covariance matrix.
+    /// Returns the variance summed over `region` after measurements at `measured`, by the inverse of their covariance
+    /// matrix.
     fn summed(correlation: &Correlation, region: &[[f64; 3]], measured: &[[f64; 3]]) -> f64 {
         let at = |a: [f64; 3], b: [f64; 3]| {
             correlation.kind.at(pwrfgs_core::neighbours::distance(a, b) / correlation.scales[0])
@@ -267,8 +273,8 @@ mod tests {
         let mut matrix: Vec<f64> = measured.iter().flat_map(|a| measured.iter().map(move |b| at(*a, *b))).collect();
         (0..n).for_each(|i| matrix[i * n + i] += correlation.noise);
         let factor = Cholesky::new(matrix, n).unwrap();
-        let variance = |place: &[f64; 3]| {
-            let towards: Vec<f64> = measured.iter().map(|other| at(*other, *place)).collect();
+        let variance = |point: &[f64; 3]| {
+            let towards: Vec<f64> = measured.iter().map(|other| at(*other, *point)).collect();
             let mut weights = towards.clone();
             factor.solve(&mut weights);
             1.0 - towards.iter().zip(&weights).map(|(t, w)| t * w).sum::<f64>()
@@ -278,15 +284,15 @@ mod tests {
 
     #[test]
     fn greedy_selection_equals_brute_force() {
-        let (candidates, region, known) = (scattered(30, 1), scattered(50, 2), scattered(3, 3));
+        let (candidates, region, initial) = (scattered(30, 1), scattered(50, 2), scattered(3, 3));
         let correlation = exponential(0.7, 0.05);
-        let survey = Survey::new(&candidates, &region, &known);
+        let survey = Survey::new(&candidates, &region, &initial);
         let plan = survey.select(correlation, 8, |_| None, |_| true);
-        let (mut measured, mut order) = (known.clone(), Vec::new());
+        let (mut measured, mut order) = (initial.clone(), Vec::new());
         for _ in 0..8 {
-            let of = |j: usize| summed(&correlation, &region, &[&measured[..], &[candidates[j]]].concat());
+            let variance_with = |j: usize| summed(&correlation, &region, &[&measured[..], &[candidates[j]]].concat());
             let free = (0..30).filter(|j| !order.contains(j));
-            let next = free.min_by(|&a, &b| of(a).total_cmp(&of(b))).unwrap();
+            let next = free.min_by(|&a, &b| variance_with(a).total_cmp(&variance_with(b))).unwrap();
             order.push(next);
             measured.push(candidates[next]);
         }
