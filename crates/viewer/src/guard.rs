@@ -9,7 +9,7 @@ use hyper::header::{CONTENT_LENGTH, HOST, HeaderMap, HeaderName, ORIGIN, TRANSFE
 use hyper::{Method, StatusCode, Uri};
 
 /// Maximum length of path and query, bytes.
-const LONGEST: usize = 2_000;
+const MAX_QUERY_BYTES: usize = 2_000;
 
 /// Access control of a page.
 #[derive(Clone, Debug)]
@@ -37,41 +37,43 @@ impl Guard {
     /// # Errors
     /// Status for a rejected request.
     pub(crate) fn admit<'a>(&self, method: &Method, uri: &'a Uri, headers: &HeaderMap) -> Result<&'a str, StatusCode> {
-        let ours = |text: &str| self.hosts.iter().any(|host| host == text);
-        if !only(headers, &HOST).is_some_and(ours) {
+        let is_own_host = |text: &str| self.hosts.iter().any(|host| host == text);
+        if !single_value(headers, &HOST).is_some_and(is_own_host) {
             return Err(StatusCode::MISDIRECTED_REQUEST);
         }
-        let origin = |text: &str| text.strip_prefix("http://").is_some_and(ours);
-        if headers.contains_key(ORIGIN) && !only(headers, &ORIGIN).is_some_and(origin) {
+        let is_own_origin = |text: &str| text.strip_prefix("http://").is_some_and(is_own_host);
+        if headers.contains_key(ORIGIN) && !single_value(headers, &ORIGIN).is_some_and(is_own_origin) {
             return Err(StatusCode::FORBIDDEN);
         }
         let site = HeaderName::from_static("sec-fetch-site");
-        if headers.contains_key(&site) && !only(headers, &site).is_some_and(|v| ["same-origin", "none"].contains(&v)) {
+        if headers.contains_key(&site)
+            && !single_value(headers, &site).is_some_and(|v| ["same-origin", "none"].contains(&v))
+        {
             return Err(StatusCode::FORBIDDEN);
         }
         if method != Method::GET {
             return Err(StatusCode::METHOD_NOT_ALLOWED);
         }
-        if headers.contains_key(TRANSFER_ENCODING) || only(headers, &CONTENT_LENGTH).is_some_and(|v| v != "0") {
+        if headers.contains_key(TRANSFER_ENCODING) || single_value(headers, &CONTENT_LENGTH).is_some_and(|v| v != "0") {
             return Err(StatusCode::PAYLOAD_TOO_LARGE);
         }
-        if uri.path_and_query().is_none_or(|all| all.as_str().len() > LONGEST) {
+        if uri.path_and_query().is_none_or(|all| all.as_str().len() > MAX_QUERY_BYTES) {
             return Err(StatusCode::URI_TOO_LONG);
         }
         let (token, rest) = uri.path().trim_start_matches('/').split_once('/').ok_or(StatusCode::NOT_FOUND)?;
-        if same(token.as_bytes(), self.token.as_bytes()) { Ok(rest) } else { Err(StatusCode::NOT_FOUND) }
+        if is_equal(token.as_bytes(), self.token.as_bytes()) { Ok(rest) } else { Err(StatusCode::NOT_FOUND) }
     }
 }
 
-/// Value of a header that occurs exactly once.
-fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
+/// Returns the value of a header that occurs exactly once.
+fn single_value<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
     let first = all.next()?.to_str().ok()?;
     all.next().is_none().then_some(first)
 }
 
-/// Compares in constant time.
-fn same(a: &[u8], b: &[u8]) -> bool {
+/// Compares in constant time, so that response times do not reveal the token.
+fn is_equal(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |all, (a, b)| all | (a ^ b)) == 0
 }
 
@@ -79,6 +81,7 @@ fn same(a: &[u8], b: &[u8]) -> bool {
 mod tests {
     use super::*;
 
+    /// Returns the admitted path, or the status of the refusal.
     fn status_of(guard: &Guard, path: &str, headers: &[(&'static str, &str)]) -> Result<String, u16> {
         let mut all = HeaderMap::new();
         for (name, value) in headers {

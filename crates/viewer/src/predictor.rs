@@ -44,12 +44,12 @@ pub(crate) struct PredictedImage {
 }
 
 impl Predictor {
-    /// Predictor of prepared models.
+    /// Returns the predictor of prepared models.
     pub(crate) fn of(models: Ensemble) -> Self {
-        Self::Model(PreparedEnsemble::new(Arc::new(models), |own| own.prepare()))
+        Self::Model(PreparedEnsemble::new(Arc::new(models), |models| models.prepare()))
     }
 
-    /// Models, unless it is a baseline.
+    /// Returns the models, unless it is a baseline.
     pub(crate) fn ensemble(&self) -> Option<&Arc<Ensemble>> {
         match self {
             Self::Model(ready) => Some(ready.borrow_owner()),
@@ -57,12 +57,13 @@ impl Predictor {
         }
     }
 
-    /// Whether the input is a transmitter position, not other features.
-    pub(crate) fn by_position(&self) -> bool {
-        self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.traits().inputs == 3))
+    /// Returns whether the input is a transmitter position, not other features.
+    pub(crate) fn has_position_input(&self) -> bool {
+        self.ensemble()
+            .is_none_or(|ensemble| ensemble.members().iter().all(|model| model.stages.method.traits().inputs == 3))
     }
 
-    /// Whether it is a baseline fitted to training and validation samples, which it may store.
+    /// Returns whether it is a baseline fitted to training and validation samples, which it may store.
     pub(crate) fn is_fitted(&self) -> bool {
         matches!(self, Self::Baseline(baseline) if !baseline.borrow_dependent().is_oracle())
     }

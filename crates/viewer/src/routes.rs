@@ -35,36 +35,38 @@ pub(crate) async fn answer(
     state: &Arc<ServerState>,
 ) -> Result<Response<ResponseBody>, RequestError> {
     if let Some((_, text)) = FILES.iter().find(|(name, _)| *name == path) {
-        return Ok(text_of("text/javascript", text));
+        return Ok(text_response("text/javascript", text));
     }
     match path {
-        "" => return Ok(text_of("text/html", &html(state))),
-        "stage.css" => return Ok(text_of("text/css", STYLE)),
-        "page.css" => return Ok(text_of("text/css", PAGE_STYLE)),
-        "events" => return Ok(events(state)),
+        "" => return Ok(text_response("text/html", &html(state))),
+        "stage.css" => return Ok(text_response("text/css", STYLE)),
+        "page.css" => return Ok(text_response("text/css", PAGE_STYLE)),
+        "events" => return Ok(event_response(state)),
         _ => {}
     }
     let parameters = QueryParams::parse(query).map_err(|why| (StatusCode::BAD_REQUEST, why))?;
     let (path, state) = (path.to_owned(), Arc::clone(state));
-    let made = tokio::task::spawn_blocking(move || bundles::bundle(&path, &parameters, &state)).await;
-    let bundle = made.map_err(|e| internal(&e))??;
+    let result = tokio::task::spawn_blocking(move || bundles::bundle(&path, &parameters, &state)).await;
+    let bundle = result.map_err(|e| internal_error(&e))??;
     Ok(response(StatusCode::OK, "application/octet-stream", bundle.to_bytes()))
 }
 
-/// Refusal for an internal error.
-fn internal(why: &dyn std::fmt::Display) -> (StatusCode, String) {
+/// Returns the refusal for an internal error.
+fn internal_error(why: &dyn std::fmt::Display) -> (StatusCode, String) {
     (StatusCode::INTERNAL_SERVER_ERROR, why.to_string())
 }
 
-/// Response of plain text.
-pub(crate) fn plain(status: StatusCode, text: &str) -> Response<ResponseBody> {
+/// Returns the response of plain text.
+pub(crate) fn plain_text(status: StatusCode, text: &str) -> Response<ResponseBody> {
     response(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
 }
 
-fn text_of(kind: &str, text: &str) -> Response<ResponseBody> {
+/// Returns a file of the page.
+fn text_response(kind: &str, text: &str) -> Response<ResponseBody> {
     response(StatusCode::OK, &format!("{kind}; charset=utf-8"), text.as_bytes().to_vec())
 }
 
+/// Returns a response with this status and content type.
 fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<ResponseBody> {
     let mut response = Response::new(Full::new(Bytes::from(bytes)).boxed());
     *response.status_mut() = status;
@@ -75,8 +77,8 @@ fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<Response
 }
 
 /// Adds headers to a response: no other page may load, frame or store it.
-pub(crate) fn sealed(mut response: Response<ResponseBody>) -> Response<ResponseBody> {
-    let all = [
+pub(crate) fn with_security_headers(mut response: Response<ResponseBody>) -> Response<ResponseBody> {
+    let headers = [
         (CONTENT_SECURITY_POLICY, POLICY),
         (REFERRER_POLICY, "no-referrer"),
         (CACHE_CONTROL, "no-store"),
@@ -84,13 +86,13 @@ pub(crate) fn sealed(mut response: Response<ResponseBody>) -> Response<ResponseB
         (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
         (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
     ];
-    for (name, value) in all {
+    for (name, value) in headers {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response
 }
 
-/// HTML of the page: the stage and its scripts.
+/// Returns the HTML of the page: the stage and its scripts.
 fn html(state: &ServerState) -> String {
     let names: Vec<String> = state.sides.iter().map(|side| xml(&side.name)).collect();
     format!(
@@ -157,7 +159,7 @@ fn metres(name: &str, value: &str) -> Result<f64, String> {
 }
 
 /// Interval of events; an empty event detects a closed page.
-const BEAT: Duration = Duration::from_secs(1);
+const EVENT_INTERVAL: Duration = Duration::from_secs(1);
 
 type PendingEvent = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
 
@@ -179,17 +181,18 @@ impl hyper::body::Body for Stream {
             Poll::Pending => Poll::Pending,
             Poll::Ready((None, _)) => Poll::Ready(None),
             Poll::Ready((Some(bytes), receiver)) => {
-                self.next = next(receiver);
+                self.next = next_event(receiver);
                 Poll::Ready(Some(Ok(Frame::data(bytes))))
             }
         }
     }
 }
 
-fn next(mut receiver: Receiver<String>) -> PendingEvent {
+/// Waits for the next message; without one, an empty event follows after [`EVENT_INTERVAL`].
+fn next_event(mut receiver: Receiver<String>) -> PendingEvent {
     Box::pin(async move {
-        let message = match tokio::time::timeout(BEAT, receiver.recv()).await {
-            Ok(Ok(news)) => Some(format!("data: {news}\n\n")),
+        let message = match tokio::time::timeout(EVENT_INTERVAL, receiver.recv()).await {
+            Ok(Ok(event)) => Some(format!("data: {event}\n\n")),
             Ok(Err(RecvError::Closed)) => None,
             Ok(Err(RecvError::Lagged(_))) | Err(_) => Some(":\n\n".into()),
         };
@@ -197,10 +200,10 @@ fn next(mut receiver: Receiver<String>) -> PendingEvent {
     })
 }
 
-/// Response with the event stream of an opened page.
-fn events(state: &Arc<ServerState>) -> Response<ResponseBody> {
+/// Returns the response with the event stream of an opened page.
+fn event_response(state: &Arc<ServerState>) -> Response<ResponseBody> {
     let (receiver, watcher) = state.watch();
-    let stream = Stream { next: next(receiver), _watcher: watcher };
+    let stream = Stream { next: next_event(receiver), _watcher: watcher };
     debug_assert!(!stream.is_end_stream());
     let mut answer = response(StatusCode::OK, "text/event-stream", Vec::new());
     *answer.body_mut() = stream.boxed();

@@ -23,25 +23,25 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::{AbortHandle, LocalSet};
 
 /// Maximum number of simultaneous connections with the token; a page needs a few.
-const ADMITTED: usize = 64;
+const MAX_ADMITTED: usize = 64;
 /// Maximum number of simultaneous connections without the token; then the oldest is closed.
-const STRANGERS: usize = 64;
+const MAX_PENDING: usize = 64;
 /// Time limit for the head of a request.
-const PATIENCE: Duration = Duration::from_secs(10);
+const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Largest head of a request, bytes.
-const HEAD: usize = 16 << 10;
+const MAX_HEAD_BYTES: usize = 16 << 10;
 /// Interval between checks of the stop flag.
 const TICK: Duration = Duration::from_millis(100);
 /// Time without an open page after which the server stops; a reload takes less.
-const UNWATCHED: Duration = Duration::from_secs(4);
+const IDLE_LIMIT: Duration = Duration::from_secs(4);
 
-/// Serves `house` on a free loopback port until `stop` is set or the last page is closed. `ready` receives the address
+/// Serves `state` on a free loopback port until `stop` is set or the last page is closed. `ready` receives the address
 /// with the token.
 ///
 /// # Errors
 /// If the system provides no port or no random numbers.
 pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
-    let failed = |what: &str, e: &dyn std::fmt::Display| Error::Config(format!("cannot {what}: {e}"));
+    let failed = |action: &str, e: &dyn std::fmt::Display| Error::Config(format!("cannot {action}: {e}"));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .enable_time()
@@ -64,24 +64,24 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
 
 /// Waits until `stop` is set or the last page is closed.
 async fn wait(state: &ServerState, stop: &AtomicBool) {
-    let mut unwatched = Duration::ZERO;
-    while !stop.load(Ordering::Relaxed) && unwatched < UNWATCHED {
+    let mut idle = Duration::ZERO;
+    while !stop.load(Ordering::Relaxed) && idle < IDLE_LIMIT {
         tokio::time::sleep(TICK).await;
         let (watched, watchers) = state.watchers();
-        let left = watched && watchers == 0;
-        unwatched = if left { unwatched + TICK } else { Duration::ZERO };
+        let is_closed = watched && watchers == 0;
+        idle = if is_closed { idle + TICK } else { Duration::ZERO };
     }
 }
 
 /// Slot among the admitted connections, acquired by the first request with the token.
 struct ConnectionSlot {
-    places: Arc<Semaphore>,
-    place: RefCell<Option<OwnedSemaphorePermit>>,
+    slots: Arc<Semaphore>,
+    permit: RefCell<Option<OwnedSemaphorePermit>>,
 }
 
 impl ConnectionSlot {
     fn is_admitted(&self) -> bool {
-        self.place.borrow().is_some()
+        self.permit.borrow().is_some()
     }
 
     /// Acquires a slot.
@@ -90,59 +90,61 @@ impl ConnectionSlot {
     /// If no slot is free.
     fn admit(&self) -> Result<(), StatusCode> {
         if !self.is_admitted() {
-            let place =
-                Arc::clone(&self.places).try_acquire_owned().map_err(|_full| StatusCode::SERVICE_UNAVAILABLE)?;
-            *self.place.borrow_mut() = Some(place);
+            let permit =
+                Arc::clone(&self.slots).try_acquire_owned().map_err(|_full| StatusCode::SERVICE_UNAVAILABLE)?;
+            *self.permit.borrow_mut() = Some(permit);
         }
         Ok(())
     }
 }
 
+/// Accepts connections without end. If too many have not sent the token, the oldest of these is closed.
 async fn accept(listener: TcpListener, guard: Arc<Guard>, state: Arc<ServerState>) {
-    let places = Arc::new(Semaphore::new(ADMITTED));
-    let mut strangers: VecDeque<(Rc<ConnectionSlot>, AbortHandle)> = VecDeque::new();
+    let slots = Arc::new(Semaphore::new(MAX_ADMITTED));
+    let mut pending: VecDeque<(Rc<ConnectionSlot>, AbortHandle)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Such as no free file descriptors: other connections release theirs.
             tokio::time::sleep(TICK).await;
             continue;
         };
-        strangers.retain(|(entry, task)| !entry.is_admitted() && !task.is_finished());
-        if strangers.len() == STRANGERS
-            && let Some((_, oldest)) = strangers.pop_front()
+        pending.retain(|(slot, task)| !slot.is_admitted() && !task.is_finished());
+        if pending.len() == MAX_PENDING
+            && let Some((_, oldest)) = pending.pop_front()
         {
             oldest.abort();
         }
-        let entry = Rc::new(ConnectionSlot { places: Arc::clone(&places), place: RefCell::default() });
-        let (own, guard, state) = (Rc::clone(&entry), Arc::clone(&guard), Arc::clone(&state));
-        let task = tokio::task::spawn_local(async move { serve_connection(stream, &own, &guard, &state).await });
-        strangers.push_back((entry, task.abort_handle()));
+        let slot = Rc::new(ConnectionSlot { slots: Arc::clone(&slots), permit: RefCell::default() });
+        let (task_slot, guard, state) = (Rc::clone(&slot), Arc::clone(&guard), Arc::clone(&state));
+        let task = tokio::task::spawn_local(async move { serve_connection(stream, &task_slot, &guard, &state).await });
+        pending.push_back((slot, task.abort_handle()));
     }
 }
 
 /// Serves all requests of one connection. An error ends only this connection.
-async fn serve_connection(stream: TcpStream, entry: &ConnectionSlot, guard: &Guard, state: &Arc<ServerState>) {
+async fn serve_connection(stream: TcpStream, slot: &ConnectionSlot, guard: &Guard, state: &Arc<ServerState>) {
     _ = stream.set_nodelay(true);
-    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, entry, guard, state).await));
+    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, slot, guard, state).await));
     let mut server = http1::Builder::new();
-    server.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(HEAD).max_headers(64);
+    server.timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).max_buf_size(MAX_HEAD_BYTES).max_headers(64);
     _ = server.serve_connection(TokioIo::new(stream), service).await;
 }
 
+/// Answers one request, or refuses it.
 async fn answer(
     request: Request<Incoming>,
-    entry: &ConnectionSlot,
+    slot: &ConnectionSlot,
     guard: &Guard,
     state: &Arc<ServerState>,
 ) -> Response<ResponseBody> {
     let admitted = guard.admit(request.method(), request.uri(), request.headers());
-    let answer = match admitted.and_then(|path| entry.admit().map(|()| path)) {
+    let answer = match admitted.and_then(|path| slot.admit().map(|()| path)) {
         Ok(path) => routes::answer(path, request.uri().query().unwrap_or(""), state).await,
         Err(status) => {
-            let mut refusal = routes::plain(status, status.canonical_reason().unwrap_or("refused"));
+            let mut refusal = routes::plain_text(status, status.canonical_reason().unwrap_or("refused"));
             refusal.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
             Ok(refusal)
         }
     };
-    routes::sealed(answer.unwrap_or_else(|(status, why)| routes::plain(status, &why)))
+    routes::with_security_headers(answer.unwrap_or_else(|(status, why)| routes::plain_text(status, &why)))
 }

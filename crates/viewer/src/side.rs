@@ -42,7 +42,7 @@ pub struct ViewPane {
     /// Run folder, if there is one.
     pub(crate) folder: Option<PathBuf>,
     /// Data of the run, if its pipeline is next to the model.
-    pub(crate) known: Option<Arc<LoadedData>>,
+    pub(crate) loaded: Option<Arc<LoadedData>>,
     /// Measurement setup of the predictions.
     pub(crate) setup: MeasurementSetup,
     /// Corners of surfaces `[T,3,3]`, metres, world frame.
@@ -63,15 +63,15 @@ impl ViewPane {
         let is_unfinished = path.is_dir() && pipeline.is_file() && !path.join(MODEL_FILE).is_file();
         let read = || file::read_ensemble(&model_file(path)?);
         let ensemble = (!is_unfinished).then(read).transpose()?;
-        let known =
+        let loaded =
             pipeline.is_file().then(|| LoadedData::load(&pipeline, &folder, observer)).transpose()?.map(Arc::new);
-        if let (Some(ensemble), Some(known)) = (&ensemble, &known) {
-            check_alike(&ensemble.prepare(), &known.data)?;
+        if let (Some(ensemble), Some(loaded)) = (&ensemble, &loaded) {
+            check_alike(&ensemble.prepare(), &loaded.data)?;
         }
-        let (setup, predictor) = match (ensemble, &known) {
+        let (setup, predictor) = match (ensemble, &loaded) {
             (Some(ensemble), _) => (ensemble.members()[0].stages.setup.clone(), Some(Predictor::of(ensemble))),
-            (None, Some(known)) => {
-                (MeasurementSetup::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
+            (None, Some(loaded)) => {
+                (MeasurementSetup::of(&loaded.data, loaded.pipeline.plane(&loaded.data)?), loaded.checkpoint(&folder)?)
             }
             (None, None) => return Err(Error::input(path, "the run was removed meanwhile; name another")),
         };
@@ -81,7 +81,7 @@ impl ViewPane {
         Ok(Self {
             name,
             folder: is_run.then_some(folder),
-            known,
+            loaded,
             setup,
             surfaces: Vec::new(),
             predictor: RwLock::new(predictor.map(Arc::new)),
@@ -89,9 +89,9 @@ impl ViewPane {
         })
     }
 
-    /// Scene of simulated data, as text.
+    /// Returns the scene of simulated data, as text.
     pub fn scene(&self) -> Option<&str> {
-        self.known.as_ref()?.data.simulation.as_ref()?.scene.as_deref()
+        self.loaded.as_ref()?.data.simulation.as_ref()?.scene.as_deref()
     }
 
     /// Sets the displayed surfaces: corners of triangles `[T,3,3]`, metres, world frame.
@@ -104,22 +104,22 @@ impl ViewPane {
     /// # Errors
     /// If the other side has no data, or the baseline does not support them.
     pub fn of_baseline(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
-        let Some(known) = &beside.known else {
-            let what = "baseline: needs the data of a run, but no pipeline is next to this model; name a run folder";
-            return Err(Error::Config(what.into()));
+        let Some(loaded) = &beside.loaded else {
+            let problem = "baseline: needs the data of a run, but no pipeline is next to this model; name a run folder";
+            return Err(Error::Config(problem.into()));
         };
-        let task = known.data.task();
+        let task = loaded.data.task();
         let name = baseline.name_for(task);
         if !baseline.supports(task) || baseline.is_external() {
-            let what = if baseline.is_external() { "positions outside its test set" } else { task.plural };
-            return Err(Error::Config(format!("baseline {name}: not available for {what}")));
+            let input = if baseline.is_external() { "positions outside its test set" } else { task.plural };
+            return Err(Error::Config(format!("baseline {name}: not available for {input}")));
         }
         let fitted =
-            FittedBaseline::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
+            FittedBaseline::try_new(Arc::clone(&loaded.data), |data| baseline.fit(data, loaded.partition.known()))?;
         Ok(Self {
             name,
             folder: None,
-            known: Some(Arc::clone(known)),
+            loaded: Some(Arc::clone(loaded)),
             setup: beside.setup.clone(),
             surfaces: Vec::new(),
             predictor: RwLock::new(Some(Arc::new(Predictor::Baseline(fitted)))),
@@ -127,42 +127,44 @@ impl ViewPane {
         })
     }
 
-    /// Current predictor; none before the first checkpoint of a run.
+    /// Returns the current predictor; none before the first checkpoint of a run.
     pub(crate) fn predictor(&self) -> Option<Arc<Predictor>> {
         self.predictor.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Locator of `predictor`. The first call fits it, which takes up to minutes; meanwhile other calls wait.
-    pub(crate) fn locator(&self, known: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
-        let mut own = self.locator.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, found)) = own.as_ref().filter(|(of, _)| Arc::ptr_eq(of, &predictor)) {
-            return Ok(Arc::clone(found));
+    /// Returns the locator of `predictor`. The first call fits it, which takes up to minutes; meanwhile other calls
+    /// wait.
+    pub(crate) fn locator(&self, loaded: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
+        let mut cached = self.locator.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, locator)) = cached.as_ref().filter(|(owner, _)| Arc::ptr_eq(owner, &predictor)) {
+            return Ok(Arc::clone(locator));
         }
-        let fair = predictor.ensemble().map(|own| own.without_validation(&known.data, known.partition.known()));
-        let fair = fair.transpose()?.flatten().map(|own| Arc::new(Predictor::of(own)));
-        let fair = fair.unwrap_or_else(|| Arc::clone(&predictor));
+        let unbiased =
+            predictor.ensemble().map(|ensemble| ensemble.without_validation(&loaded.data, loaded.partition.known()));
+        let unbiased = unbiased.transpose()?.flatten().map(|ensemble| Arc::new(Predictor::of(ensemble)));
+        let unbiased = unbiased.unwrap_or_else(|| Arc::clone(&predictor));
         // Own threads: predictions of other requests would wait for those that they share.
         let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build();
         let pool = threads.map_err(|e| Error::Config(format!("no threads: {e}")))?;
-        let fitted = FittedLocator::try_new(fair, |predictor| {
+        let fitted = FittedLocator::try_new(unbiased, |predictor| {
             let model: &dyn Predict = match &**predictor {
                 Predictor::Model(ready) => ready.borrow_dependent(),
                 Predictor::Baseline(baseline) => baseline.borrow_dependent().as_ref(),
             };
-            pool.install(|| Locator::fit(&known.data, known.partition.known(), model, &SHARES))
+            pool.install(|| Locator::fit(&loaded.data, loaded.partition.known(), model, &SHARES))
         })?;
-        let (_, fitted) = own.insert((predictor, Arc::new(fitted)));
+        let (_, fitted) = cached.insert((predictor, Arc::new(fitted)));
         Ok(Arc::clone(fitted))
     }
 
     /// Reads the model or the checkpoint again; returns whether the run is finished.
     pub(crate) fn reload(&self) -> Result<bool> {
-        let (Some(folder), Some(known)) = (&self.folder, &self.known) else { return Ok(true) };
+        let (Some(folder), Some(loaded)) = (&self.folder, &self.loaded) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);
         let finished = model.is_file();
-        let found =
-            if finished { Some(Predictor::of(file::read_ensemble(&model)?)) } else { known.checkpoint(folder)? };
-        *self.predictor.write().unwrap_or_else(PoisonError::into_inner) = found.map(Arc::new);
+        let predictor =
+            if finished { Some(Predictor::of(file::read_ensemble(&model)?)) } else { loaded.checkpoint(folder)? };
+        *self.predictor.write().unwrap_or_else(PoisonError::into_inner) = predictor.map(Arc::new);
         // A locator in work is kept by its request; a finished one would keep the replaced model.
         if let Ok(mut locator) = self.locator.try_lock() {
             *locator = None;
@@ -173,21 +175,22 @@ impl ViewPane {
     /// Checks that this side predicts the same quantity, for the same receivers, as `other`.
     pub(crate) fn check_beside(&self, other: &Self) -> Result<()> {
         let (a, b) = (&self.setup, &other.setup);
-        let places = |setup: &MeasurementSetup| -> Vec<_> {
+        let poses = |setup: &MeasurementSetup| -> Vec<_> {
             setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose)).collect()
         };
         if (a.task, a.moves) != (b.task, b.moves)
             || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
-            || places(a) != places(b)
+            || poses(a) != poses(b)
         {
-            let what = "differ in task, receivers or image size; compare models of the same data";
-            return Err(Error::Config(format!("{} and {} {what}", other.name, self.name)));
+            let problem = "differ in task, receivers or image size; compare models of the same data";
+            return Err(Error::Config(format!("{} and {} {problem}", other.name, self.name)));
         }
         Ok(())
     }
 }
 
 impl LoadedData {
+    /// Loads the data and the split of the pipeline `file`, with the scores in `folder`.
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
         let SplitData { data, partition } = load(&pipeline, Path::new(""), observer)?;
@@ -195,7 +198,7 @@ impl LoadedData {
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }
 
-    /// Model of the last checkpoint in `folder`; none before the first.
+    /// Returns the model of the last checkpoint in `folder`; none before the first.
     fn checkpoint(&self, folder: &Path) -> Result<Option<Predictor>> {
         let path = folder.join(CHECKPOINT);
         let Some(bytes) = files::if_found(&path, files::read(&path))? else { return Ok(None) };
@@ -205,16 +208,16 @@ impl LoadedData {
     }
 }
 
-/// First metric of the model per link; NaN for links without a score.
+/// Returns the first metric of the model per link; NaN for links without a score.
 fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     let table = Facts::read(folder).ok().flatten().and_then(|facts| facts.scores);
     let read = table.and_then(|table| Scores::read(&folder.join(SCORES), table).ok());
-    let of = read.and_then(|scores| scores.by_id(MODEL, data.task().headline.key)).unwrap_or_default();
-    (0..data.len()).map(|i| of.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
+    let by_label = read.and_then(|scores| scores.by_id(MODEL, data.task().headline.key)).unwrap_or_default();
+    (0..data.len()).map(|i| by_label.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
 }
 
 /// Interval between checks of a run in progress.
-const LOOK: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// State of the server.
 pub(crate) struct ServerState {
@@ -225,12 +228,13 @@ pub(crate) struct ServerState {
 }
 
 impl ServerState {
+    /// Creates the state. A thread per run in progress sends events about its changes.
     pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
         let (news, _) = broadcast::channel(64);
         let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
         for side in 0..state.sides.len() {
-            let behind = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
-            if let Some(folder) = behind {
+            let running = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
+            if let Some(folder) = running {
                 let state = Arc::downgrade(&state);
                 std::thread::spawn(move || {
                     let mut times = [None; 2];
@@ -239,7 +243,7 @@ impl ServerState {
                             break;
                         }
                         drop(state);
-                        std::thread::sleep(LOOK);
+                        std::thread::sleep(POLL_INTERVAL);
                     }
                 });
             }
@@ -254,7 +258,7 @@ impl ServerState {
         (self.news.subscribe(), WatcherGuard(Arc::clone(self)))
     }
 
-    /// Whether a page was ever opened, and the number of open pages.
+    /// Returns whether a page was ever opened, and the number of open pages.
     pub(crate) fn watchers(&self) -> (bool, usize) {
         (self.watched.load(Ordering::Relaxed), self.watchers.load(Ordering::Relaxed))
     }
@@ -269,15 +273,15 @@ impl ServerState {
         let reload = times[1] != now[1];
         *times = now;
         let ended = reload && self.sides[side].reload().unwrap_or(false);
-        let known = self.sides[side].known.as_ref();
+        let loaded = self.sides[side].loaded.as_ref();
         let rows = read_series(&folder.join(CURVE));
         let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
         let finished = ended && folder.join(FACTS).is_file() && matches!(Facts::read(folder), Ok(Some(_)));
-        let news = json!({
+        let event = json!({
             "side": side, "step": field(0), "loss": field(2), "gaussians": field(4), "changed": reload, "finished": finished,
-            "steps": known.map(|known| known.pipeline.training.steps),
+            "steps": loaded.map(|loaded| loaded.pipeline.training.steps),
         });
-        _ = self.news.send(news.to_string());
+        _ = self.news.send(event.to_string());
         finished
     }
 }

@@ -24,8 +24,9 @@ const SAME_PLACE: f64 = 1e-3;
 /// Number of positions along the longer side of a radio map.
 const ACROSS: usize = 60;
 
+/// Answers a request for arrays: the bundle called `path`.
 pub(super) fn bundle(path: &str, parameters: &QueryParams, state: &ServerState) -> Result<TensorBundle, RequestError> {
-    let side = state.sides.get(parameters.side).ok_or_else(|| wrong("query parameter `side`: no such side"))?;
+    let side = state.sides.get(parameters.side).ok_or_else(|| bad_request("query parameter `side`: no such side"))?;
     match path {
         "room" => Ok(room(side, state)),
         "gaussians" => gaussians(side, parameters),
@@ -38,25 +39,29 @@ pub(super) fn bundle(path: &str, parameters: &QueryParams, state: &ServerState) 
     }
 }
 
-fn wrong(why: &str) -> RequestError {
+/// Returns the refusal of an invalid request.
+fn bad_request(why: &str) -> RequestError {
     (StatusCode::BAD_REQUEST, why.to_owned())
 }
 
-fn known(side: &ViewPane) -> Result<&Arc<LoadedData>, RequestError> {
-    side.known.as_ref().ok_or_else(|| wrong("no data next to this model"))
+/// Returns the data of a side.
+fn loaded_data(side: &ViewPane) -> Result<&Arc<LoadedData>, RequestError> {
+    side.loaded.as_ref().ok_or_else(|| bad_request("no data next to this model"))
 }
 
+/// Returns the current predictor of a side.
 fn predictor(side: &ViewPane) -> Result<Arc<Predictor>, RequestError> {
     side.predictor().ok_or((StatusCode::SERVICE_UNAVAILABLE, "no model before the first checkpoint".into()))
 }
 
+/// Returns the room: receivers, surfaces, links with their scores, and all sides.
 fn room(side: &ViewPane, state: &ServerState) -> TensorBundle {
-    let known = side.known.as_deref();
-    let links: Vec<usize> = (0..known.map_or(0, |k| k.data.len())).collect();
-    let data = known.map(|k| live::PartitionedData {
-        data: &k.data,
-        partition: &k.partition,
-        scores: &k.scores,
+    let loaded = side.loaded.as_deref();
+    let links: Vec<usize> = (0..loaded.map_or(0, |loaded| loaded.data.len())).collect();
+    let data = loaded.map(|loaded| live::PartitionedData {
+        data: &loaded.data,
+        partition: &loaded.partition,
+        scores: &loaded.scores,
         links: &links,
     });
     let predictor = side.predictor();
@@ -67,12 +72,12 @@ fn room(side: &ViewPane, state: &ServerState) -> TensorBundle {
     let corners = state.sides.iter().flat_map(|side| side.surfaces.as_flattened());
     let corners: Vec<Real> = corners.flat_map(|corner| origin.local(*corner)).collect();
     bundle.put("surfaces", &[corners.len() / 9, 3, 3], corners);
-    bundle.note["sides"] = state.sides.iter().map(about).collect();
+    bundle.note["sides"] = state.sides.iter().map(describe_side).collect();
     bundle
 }
 
-/// Description of a side for the page.
-fn about(side: &ViewPane) -> Value {
+/// Returns the description of a side for the page.
+fn describe_side(side: &ViewPane) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
     let splats = ensemble.is_some_and(|e| e.is_drawn_as(Appearance::Ellipsoids));
@@ -81,25 +86,26 @@ fn about(side: &ViewPane) -> Value {
         "gaussians": ensemble.map(|ensemble| ensemble.gaussians()),
         "members": ensemble.map_or(1, |ensemble| ensemble.members().len()),
         "ellipsoids": splats,
-        "by_position": predictor.as_ref().is_none_or(|predictor| predictor.by_position()),
+        "by_position": predictor.as_ref().is_none_or(|predictor| predictor.has_position_input()),
         "baseline": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
         "snapshots": saved_snapshots(side).iter()
             .map(|(title, shown)| json!({ "title": title, "step": shown.step, "gaussians": shown.means.len() }))
             .collect::<Vec<_>>(),
         "running": side.folder.as_ref().is_some_and(|folder| !folder.join(pwrfgs_experiment::folder::MODEL_FILE).is_file()),
-        "steps": side.known.as_ref().map(|known| known.pipeline.training.steps),
+        "steps": side.loaded.as_ref().map(|loaded| loaded.pipeline.training.steps),
     })
 }
 
+/// Returns the Gaussians of the model or of a snapshot, on request with their contributions to an observation.
 fn gaussians(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
-    let origin = live::origin(&side.setup, side.known.as_ref().map(|known| &*known.data));
+    let origin = live::origin(&side.setup, side.loaded.as_ref().map(|loaded| &*loaded.data));
     if let Some(k) = parameters.snapshot {
         let all = saved_snapshots(side);
-        let (_, snapshot) = all.get(k).ok_or_else(|| wrong("query parameter `snapshot`: no such snapshot"))?;
+        let (_, snapshot) = all.get(k).ok_or_else(|| bad_request("query parameter `snapshot`: no such snapshot"))?;
         return Ok(snapshot_bundle(snapshot, origin));
     }
     let predictor = predictor(side)?;
-    let ensemble = predictor.ensemble().ok_or_else(|| wrong("baselines have no Gaussians"))?;
+    let ensemble = predictor.ensemble().ok_or_else(|| bad_request("baselines have no Gaussians"))?;
     let mut bundle = live::gaussians(ensemble, origin, parameters.tx);
     if let Some(tx) = parameters.tx.filter(|_| parameters.with == "contribution") {
         let all = contributions(ensemble, tx, receiver(side, parameters)?);
@@ -108,15 +114,16 @@ fn gaussians(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, 
     Ok(bundle)
 }
 
-/// Contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`: strength
-/// times the sum of blending weights if Gaussians are blended, else strength times opacity.
+/// Returns the contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`:
+/// strength times the sum of blending weights if Gaussians are blended, else strength times opacity.
 fn contributions(ensemble: &Ensemble, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     ensemble.members().iter().flat_map(|model| contributions_of(model, tx, receiver)).collect()
 }
 
+/// Returns the contributions of the Gaussians of one model, see [`contributions`].
 fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
-    let own = model.gaussians(Some(tx));
-    let (primitives, strengths) = (&own.primitives, live::strengths(&own));
+    let gaussians = model.gaussians(Some(tx));
+    let (primitives, strengths) = (&gaussians.primitives, live::strengths(&gaussians));
     let stages = &model.stages;
     let MethodTraits { blends, inputs, .. } = stages.method.traits();
     if !blends {
@@ -131,7 +138,8 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     strengths.iter().zip(&statistics.weight).map(|(s, w)| s * w).collect()
 }
 
-/// Gaussians of a snapshot, metres from `origin`: means and opacities and, if stored, scales, rotations, gates and IDs.
+/// Returns the gaussians of a snapshot, metres from `origin`: means and opacities and, if stored, scales, rotations,
+/// gates and IDs.
 fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
     let n = snapshot.means.len();
     let mut bundle = TensorBundle::new(json!({ "gaussians": n, "step": snapshot.step }));
@@ -150,96 +158,100 @@ fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
     bundle
 }
 
+/// Returns the requested receiver, an index.
 fn receiver(side: &ViewPane, parameters: &QueryParams) -> Result<usize, RequestError> {
     let count = side.setup.receivers.len();
     if parameters.receiver < count {
         Ok(parameters.receiver)
     } else {
-        Err(wrong("query parameter `receiver`: no such receiver"))
+        Err(bad_request("query parameter `receiver`: no such receiver"))
     }
 }
 
-/// Prediction for a transmitter at the requested receiver (powers: at all receivers), and its score against the nearest
-/// measurement.
+/// Returns the prediction for a transmitter at the requested receiver (powers: at all receivers), and its score against
+/// the nearest measurement.
 fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
     let (predictor, receiver, task) = (predictor(side)?, receiver(side, parameters)?, side.setup.task);
-    let known = side.known.as_deref();
-    let by_position = predictor.by_position();
-    let turns = known.is_some_and(|known| known.data.orientations.is_some()); // a sample has its own pose
-    let query = match (parameters.tx, parameters.link, known) {
+    let loaded = side.loaded.as_deref();
+    let by_position = predictor.has_position_input();
+    let turns = loaded.is_some_and(|loaded| loaded.data.orientations.is_some()); // a sample has its own pose
+    let query = match (parameters.tx, parameters.link, loaded) {
         (Some(tx), None, _) if by_position => Query::at(tx, receiver),
         (Some(tx), _, _) if by_position && !turns => Query::at(tx, receiver),
-        (_, Some(i), Some(known)) if i < known.data.len() => known.data.query(i),
-        _ => return Err(wrong("no position; set tx=x,y,z, or link=k of the data")),
+        (_, Some(i), Some(loaded)) if i < loaded.data.len() => loaded.data.query(i),
+        _ => return Err(bad_request("no position; set tx=x,y,z, or link=k of the data")),
     };
-    let found = predictor.predict(query);
+    let prediction = predictor.predict(query);
     let ensemble = predictor.ensemble();
-    let (width, height) = (found.image.width, found.image.height);
+    let (width, height) = (prediction.image.width, prediction.image.height);
     // The requested sample, even if another sample has the same position.
-    let is_asked = |known: &LoadedData, i: usize| {
-        let sample = known.data.sample(i);
+    let is_requested = |loaded: &LoadedData, i: usize| {
+        let sample = loaded.data.sample(i);
         parameters.tx.is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.tx, tx) < SAME_PLACE)
     };
-    let nearest = match (parameters.link, known) {
-        (Some(i), Some(known)) if i < known.data.len() && is_asked(known, i) => Some((i, 0.0)),
-        (_, Some(known)) if known.data.placed => nearest(known, query.tx, receiver),
+    let nearest = match (parameters.link, loaded) {
+        (Some(i), Some(loaded)) if i < loaded.data.len() && is_requested(loaded, i) => Some((i, 0.0)),
+        (_, Some(loaded)) if loaded.data.placed => nearest(loaded, query.tx, receiver),
         _ => None,
     };
-    let mut bundle = TensorBundle::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
-    if let Some(training) = ensemble.filter(|_| by_position).and_then(|own| own.training_distances(&[query.tx])) {
+    let mut bundle = TensorBundle::new(json!({ "ms": prediction.ms, "strongest": strongest(side, &prediction.image) }));
+    if let Some(training) =
+        ensemble.filter(|_| by_position).and_then(|ensemble| ensemble.training_distances(&[query.tx]))
+    {
         bundle.note["training"] = json!({ "metres": training.metres[0], "limit": training.limit });
     }
-    if let (Some((i, metres)), Some(known)) = (nearest, known) {
-        let set = known.partition.set_of(i);
+    if let (Some((i, metres)), Some(loaded)) = (nearest, loaded) {
+        let set = loaded.partition.set_of(i);
         // A baseline stores its training samples: its error on them would be zero.
-        let learned = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
-        let value = (!learned).then(|| task.score(&found.image, &known.data.image(i)));
+        let is_fitted = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
+        let value = (!is_fitted).then(|| task.score(&prediction.image, &loaded.data.image(i)));
         bundle.note["nearest"] =
-            json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": learned });
+            json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": is_fitted });
     }
     if task.is_scalar {
         let all: Vec<Query<'_>> = (0..side.setup.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
         let powers = predictor.predict_many(&all);
         bundle.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
     }
-    if let Some(deviation) = found.deviation {
+    if let Some(deviation) = prediction.deviation {
         let mean = deviation.pixels.iter().sum::<Real>() / deviation.pixels.len().max(1) as Real;
         bundle.note["spread"] = json!(mean);
         bundle.put("deviation", &[height, width], deviation.pixels);
     }
-    bundle.put("picture", &[height, width], found.image.pixels);
+    bundle.put("picture", &[height, width], prediction.image.pixels);
     Ok(bundle)
 }
 
-/// Azimuth and elevation of the strongest pixel, degrees.
+/// Returns the azimuth and elevation of the strongest pixel, degrees.
 fn strongest(side: &ViewPane, image: &Image) -> Value {
     let i = image.argmax();
     let angles = side.setup.plane.azimuth_elevation_deg((i % image.width) as Real, (i / image.width) as Real);
     angles.map_or(Value::Null, |(azimuth, elevation)| json!([azimuth, elevation]))
 }
 
-/// Link of the nearest transmitter received by `receiver`, with its distance in metres.
-fn nearest(known: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
-    let samples = known.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
+/// Returns the link of the nearest transmitter received by `receiver`, with its distance in metres.
+fn nearest(loaded: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
+    let samples = loaded.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
     let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.tx, tx)));
     all.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// Data of a side, and the requested link.
-fn known_link<'a>(side: &'a ViewPane, parameters: &QueryParams) -> Result<(&'a LoadedData, usize), RequestError> {
-    let known = known(side)?;
-    let asked = parameters.link.filter(|i| *i < known.data.len());
-    Ok((known, asked.ok_or_else(|| wrong("query parameter `link`: no such link"))?))
+/// Returns the data of a side, and the requested link.
+fn loaded_link<'a>(side: &'a ViewPane, parameters: &QueryParams) -> Result<(&'a LoadedData, usize), RequestError> {
+    let loaded = loaded_data(side)?;
+    let link = parameters.link.filter(|i| *i < loaded.data.len());
+    Ok((loaded, link.ok_or_else(|| bad_request("query parameter `link`: no such link"))?))
 }
 
+/// Returns the measurement of a link; for powers, those of its transmitter at all receivers.
 fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
-    let (known, i) = known_link(side, parameters)?;
-    let image = known.data.image(i);
+    let (loaded, i) = loaded_link(side, parameters)?;
+    let image = loaded.data.image(i);
     let mut bundle = TensorBundle::new(json!({ "strongest": strongest(side, &image) }));
     if side.setup.task.is_scalar {
         let mut all = vec![Real::NAN; side.setup.receivers.len()];
-        for other in known.data.links_of(&[known.data.links[i].transmitter]) {
-            all[known.data.links[other].receiver] = known.data.image(other).pixels[0];
+        for other in loaded.data.links_of(&[loaded.data.links[i].transmitter]) {
+            all[loaded.data.links[other].receiver] = loaded.data.image(other).pixels[0];
         }
         bundle.put("powers", &[all.len()], all);
     }
@@ -247,52 +259,52 @@ fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reque
     Ok(bundle)
 }
 
-/// Radio map on a plane at one receiver: power in dBm, or mean power of a channel in dB.
+/// Returns the radio map on a plane at one receiver: power in dBm, or mean power of a channel in dB.
 fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
     let (predictor, receiver) = (predictor(side)?, receiver(side, parameters)?);
-    let z = parameters.z.ok_or_else(|| wrong("no height; set z=1.2"))?;
+    let z = parameters.z.ok_or_else(|| bad_request("no height; set z=1.2"))?;
     if side.setup.task.has_pixels {
-        return Err(wrong("maps: not available for spectra, only for powers and channels"));
+        return Err(bad_request("maps: not available for spectra, only for powers and channels"));
     }
-    let data = &known(side)?.data;
+    let data = &loaded_data(side)?.data;
     let corners = [data.scene.bounds.0, data.scene.bounds.1].map(|corner| data.scene.origin.world(corner));
     let [width, height] = [0, 1].map(|k| (corners[1][k] - corners[0][k]).max(0.1));
     let step = width.max(height) / ACROSS as f64;
     let [columns, rows] = [width, height].map(|side| (side / step).round().max(1.0) as usize);
-    let place = |k: usize| {
+    let query = |k: usize| {
         let at = |cell: usize, axis: usize| corners[0][axis] + step * (cell as f64 + 0.5);
         Query::at([at(k % columns, 0), at(k / columns, 1), z], receiver)
     };
-    let queries: Vec<Query<'_>> = (0..rows * columns).map(place).collect();
+    let queries: Vec<Query<'_>> = (0..rows * columns).map(query).collect();
     let level = |image: &Image| side.setup.task.level(image) as Real;
     let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
     let places: Vec<[f64; 3]> = queries.iter().map(|query| query.tx).collect();
-    if let Some(training) = predictor.ensemble().and_then(|own| own.training_distances(&places)) {
+    if let Some(training) = predictor.ensemble().and_then(|ensemble| ensemble.training_distances(&places)) {
         let beyond = (0..places.len()).map(|k| u8::from(training.is_beyond(k)));
         bundle.put_bytes("extrapolated", &[rows, columns], beyond.collect());
     }
     Ok(bundle)
 }
 
-/// Position of the transmitter of a link, located from its observations by all receivers, with the density over the floor.
-/// Metres, world frame. A training sample is compared without itself.
+/// Returns the position of the transmitter of a link, located from its observations by all receivers, with the density
+/// over the floor. Metres, world frame. A training sample is compared without itself.
 fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
-    let ((known, i), predictor) = (known_link(side, parameters)?, predictor(side)?);
-    if !predictor.by_position() {
-        return Err(wrong("localisation: this model takes other features than a transmitter position"));
+    let ((loaded, i), predictor) = (loaded_link(side, parameters)?, predictor(side)?);
+    if !predictor.has_position_input() {
+        return Err(bad_request("localisation: this model takes other features than a transmitter position"));
     }
-    let fitted = side.locator(known, predictor).map_err(|why| wrong(&why.to_string()))?;
-    let (locator, data) = (fitted.borrow_dependent(), &known.data);
+    let fitted = side.locator(loaded, predictor).map_err(|why| bad_request(&why.to_string()))?;
+    let (locator, data) = (fitted.borrow_dependent(), &loaded.data);
     let transmitter = data.links[i].transmitter;
     let truth = data.transmitters[transmitter].position;
-    let is_known = data.transmitters_of(&known.partition.train).contains(&transmitter);
+    let is_known = data.transmitters_of(&loaded.partition.train).contains(&transmitter);
     let observation = locator.observations(data, &[transmitter]).concat();
     let located = locator.locate_without(&observation, is_known.then_some(truth));
     let mut bundle = TensorBundle::new(json!({
         "estimate": located.position, "truth": truth, "error_m": neighbours::distance(located.position, truth),
-        "misfit": located.misfit, "part": known.partition.set_of(i) as u8, "left_out": is_known,
+        "misfit": located.misfit, "part": loaded.partition.set_of(i) as u8, "left_out": is_known,
         "no_region": locator.missing_regions(),
     }));
     if let Some(region) = &located.region {
@@ -307,7 +319,7 @@ fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Req
     Ok(bundle)
 }
 
-/// Step, loss and N of the training.
+/// Returns the step, loss and N of the training.
 fn curve(side: &ViewPane) -> TensorBundle {
     let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&folder.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
@@ -319,14 +331,14 @@ fn curve(side: &ViewPane) -> TensorBundle {
     bundle
 }
 
-/// Titles and snapshots; damaged snapshots are omitted.
+/// Returns the titles and snapshots; damaged snapshots are omitted.
 fn saved_snapshots(side: &ViewPane) -> Vec<(String, Snapshot)> {
     let Some(folder) = &side.folder else { return Vec::new() };
-    let found = snapshots().filter_map(|(name, what)| {
+    let readable = snapshots().filter_map(|(name, title)| {
         let snapshot = Snapshot::read(&folder.join(name)).ok().flatten()?;
-        Some((format!("{what}, step {}", grouped(snapshot.step as i64)), snapshot))
+        Some((format!("{title}, step {}", grouped(snapshot.step as i64)), snapshot))
     });
-    let mut all: Vec<_> = found.collect();
+    let mut all: Vec<_> = readable.collect();
     all.sort_by_key(|(_, snapshot)| snapshot.step);
     all
 }
