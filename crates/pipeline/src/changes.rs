@@ -43,7 +43,7 @@ impl Change {
         Ok(Self { path: path.into(), value: value.into(), name, at: None })
     }
 
-    /// Name of the pipeline field that changes completely or in part.
+    /// Returns the name of the pipeline field that changes completely or in part.
     pub fn field(&self) -> &str {
         self.path.split('.').next().unwrap_or_default().trim()
     }
@@ -54,7 +54,7 @@ impl Change {
 pub struct Changes(pub Vec<Change>);
 
 impl Changes {
-    /// Whether a change affects `field` of a pipeline.
+    /// Returns whether a change affects `field` of a pipeline.
     pub fn has(&self, field: &str) -> bool {
         self.0.iter().any(|change| change.field() == field)
     }
@@ -63,11 +63,11 @@ impl Changes {
     #[must_use]
     pub fn located(&self, name: &str, map: Option<&RonTree>, text: &str) -> Self {
         let mut keys = map.map_or_else(Vec::new, |map| map.keys(text)).into_iter();
-        let mut located = |change: &Change| {
+        let mut with_position = |change: &Change| {
             let at = keys.next().map(|key| line_and_column(text, key.start));
             Change { name: name.into(), at, ..change.clone() }
         };
-        Self(self.0.iter().map(&mut located).collect())
+        Self(self.0.iter().map(&mut with_position).collect())
     }
 }
 
@@ -108,7 +108,7 @@ impl JsonSchema for Changes {
     }
 }
 
-/// Line and column of the byte `at` of `text`, both counted from 1.
+/// Returns the line and column of the byte `at` of `text`, both counted from 1.
 pub(crate) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
     let before = &text[..at];
     let line = before.matches('\n').count() + 1;

@@ -15,32 +15,32 @@ macro_rules! plugins {
     };
 }
 
-/// Default split: the one of the data set.
+/// Returns the default split: the one of the data set.
 pub fn split() -> Plugin<dyn Split> {
     Plugin::from(Box::new(Official::default()) as Box<dyn Split>)
 }
 
-/// Initializer of a method without Gaussians.
+/// Returns the initializer of a method without Gaussians.
 pub fn initializer() -> Plugin<dyn Initializer> {
     Plugin::from(Box::new(NoGaussians::default()) as Box<dyn Initializer>)
 }
 
-/// Default projector of splats.
+/// Returns the default projector of splats.
 pub fn projector() -> Plugin<dyn Projector> {
     Splatting::default().projector
 }
 
-/// Default rasterizer of splats.
+/// Returns the default rasterizer of splats.
 pub fn rasterizer() -> Plugin<dyn Rasterizer> {
     Splatting::default().rasterizer
 }
 
-/// Default deformation of splats.
+/// Returns the default deformation of splats.
 pub fn deformation() -> Plugin<dyn Deformation> {
     Splatting::default().deformation
 }
 
-/// Default readout of splats for observations of `task`.
+/// Returns the default readout of splats for observations of `task`.
 pub fn readout(task: Task) -> Readout {
     match task {
         Task::Power => Readout::RECEIVED,
@@ -48,7 +48,7 @@ pub fn readout(task: Task) -> Readout {
     }
 }
 
-/// Default baselines for observations of `task`.
+/// Returns the default baselines for observations of `task`.
 pub fn baselines(task: Task) -> Vec<Plugin<dyn Baseline>> {
     let nearest = |k: usize| NearestNeighbours { k: k.into() };
     match task {
@@ -60,7 +60,7 @@ pub fn baselines(task: Task) -> Vec<Plugin<dyn Baseline>> {
     }
 }
 
-/// Default metrics for observations of `task`.
+/// Returns the default metrics for observations of `task`.
 pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
     let mut metrics = match task {
         Task::Spectrum => plugins![
@@ -75,7 +75,7 @@ pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
     metrics
 }
 
-/// Metrics in the columns of `validation.csv`.
+/// Returns the metrics in the columns of `validation.csv`.
 pub fn validation(task: Task) -> Vec<Plugin<dyn Metric>> {
     match task {
         Task::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],

@@ -9,9 +9,9 @@ mod changes;
 pub mod defaults;
 mod pipeline;
 mod pipeline_edit;
-mod place;
 mod read;
 pub mod ron_tree;
+mod setting;
 
 pub use changes::{Change, Changes};
 pub use pipeline::Pipeline;

@@ -76,7 +76,7 @@ impl Pipeline {
     pub const REQUIRED: [(&'static str, &'static str); 3] =
         [("name", "\"first\""), ("data", "Teacher()"), ("initializer", "Random()")];
 
-    /// RON text of the pipeline with every default written out; [`Self::parse`] restores the same pipeline.
+    /// Returns the RON text of the pipeline with every default written out; [`Self::parse`] restores the same pipeline.
     ///
     /// # Errors
     /// [`Error::Config`] if a path is not valid text, or a third-party plugin cannot be written.
@@ -85,7 +85,7 @@ impl Pipeline {
         try_to_ron(self).map(|text| text + "\n").map_err(refused)
     }
 
-    /// Method from Gaussians to observations.
+    /// Returns the method from Gaussians to observations.
     pub fn method(&self) -> Plugin<dyn Method> {
         if let Some(method) = &self.method {
             return method.clone();
@@ -104,7 +104,7 @@ impl Pipeline {
         method.into()
     }
 
-    /// Image plane of one observation of `data`; for spectra, the plane of the projector.
+    /// Returns the image plane of one observation of `data`; for spectra, the plane of the projector.
     ///
     /// # Errors
     /// The projector does not support the data.
@@ -112,7 +112,7 @@ impl Pipeline {
         Stages::of(self.method(), data).map(|stages| stages.setup.plane)
     }
 
-    /// Training plan without scaling.
+    /// Returns the training plan without scaling.
     pub(crate) fn as_plan(&self) -> TrainingPlan {
         TrainingPlan {
             name: self.name.clone(),
@@ -140,7 +140,7 @@ impl Pipeline {
         Self { split: split.into(), ..self.clone() }
     }
 
-    /// Pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.
+    /// Returns the pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.
     pub fn essential(&self) -> Self {
         let training = Checked::new(self.training.of_run()).unwrap_or_else(|_| self.training.clone());
         Self { tensorboard: false, training, ..self.clone() }

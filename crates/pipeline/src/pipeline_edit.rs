@@ -3,9 +3,9 @@
 
 use crate::changes::Change;
 use crate::pipeline::Pipeline;
-use crate::place::{SettingPlace, TextEdit, paths, quoted};
 use crate::read::{Misfit, TypeHint};
 use crate::ron_tree::RonTree;
+use crate::setting::{Setting, TextEdit, paths, quoted};
 use pwrfgs_core::docs::{DocKind, Docs};
 use pwrfgs_core::plugin::{Checked, Plugin, ron_options, try_to_ron};
 use pwrfgs_core::{Dataset, Error, Partition, Pruner, Result};
@@ -47,8 +47,8 @@ impl PipelineEdit {
         self.edit(edits);
         self.changes.push(change.clone());
         // Written with its defaults, so that the next change finds their fields.
-        let whole = ron_options().from_str(&self.text).ok();
-        if let Some(Ok(text)) = whole.map(|pipeline: Pipeline| pipeline.to_ron()) {
+        let read = ron_options().from_str(&self.text).ok();
+        if let Some(Ok(text)) = read.map(|pipeline: Pipeline| pipeline.to_ron()) {
             self.text = text;
         }
         Ok(())
@@ -60,15 +60,17 @@ impl PipelineEdit {
     /// A path that is not valid text.
     pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), EditFault> {
         let tree = self.tree();
-        let moved = |path: &RonTree| {
+        let absolute_edit = |path: &RonTree| {
             let old: PathBuf = ron_options().from_str(path.of(&self.text)).map_err(|e| e.code.to_string())?;
             Ok((path.span.clone(), try_to_ron(&absolute(&old))?))
         };
-        let places = paths(&DocKind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
-        let edits: Result<Vec<TextEdit>, (usize, String)> =
-            places.into_iter().map(|path| moved(path).map_err(|why: String| (path.span.start, why))).collect();
-        let unwritten = |(at, message)| self.blame(Misfit { message, at: Some(at), hint: TypeHint::Never });
-        self.edit(edits.map_err(unwritten)?);
+        let settings = paths(&DocKind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
+        let edits: Result<Vec<TextEdit>, (usize, String)> = settings
+            .into_iter()
+            .map(|path| absolute_edit(path).map_err(|why: String| (path.span.start, why)))
+            .collect();
+        let fault = |(at, message)| self.blame(Misfit { message, at: Some(at), hint: TypeHint::Never });
+        self.edit(edits.map_err(fault)?);
         Ok(())
     }
 
@@ -80,18 +82,19 @@ impl PipelineEdit {
         Pipeline::read(&self.text).map_err(|misfit| self.blame(misfit))
     }
 
-    /// Problem of `field`, with the changes that caused it.
+    /// Returns the problem of `field`, with the changes that caused it.
     pub fn fault(&self, field: &str, message: String) -> EditFault {
         self.blame(Misfit::of(field, message, &self.tree()))
     }
 
-    /// Fault for `misfit`: blames the changes inside the smallest value at its position.
+    /// Returns the fault for `misfit`: blames the changes inside the smallest value at its position.
     fn blame(&self, misfit: Misfit) -> EditFault {
         let Misfit { mut message, at, hint } = misfit;
         let tree = self.tree();
-        let places: Vec<Option<SettingPlace<'_>>> =
-            self.changes.iter().map(|c| SettingPlace::at(&c.path, &tree).ok()).collect();
-        let spans: Vec<Option<Range<usize>>> = places.iter().map(|p| Some(p.as_ref()?.tree.span.clone())).collect();
+        let settings: Vec<Option<Setting<'_>>> =
+            self.changes.iter().map(|c| Setting::at(&c.path, &tree).ok()).collect();
+        let spans: Vec<Option<Range<usize>>> =
+            settings.iter().map(|setting| Some(setting.as_ref()?.tree.span.clone())).collect();
         let inside = |outer: &Range<usize>| -> Vec<usize> {
             let is_inside = |span: &Range<usize>| outer.start <= span.start && span.end <= outer.end;
             // The later of two changes at one path applies.
@@ -101,7 +104,7 @@ impl PipelineEdit {
         let around = at.map_or_else(|| vec![tree.span.clone()], |at| tree.around(at));
         let blamed = around.iter().map(inside).find(|blamed| !blamed.is_empty()).unwrap_or_default();
         if let [only] = blamed[..]
-            && let Some(SettingPlace { tree, kind: Some(kind), .. }) = &places[only]
+            && let Some(Setting { tree, kind: Some(kind), .. }) = &settings[only]
             && at.is_some_and(|at| (tree.span.start..=tree.span.end).contains(&at))
             && (hint == TypeHint::Always
                 || hint == TypeHint::AtLeaf && tree.fields().is_empty() && tree.items().is_empty())
@@ -111,23 +114,25 @@ impl PipelineEdit {
         EditFault { message, blamed: blamed.into_iter().map(|k| self.changes[k].clone()).collect() }
     }
 
+    /// Parses the text.
     fn tree(&self) -> RonTree {
         RonTree::parse(&self.text).expect("text written by the program and parsed edits are valid values")
     }
 
+    /// Applies text edits from the last to the first, so that the ranges of the others stay valid.
     fn edit(&mut self, mut edits: Vec<TextEdit>) {
         edits.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
         edits.into_iter().for_each(|(span, text)| self.text.replace_range(span, &text));
     }
 }
 
-/// Text edits of `tree` for `change`.
+/// Returns the text edits of `tree` for `change`.
 fn edits(tree: &RonTree, change: &Change) -> Result<Vec<TextEdit>, String> {
-    let place = SettingPlace::at(&change.path, tree)?;
-    let value = place.complete(change.value.trim());
+    let setting = Setting::at(&change.path, tree)?;
+    let value = setting.complete(change.value.trim());
     let new = RonTree::parse(&value).map_err(|why| format!("{} is not a value: {why}", quoted(change.value.trim())))?;
     let mut edits = Vec::new();
-    place.put(&new, &value, &mut edits)?;
+    setting.put(&new, &value, &mut edits)?;
     Ok(edits)
 }
 
@@ -165,8 +170,8 @@ impl Pipeline {
     /// [`Error::Config`] with the names of invalid changes.
     pub fn change(&mut self, changes: &[Change]) -> Result<()> {
         let mut draft = PipelineEdit::of(self)?;
-        let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
-        *self = made.map_err(EditFault::in_arguments)?;
+        let changed = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
+        *self = changed.map_err(EditFault::in_arguments)?;
         Ok(())
     }
 
@@ -184,7 +189,8 @@ impl Pipeline {
     /// # Errors
     /// Same as [`Self::change`].
     pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
-        let changes: Result<Vec<Change>> = arguments.iter().map(|one| Change::argument(one.as_ref())).collect();
+        let changes: Result<Vec<Change>> =
+            arguments.iter().map(|argument| Change::argument(argument.as_ref())).collect();
         self.change(&changes?)
     }
 
@@ -196,7 +202,7 @@ impl Pipeline {
         self.set_all(&[argument])
     }
 
-    /// Training plan, with `training.scale` applied.
+    /// Returns the training plan, with `training.scale` applied.
     ///
     /// # Errors
     /// Same as [`Self::resolved`].

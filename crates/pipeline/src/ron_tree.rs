@@ -43,58 +43,62 @@ impl RonTree {
         if reader.at < text.len() { Err(reader.unexpected("the end")) } else { Ok(tree) }
     }
 
-    /// The field called `name`.
+    /// Returns the field called `name`.
     pub fn field(&self, name: &str) -> Option<&Self> {
         self.fields().iter().find(|(field, _)| field == name).map(|(_, tree)| tree)
     }
 
-    /// All named fields, or none.
+    /// Returns all named fields, or none.
     pub fn fields(&self) -> &[(String, Self)] {
         if let RonBody::Fields(fields) = &self.body { fields } else { &[] }
     }
 
-    /// All unnamed values, or none.
+    /// Returns all unnamed values, or none.
     pub fn items(&self) -> &[Self] {
         if let RonBody::Items(items) = &self.body { items } else { &[] }
     }
 
-    /// Text ranges of the keys of a map, bytes; none for other values.
+    /// Returns the text ranges of the keys of a map, bytes; none for other values.
     pub fn keys(&self, text: &str) -> Vec<Range<usize>> {
         let mut reader = Reader { text, at: self.span.start };
         if reader.peek() == Some('{') { reader.map(0).unwrap_or_default() } else { Vec::new() }
     }
 
-    /// Text ranges of the values that contain the byte `at`, smallest first; both ends count.
+    /// Returns the text ranges of the values that contain the byte `at`, smallest first; both ends count.
     pub fn around(&self, at: usize) -> Vec<Range<usize>> {
         if !(self.span.start..=self.span.end).contains(&at) {
             return Vec::new();
         }
         let parts = self.fields().iter().map(|(_, tree)| tree).chain(self.items());
-        let mut around = parts.map(|part| part.around(at)).find(|found| !found.is_empty()).unwrap_or_default();
+        let mut around = parts.map(|part| part.around(at)).find(|ranges| !ranges.is_empty()).unwrap_or_default();
         around.push(self.span.clone());
         around
     }
 
-    /// Text of this value.
+    /// Returns the text of this value.
     pub fn of<'a>(&self, text: &'a str) -> &'a str {
         &text[self.span.clone()]
     }
 }
 
+/// Position in a text that is parsed.
 struct Reader<'a> {
     text: &'a str,
     at: usize,
 }
 
 impl Reader<'_> {
+    /// Returns the text that has not been read.
     fn rest(&self) -> &str {
         &self.text[self.at..]
     }
 
+    /// Returns the next character without reading it.
     fn peek(&self) -> Option<char> {
         self.rest().chars().next()
     }
 
+    /// Returns the error at this position.
     fn unexpected(&self, expected: &str) -> String {
         match self.peek() {
             Some(found) => format!("expected {expected}, found `{}`", found.escape_debug()),
@@ -126,22 +130,24 @@ impl Reader<'_> {
         Ok(())
     }
 
+    /// Skips `sign`, and returns whether it was there.
     fn take(&mut self, sign: char) -> bool {
-        let found = self.rest().starts_with(sign);
-        self.at += if found { sign.len_utf8() } else { 0 };
-        found
+        let is_next = self.rest().starts_with(sign);
+        self.at += if is_next { sign.len_utf8() } else { 0 };
+        is_next
     }
 
     /// Reads letters, digits and `_`; for numbers also signs and points.
-    fn word(&mut self, more: &str) -> &str {
-        let raw = self.rest().strip_prefix("r#").is_some_and(|rest| rest.starts_with(char::is_alphabetic));
-        self.at += if raw { 2 } else { 0 };
-        let end = self.rest().find(|c: char| !(c.is_alphanumeric() || c == '_' || more.contains(c)));
+    fn word(&mut self, further: &str) -> &str {
+        let is_raw = self.rest().strip_prefix("r#").is_some_and(|rest| rest.starts_with(char::is_alphabetic));
+        self.at += if is_raw { 2 } else { 0 };
+        let end = self.rest().find(|c: char| !(c.is_alphanumeric() || c == '_' || further.contains(c)));
         let (from, length) = (self.at, end.unwrap_or(self.rest().len()));
         self.at += length;
         &self.text[from..from + length]
     }
 
+    /// Parses a value of any type.
     fn value(&mut self, depth: usize) -> Result<RonTree, String> {
         if depth > DEEPEST {
             return Err("values are nested too deep".into());
@@ -237,6 +243,7 @@ impl Reader<'_> {
         }
     }
 
+    /// Parses values between the signs `open` and `close`.
     fn items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<RonTree>, String> {
         let mut items = Vec::new();
         self.take(open);

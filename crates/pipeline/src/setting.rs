@@ -1,4 +1,4 @@
-//! `SettingPlace`: a value in the text of a pipeline, found by its path, with its type.
+//! `Setting`: a value in the text of a pipeline, found by its path, with its type.
 
 use crate::changes::shortened;
 use crate::pipeline::Pipeline;
@@ -9,7 +9,7 @@ use pwrfgs_core::plugin::{PluginFamily, removed_field};
 use std::ops::Range;
 
 /// Value in a pipeline, with its type if known.
-pub(crate) struct SettingPlace<'a> {
+pub(crate) struct Setting<'a> {
     /// Path, for messages.
     name: String,
     pub(crate) tree: &'a RonTree,
@@ -19,14 +19,14 @@ pub(crate) struct SettingPlace<'a> {
 /// Text range and its replacement.
 pub(crate) type TextEdit = (Range<usize>, String);
 
-impl<'a> SettingPlace<'a> {
+impl<'a> Setting<'a> {
     /// Finds the value at `path`.
     pub(crate) fn at(path: &str, tree: &'a RonTree) -> Result<Self, String> {
-        let mut place = Self { name: String::new(), tree, kind: Some(DocKind::Of(Docs::of::<Pipeline>())) };
+        let mut setting = Self { name: String::new(), tree, kind: Some(DocKind::Of(Docs::of::<Pipeline>())) };
         for step in path.trim().split('.') {
-            place = place.step(step.trim())?;
+            setting = setting.step(step.trim())?;
         }
-        Ok(place)
+        Ok(setting)
     }
 
     /// Finds the part `step` of this value.
@@ -38,7 +38,7 @@ impl<'a> SettingPlace<'a> {
             return Ok(Self {
                 name: path,
                 tree: inner,
-                kind: field(kind.as_ref(), tree, step).map(|f| f.kind.clone()),
+                kind: field_docs(kind.as_ref(), tree, step).map(|f| f.kind.clone()),
             });
         }
         if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
@@ -47,13 +47,13 @@ impl<'a> SettingPlace<'a> {
         if tree.name.as_deref() == Some(step) && !tree.fields().is_empty() {
             return Ok(Self { name: path, tree, kind });
         }
-        let plugin = match kind.as_ref().map(inside) {
+        let plugin = match kind.as_ref().map(inner_kind) {
             Some(DocKind::Plugin(kind)) => Some(*kind),
             _ => None,
         };
         if let (false, RonBody::Items(items)) = (tree.name.is_some(), &tree.body) {
-            let item = |tree| Self { name: path, tree, kind: kind.map(|k| part(&k, step)) };
-            return listed(&here, &name, items, step).map(item);
+            let item = |tree| Self { name: path, tree, kind: kind.map(|k| item_kind(&k, step)) };
+            return list_item(&here, &name, items, step).map(item);
         }
         let names = || tree.fields().iter().map(|(field, _)| field.as_str());
         let subject = match (plugin, &tree.name) {
@@ -64,7 +64,10 @@ impl<'a> SettingPlace<'a> {
             return Err(format!("{subject} {why}"));
         }
         if names().next().is_none() {
-            return Err(format!("{subject} has no fields, so `{step}` is unknown{}", whole(plugin, &name, step)));
+            return Err(format!(
+                "{subject} has no fields, so `{step}` is unknown{}",
+                complete_plugin_hint(plugin, &name, step)
+            ));
         }
         let mut deeper = if name.is_empty() { paths_to(step, tree) } else { Vec::new() };
         let depth = |path: &String| path.matches('.').count();
@@ -75,9 +78,9 @@ impl<'a> SettingPlace<'a> {
             [] => did_you_mean(step, names()),
             _ => format!("; did you mean `{}`?", deeper.join("` or `")),
         };
-        let whole = whole(plugin, &name, step);
+        let plugin_hint = complete_plugin_hint(plugin, &name, step);
         Err(format!(
-            "{subject} has no field {}{hint} (fields: `{}`){whole}",
+            "{subject} has no field {}{hint} (fields: `{}`){plugin_hint}",
             quoted(step),
             names().collect::<Vec<_>>().join("`, `")
         ))
@@ -85,47 +88,47 @@ impl<'a> SettingPlace<'a> {
 
     /// Adds omitted quotes around text or a path, and parentheses after a plugin.
     pub(crate) fn complete(&self, value: &str) -> String {
-        let (optional, kind) = match &self.kind {
+        let (is_optional, kind) = match &self.kind {
             Some(DocKind::Optional(inner)) => (true, Some(&**inner)),
             other => (false, other.as_ref()),
         };
-        let text = matches!(kind, Some(DocKind::Plain("text" | "path")))
-            || (kind.is_none_or(|k| matches!(k, DocKind::Plain(_))) && self.old_text());
-        if text {
-            let given = value.starts_with('"') || value.starts_with("r\"") || value.starts_with("r#");
-            let absent = optional && (value == "None" || value.starts_with("Some("));
-            return if given || absent { value.to_owned() } else { format!("{value:?}") };
+        let is_text = matches!(kind, Some(DocKind::Plain("text" | "path")))
+            || (kind.is_none_or(|k| matches!(k, DocKind::Plain(_))) && self.is_text());
+        if is_text {
+            let is_quoted = value.starts_with('"') || value.starts_with("r\"") || value.starts_with("r#");
+            let is_complete = is_optional && (value == "None" || value.starts_with("Some("));
+            return if is_quoted || is_complete { value.to_owned() } else { format!("{value:?}") };
         }
-        let bare = value.starts_with(char::is_alphabetic) && value.chars().all(|c| c.is_alphanumeric() || c == '_');
-        let absent = value == "None" && optional;
-        let plugin = matches!(kind, Some(DocKind::Plugin(_)));
-        if bare && plugin && !absent { format!("{value}()") } else { value.to_owned() }
+        let is_name = value.starts_with(char::is_alphabetic) && value.chars().all(|c| c.is_alphanumeric() || c == '_');
+        let is_none = value == "None" && is_optional;
+        let is_plugin = matches!(kind, Some(DocKind::Plugin(_)));
+        if is_name && is_plugin && !is_none { format!("{value}()") } else { value.to_owned() }
     }
 
-    /// Whether the present value is text.
-    fn old_text(&self) -> bool {
+    /// Returns whether the present value is text.
+    fn is_text(&self) -> bool {
         self.tree.name.is_none() && self.tree.body == RonBody::Plain && self.tree.quoted
     }
 
     /// Replaces this value by `new`, a value of `text`.
     pub(crate) fn put(self, new: &RonTree, text: &str, edits: &mut Vec<TextEdit>) -> Result<(), String> {
-        let settings = matches!(self.kind, Some(DocKind::Of(Docs { body: Parts::Fields(_), .. })));
-        let merges = settings || new.name.is_none();
+        let has_fields = matches!(self.kind, Some(DocKind::Of(Docs { body: Parts::Fields(_), .. })));
+        let merges = has_fields || new.name.is_none();
         if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
             edits.push((self.tree.span.clone(), new.of(text).to_owned()));
             return Ok(());
         }
         for (field, value) in new.fields() {
-            let here = SettingPlace { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
-            here.step(field)?.put(value, text, edits)?;
+            let parent = Setting { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
+            parent.step(field)?.put(value, text, edits)?;
         }
         Ok(())
     }
 }
 
-/// Positions of all paths in the value `tree` of `text`, according to its type.
+/// Returns the positions of all paths in the value `tree` of `text`, according to its type.
 pub(crate) fn paths<'a>(kind: &DocKind, tree: &'a RonTree, text: &str) -> Vec<&'a RonTree> {
-    let kind = inside(kind);
+    let kind = inner_kind(kind);
     if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
         return paths(kind, inner, text);
     }
@@ -135,17 +138,17 @@ pub(crate) fn paths<'a>(kind: &DocKind, tree: &'a RonTree, text: &str) -> Vec<&'
         kind => kind.docs(),
     };
     let variant = tree.name.as_deref();
-    let of_field = |(name, value)| Some((docs?.field(variant, name)?.kind.clone(), value));
-    let fields = tree.fields().iter().map(|(name, value)| (name.as_str(), value)).filter_map(of_field);
-    let items = tree.items().iter().enumerate().map(|(place, item)| (part(kind, &place.to_string()), item));
+    let field_kind = |(name, value)| Some((docs?.field(variant, name)?.kind.clone(), value));
+    let fields = tree.fields().iter().map(|(name, value)| (name.as_str(), value)).filter_map(field_kind);
+    let items = tree.items().iter().enumerate().map(|(index, item)| (item_kind(kind, &index.to_string()), item));
     fields.chain(items).flat_map(|(kind, value)| paths(&kind, value, text)).collect()
 }
 
-/// Documentation of a field of the value `tree`.
-fn field(kind: Option<&DocKind>, tree: &RonTree, name: &str) -> Option<&'static DocField> {
+/// Returns the documentation of a field of the value `tree`.
+fn field_docs(kind: Option<&DocKind>, tree: &RonTree, name: &str) -> Option<&'static DocField> {
     match kind? {
         DocKind::Of(docs) => docs.field(tree.name.as_deref(), name),
-        DocKind::Optional(inner) => field(Some(inner), tree, name),
+        DocKind::Optional(inner) => field_docs(Some(inner), tree, name),
         DocKind::Plugin(kind) => {
             let members = (PluginFamily::find(kind)?.members)();
             members.iter().find(|m| Some(m.name) == tree.name.as_deref())?.docs?.field(None, name)
@@ -154,25 +157,25 @@ fn field(kind: Option<&DocKind>, tree: &RonTree, name: &str) -> Option<&'static 
     }
 }
 
-/// Inner type of an `Option`.
-fn inside(kind: &DocKind) -> &DocKind {
-    if let DocKind::Optional(inner) = kind { inside(inner) } else { kind }
+/// Returns the inner type of an `Option`.
+fn inner_kind(kind: &DocKind) -> &DocKind {
+    if let DocKind::Optional(inner) = kind { inner_kind(inner) } else { kind }
 }
 
-/// Type of an element of a list.
-fn part(kind: &DocKind, step: &str) -> DocKind {
-    match inside(kind) {
+/// Returns the type of an element of a list.
+fn item_kind(kind: &DocKind, step: &str) -> DocKind {
+    match inner_kind(kind) {
         DocKind::List(inner) => (**inner).clone(),
         DocKind::Tuple(parts) => step.parse().ok().and_then(|i: usize| parts.get(i)).unwrap_or(kind).clone(),
         other => other.clone(),
     }
 }
 
-/// Element `step` of a list: a number, counted from 0, or a unique name.
-fn listed<'a>(here: &str, path: &str, items: &'a [RonTree], step: &str) -> Result<&'a RonTree, String> {
+/// Returns the element `step` of a list: a number, counted from 0, or a unique name.
+fn list_item<'a>(list: &str, path: &str, items: &'a [RonTree], step: &str) -> Result<&'a RonTree, String> {
     if let Ok(index) = step.parse::<usize>() {
         let count = items.len();
-        let none = || format!("{here} has {count} entries, counted from 0, but no entry {step}");
+        let none = || format!("{list} has {count} entries, counted from 0, but no entry {step}");
         return items.get(index).ok_or_else(none);
     }
     let named: Vec<usize> = (0..items.len()).filter(|&i| items[i].name.as_deref() == Some(step)).collect();
@@ -181,38 +184,38 @@ fn listed<'a>(here: &str, path: &str, items: &'a [RonTree], step: &str) -> Resul
         [] => {
             let names: Vec<&str> = items.iter().filter_map(|item| item.name.as_deref()).collect();
             let hint = did_you_mean(step, names.iter().copied());
-            let there =
+            let entries =
                 if names.is_empty() { "it is empty".into() } else { format!("there are `{}`", names.join("`, `")) };
-            Err(format!("{here} has no entry {}{hint} ({there}); to add one, give the complete list", quoted(step)))
+            Err(format!("{list} has no entry {}{hint} ({entries}); to add one, give the complete list", quoted(step)))
         }
         _ => {
-            let places: Vec<String> = named.iter().map(|i| format!("`{path}.{i}`")).collect();
-            Err(format!("{here} has {} entries `{step}`; select one: {}", named.len(), places.join(", ")))
+            let paths: Vec<String> = named.iter().map(|i| format!("`{path}.{i}`")).collect();
+            Err(format!("{list} has {} entries `{step}`; select one: {}", named.len(), paths.join(", ")))
         }
     }
 }
 
-/// Paths below `tree` that end in the field `name`.
+/// Returns the paths below `tree` that end in the field `name`.
 fn paths_to(name: &str, tree: &RonTree) -> Vec<String> {
     let inner = |step: &str, value: &RonTree| -> Vec<String> {
         paths_to(name, value).into_iter().map(|path| format!("{step}.{path}")).collect()
     };
-    let of_field = |(field, value): &(String, RonTree)| {
+    let paths_of_field = |(field, value): &(String, RonTree)| {
         let mut paths: Vec<String> = inner(field, value);
         paths.extend((field == name).then(|| name.to_owned()));
         paths
     };
     let items = tree.items();
-    let of_item = |(place, item): (usize, &RonTree)| {
+    let paths_of_item = |(index, item): (usize, &RonTree)| {
         let is_unique = item.name.is_some() && items.iter().filter(|other| other.name == item.name).count() == 1;
         let step = item.name.clone().filter(|_| is_unique && tree.name.is_none());
-        inner(&step.unwrap_or_else(|| place.to_string()), item)
+        inner(&step.unwrap_or_else(|| index.to_string()), item)
     };
-    tree.fields().iter().flat_map(of_field).chain(items.iter().enumerate().flat_map(of_item)).collect()
+    tree.fields().iter().flat_map(paths_of_field).chain(items.iter().enumerate().flat_map(paths_of_item)).collect()
 }
 
-/// Hint to give the complete plugin if another plugin of this kind has the field.
-fn whole(kind: Option<&'static str>, path: &str, step: &str) -> String {
+/// Returns the hint to give the complete plugin if another plugin of this kind has the field.
+fn complete_plugin_hint(kind: Option<&'static str>, path: &str, step: &str) -> String {
     let members = kind.and_then(PluginFamily::find).map(|family| (family.members)()).unwrap_or_default();
     let other = members.iter().find(|m| m.docs.is_some_and(|docs| docs.field(None, step).is_some()));
     other.map_or_else(String::new, |m| {
