@@ -103,7 +103,7 @@ fn surface_point_file_round_trips_with_title() {
     let cloud = sample_on(&wall(2.5, 6.0, 3.0), 1000, 0);
     let bytes = ply(&cloud, "scene: büro\r\n\nend_header\n");
     let head = "ply\nformat binary_little_endian 1.0\n\
-        comment simulated by pwrfgs: points sample_on the surfaces of a scene, metres\ncomment scene: b?ro\n\
+        comment simulated by pwrfgs: points on the surfaces of a scene, metres\ncomment scene: b?ro\n\
         comment end_header\nelement vertex 1000\nproperty float x\nproperty float y\nproperty float z\n\
         property float nx\nproperty float ny\nproperty float nz\nend_header\n";
     assert!(bytes.starts_with(head.as_bytes()), "{}", String::from_utf8_lossy(&bytes[..400]));
