@@ -1,8 +1,8 @@
 //! `Canvas`: a drawing as a list of a few shapes, written as SVG, PNG and PDF.
 //!
-//! Charts, rooms, skies and sheets draw on it. All formats are written from the same list, so they agree. Nothing is
-//! loaded from outside: images in a drawing are pixels in memory. Lengths are SVG units; a print column is 380 wide. y
-//! points down.
+//! Charts, rooms, sky plots and tables draw on it. All formats are written from the same list, so they agree. Nothing
+//! is loaded from outside: images in a drawing are pixels in memory. Lengths are SVG units; a print column is 380 wide.
+//! y points down.
 
 mod font;
 mod pdf;
@@ -47,7 +47,7 @@ impl Colour {
         Self { opacity, ..self }
     }
 
-    /// CSS notation without opacity.
+    /// Returns the CSS notation without opacity.
     pub fn css(self) -> String {
         let [r, g, b] = self.rgb;
         format!("#{r:02x}{g:02x}{b:02x}")
@@ -139,17 +139,17 @@ impl VectorPath {
         self.add(&[[x + r, y - r], [x - r, y + r]]);
     }
 
-    /// Whether all points are finite and the shape is visible: a line of length 0 is visible only
+    /// Returns whether all points are finite and the shape is visible: a line of length 0 is visible only
     /// with round ends.
-    fn shows(&self, paint: &Paint) -> bool {
-        let ends = |step: &Step| match *step {
+    fn is_visible(&self, paint: &Paint) -> bool {
+        let points_of = |step: &Step| match *step {
             Step::Move(p) | Step::Line(p) => Some([p, p]),
             Step::Quad(c, p) => Some([c, p]),
             Step::Close => None,
         };
-        let points: Vec<Point> = self.0.iter().filter_map(ends).flatten().collect();
-        let extended = paint.round || points.windows(2).any(|pair| pair[0] != pair[1]);
-        self.0.len() > 1 && extended && points.iter().all(is_place)
+        let points: Vec<Point> = self.0.iter().filter_map(points_of).flatten().collect();
+        let has_extent = paint.round || points.windows(2).any(|pair| pair[0] != pair[1]);
+        self.0.len() > 1 && has_extent && points.iter().all(is_finite_point)
     }
 
     /// Closes the subpath.
@@ -244,7 +244,7 @@ impl Canvas {
 
     /// Adds a path, unless it is invisible or not finite.
     pub fn path(&mut self, path: VectorPath, paint: Paint) {
-        if path.shows(&paint) {
+        if path.is_visible(&paint) {
             self.shapes.push(Shape::Path(path, paint));
         }
     }
@@ -266,13 +266,14 @@ impl Canvas {
 
     /// Adds a circle, unless it is not finite or has no size.
     pub fn circle(&mut self, middle: Point, radius: f64, paint: Paint) {
-        if is_place(&middle) && radius.is_finite() && radius > 0.0 {
+        if is_finite_point(&middle) && radius.is_finite() && radius > 0.0 {
             self.shapes.push(Shape::Circle(middle, radius, paint));
         }
     }
 
+    /// Adds text, unless its position is not finite.
     fn write(&mut self, at: Point, anchor: Anchor, upright: bool, words: &str) {
-        if is_place(&at) {
+        if is_finite_point(&at) {
             let words = single_line(words);
             self.shapes.push(Shape::Text(Text { at, anchor, letters: self.letters, upright, words }));
         }
@@ -313,13 +314,13 @@ impl Canvas {
     }
 }
 
-/// Text from untrusted files as one line without control characters.
+/// Returns the text from untrusted files as one line without control characters.
 pub fn single_line(text: &str) -> String {
     messages::escape_control(&text.replace(char::is_whitespace, " "))
 }
 
-/// Whether a point is finite.
-fn is_place(at: &Point) -> bool {
+/// Returns whether a point is finite.
+fn is_finite_point(at: &Point) -> bool {
     at.iter().all(|v| v.is_finite())
 }
 
@@ -331,13 +332,14 @@ pub(crate) mod outside {
     use std::cell::{Cell, RefCell};
 
     thread_local! {
-        static FOUND: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+        static LEAVING: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
         static WRITTEN: Cell<usize> = const { Cell::new(0) };
     }
 
-    /// Number of drawings of this thread since the last call, and their texts that leave the canvas.
+    /// Resets and returns the number of drawings of this thread since the last call, and their texts that leave the
+    /// canvas.
     pub(crate) fn take() -> (usize, Vec<String>) {
-        (WRITTEN.take(), FOUND.take())
+        (WRITTEN.take(), LEAVING.take())
     }
 
     /// Records the texts of a drawing that leave it.
@@ -349,17 +351,20 @@ pub(crate) mod outside {
         // Text may touch the border.
         let is_inside = |p: &Point| (0..2).all(|k| (-0.05..=size[k] + 0.05).contains(&p[k]));
         texts.retain(|(_, points)| !points.iter().all(is_inside));
-        FOUND.with_borrow_mut(|found| found.extend(texts.into_iter().map(|(words, _)| format!("{words} in {size:?}"))));
+        LEAVING.with_borrow_mut(|leaving| {
+            leaving.extend(texts.into_iter().map(|(words, _)| format!("{words} in {size:?}")))
+        });
     }
 
+    /// Collects all texts with the points of their outlines on the canvas.
     fn collect(shapes: &[Shape], at: Point, scale: f64, texts: &mut Vec<(String, Vec<Point>)>) {
-        let place = |p: Point| [at[0] + scale * p[0], at[1] + scale * p[1]];
+        let to_canvas = |p: Point| [at[0] + scale * p[0], at[1] + scale * p[1]];
         for shape in shapes {
             match shape {
-                Shape::Group(to, by, shapes) => collect(shapes, place(*to), scale * by, texts),
+                Shape::Group(to, by, shapes) => collect(shapes, to_canvas(*to), scale * by, texts),
                 Shape::Text(text) => {
                     let end = |step: &Step| match *step {
-                        Step::Move(p) | Step::Line(p) | Step::Quad(_, p) => Some(place(p)),
+                        Step::Move(p) | Step::Line(p) | Step::Quad(_, p) => Some(to_canvas(p)),
                         Step::Close => None,
                     };
                     texts.push((text.words.clone(), outlines(text).0.iter().filter_map(end).collect()));

@@ -41,6 +41,7 @@ impl TensorBundle {
         self.insert(name, Dtype::U8, shape, bytes);
     }
 
+    /// Adds an array.
     fn insert(&mut self, name: &str, dtype: Dtype, shape: &[usize], bytes: Vec<u8>) {
         let size = if dtype == Dtype::U8 { 1 } else { 4 };
         assert_eq!(shape.iter().product::<usize>() * size, bytes.len(), "an array fills its shape");
@@ -70,18 +71,18 @@ pub struct PartitionedData<'a> {
     pub links: &'a [usize],
 }
 
-/// Room: receivers, bounds, at most `points` surface points, and transmitter, set and score of every link.
+/// Returns the room: receivers, bounds, at most `points` surface points, and transmitter, set and score of every link.
 /// `setup` is that of the model; `means` are points that the room must contain if there are no data.
 pub fn room(
     setup: &MeasurementSetup,
-    known: Option<PartitionedData<'_>>,
+    measured: Option<PartitionedData<'_>>,
     means: &[[Real; 3]],
     points: usize,
 ) -> TensorBundle {
-    let origin = origin(setup, known.map(|known| known.data));
-    let receivers = known.map_or(&setup.receivers, |known| &known.data.scene.receivers);
-    let own = known.map_or(setup.origin, |known| known.data.scene.origin);
-    let poses: Vec<(&str, Pose)> = receivers.iter().map(|r| (r.name.as_str(), own.world_pose(r.pose))).collect();
+    let origin = origin(setup, measured.map(|measured| measured.data));
+    let receivers = measured.map_or(&setup.receivers, |measured| &measured.data.scene.receivers);
+    let frame = measured.map_or(setup.origin, |measured| measured.data.scene.origin);
+    let poses: Vec<(&str, Pose)> = receivers.iter().map(|r| (r.name.as_str(), frame.world_pose(r.pose))).collect();
     let plane = &setup.plane;
     let mut note = json!({
         "format": "pwrfgs-room",
@@ -95,32 +96,33 @@ pub fn room(
         "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
         "frequencies_hz": setup.frequencies_hz,
     });
-    let places = poses.iter().map(|(_, pose)| origin.local(pose.position));
-    note["bounds"] = match known {
-        Some(known) => json!([known.data.scene.bounds.0, known.data.scene.bounds.1]),
-        None => bounds(means.iter().copied().chain(places)),
+    let positions = poses.iter().map(|(_, pose)| origin.local(pose.position));
+    note["bounds"] = match measured {
+        Some(measured) => json!([measured.data.scene.bounds.0, measured.data.scene.bounds.1]),
+        None => bounds(means.iter().copied().chain(positions)),
     };
-    if let Some(known) = known {
-        note["title"] = json!(known.data.title);
-        note["simulated"] = json!(known.data.is_simulated());
-        note["placed"] = json!(known.data.placed);
+    if let Some(measured) = measured {
+        note["title"] = json!(measured.data.title);
+        note["simulated"] = json!(measured.data.is_simulated());
+        note["placed"] = json!(measured.data.placed);
     }
     let mut tensors = TensorBundle::new(note);
     for (name, colour) in [("power", sequential as fn(f64) -> [u8; 3]), ("error", |t| diverging(2.0 * t - 1.0))] {
         let all = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
         tensors.put_bytes(&format!("colours.{name}"), &[256, 3], all);
     }
-    if let Some(known) = known {
-        put_data(&mut tensors, known, points);
+    if let Some(measured) = measured {
+        put_data(&mut tensors, measured, points);
     }
     tensors
 }
 
-/// Origin of all coordinates of a page.
+/// Returns the origin of all coordinates of a page.
 pub fn origin(setup: &MeasurementSetup, data: Option<&Dataset>) -> Origin {
     data.map_or(setup.origin, |data| data.scene.origin)
 }
 
+/// Adds the point cloud, and transmitter, receiver, set and score of each link.
 fn put_data(
     tensors: &mut TensorBundle,
     PartitionedData { data, partition, scores, links }: PartitionedData<'_>,
@@ -136,22 +138,23 @@ fn put_data(
     tensors.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
 }
 
+/// Describes a receiver.
 fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
     json!({ "name": name, "position": origin.local(pose.position), "boresight": pose.turned([0.0, 0.0, 1.0]) })
 }
 
-/// Bounding box of some points; a metre wide if there are none.
-fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
+/// Returns the bounding box of some points; a metre wide if there are none.
+fn bounds(points: impl Iterator<Item = [Real; 3]>) -> Value {
     let start = ([Real::INFINITY; 3], [Real::NEG_INFINITY; 3]);
-    let (low, high) = places.fold(start, |(low, high), p| {
+    let (low, high) = points.fold(start, |(low, high), p| {
         (std::array::from_fn(|k| low[k].min(p[k])), std::array::from_fn(|k| high[k].max(p[k])))
     });
     if low[0] > high[0] { json!([[-1, -1, -1], [1, 1, 1]]) } else { json!([low, high]) }
 }
 
-/// Means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx` (metres,
-/// world frame) the values for a transmitter at this position. A strength is the grey value of the Gaussian alone, if
-/// it were opaque.
+/// Returns the means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx`
+/// (metres, world frame) the values for a transmitter at this position. A strength is the grey value of the Gaussian
+/// alone, if it were opaque.
 pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> TensorBundle {
     let mut tensors = TensorBundle::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
@@ -160,16 +163,31 @@ pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> T
         tensors.put(name, &[n, width], values);
     };
     put(&mut tensors, "means", 3, ensemble.means_from(origin).into_flattened());
-    put(&mut tensors, "scales", 3, all.iter().flat_map(|own| own.primitives.scales.as_flattened().to_vec()).collect());
-    put(&mut tensors, "quats", 4, all.iter().flat_map(|own| own.primitives.quats.as_flattened().to_vec()).collect());
-    put(&mut tensors, "opacities", 1, all.iter().flat_map(|own| own.primitives.opacities.clone()).collect());
+    put(
+        &mut tensors,
+        "scales",
+        3,
+        all.iter().flat_map(|gaussians| gaussians.primitives.scales.as_flattened().to_vec()).collect(),
+    );
+    put(
+        &mut tensors,
+        "quats",
+        4,
+        all.iter().flat_map(|gaussians| gaussians.primitives.quats.as_flattened().to_vec()).collect(),
+    );
+    put(
+        &mut tensors,
+        "opacities",
+        1,
+        all.iter().flat_map(|gaussians| gaussians.primitives.opacities.clone()).collect(),
+    );
     put(&mut tensors, "strengths", 1, all.iter().flat_map(strengths).collect());
     tensors
 }
 
-/// Strengths of the Gaussians, `[N]`; 0 if the method has none.
-pub fn strengths(own: &Activated) -> Vec<Real> {
-    own.strengths.clone().unwrap_or_else(|| vec![0.0; own.primitives.len()])
+/// Returns the strengths of the Gaussians, `[N]`; 0 if the method has none.
+pub fn strengths(gaussians: &Activated) -> Vec<Real> {
+    gaussians.strengths.clone().unwrap_or_else(|| vec![0.0; gaussians.primitives.len()])
 }
 
 /// Markup of the stage, the interactive part of a page.

@@ -79,34 +79,34 @@ pub fn room_page(run: &LoadedRun<'_>) -> Result<(String, bool)> {
     let live = live::section(run);
     let has = |part: &str| live.get_attr(part).is_ok_and(|value| value.is_true());
     if !has("stage") {
-        let what = "no transmitter positions or no test set, which the page of a room needs";
-        return Err(Error::Config(format!("{}: {what}", run.record.folder.display())));
+        let problem = "no transmitter positions or no test set, which the page of a room needs";
+        return Err(Error::Config(format!("{}: {problem}", run.record.folder.display())));
     }
     let predicts = has("model");
     let context = context! { name => run.record.pipeline.name.clone(), style => PAGE_STYLE, live };
     Ok((render("room.html", context)?, predicts))
 }
 
-/// Words for the parts of a model and its observations.
+/// Returns the words for the parts of a model and its observations.
 fn words(run: &LoadedRun<'_>) -> Value {
     let task = run.data.task();
     let [singular, plural] = task.counted;
     let size = task.size_text((run.data.width, run.data.height)).map(|size| size.replace(" x ", " × "));
     let (first, rest) = plural.split_at(1);
-    let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
+    let draws_splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let none = run.model.gaussians() == 0;
-    let parts = if splats || none { "Gaussians" } else { "Virtual transmitters" };
+    let parts = if draws_splats || none { "Gaussians" } else { "Virtual transmitters" };
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
-/// Pipeline text; for an ensemble, the one that scores it.
+/// Returns the pipeline text; for an ensemble, the one that scores it.
 fn settings(run: &LoadedRun<'_>) -> Result<String> {
     let is_joined = run.model.members().len() > 1;
     let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";
     Ok(if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()?)
 }
 
-/// Name, number of Gaussians and page of each member of an ensemble.
+/// Returns the name, number of Gaussians and page of each member of an ensemble.
 fn members(run: &LoadedRun<'_>) -> Vec<Value> {
     let models = run.model.names().iter().zip(run.model.members());
     let member = |(folder, (name, model)): (&String, (&String, &Model))| {
@@ -119,7 +119,7 @@ fn members(run: &LoadedRun<'_>) -> Vec<Value> {
 /// Text height on the axes.
 const TEXT: f64 = 10.5;
 
-/// Three panels with legend and note; only the last panel if no snapshots of the training
+/// Returns three panels with legend and note; only the last panel if no snapshots of the training
 /// exist.
 fn room(run: &LoadedRun<'_>) -> Result<Value> {
     let last = Snapshot::of_ensemble(run.record.facts.steps, run.model);
@@ -132,12 +132,12 @@ fn room(run: &LoadedRun<'_>) -> Result<Value> {
     let clouds: Vec<&Snapshot> = snapshots.iter().map(|m| &m.1).collect();
     let room = RoomFigure::new(run.data, run.partition, &clouds, TEXT);
     let panel = |(title, snapshot): &(String, Snapshot)| {
-        let Panel { title, numbers, picture, caption } = room.panel(title, snapshot, run.data);
-        let svg = picture.svg("room", &title);
+        let Panel { title, numbers, drawing, caption } = room.panel(title, snapshot, run.data);
+        let svg = drawing.svg("room", &title);
         context! { title, numbers, svg, caption }
     };
     let panels: Vec<Value> = snapshots.iter().map(panel).collect();
-    let symbol = |s: Symbol| (s.picture.svg("symbol", &s.meaning), s.meaning);
+    let symbol = |s: Symbol| (s.drawing.svg("symbol", &s.meaning), s.meaning);
     let legend: Vec<(String, String)> = room.legend().into_iter().map(symbol).collect();
     Ok(context! { panels, legend, note => room.note(run.data) })
 }

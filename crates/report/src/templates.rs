@@ -83,8 +83,8 @@ const SYMBOLS: &str = r"
     √ \surd ∈ \in Δ \Delta Σ \Sigma Ω \Omega Φ \Phi α \alpha β \beta γ \gamma δ \delta ε \varepsilon η \eta θ \theta
     λ \lambda μ \mu µ \mu ν \nu π \pi ρ \rho σ \sigma τ \tau φ \varphi ψ \psi ω \omega ¹ ^1 ⁻ ^-";
 
-/// Value of `c` in a list of pairs.
-fn paired(list: &'static str, c: char) -> Option<&'static str> {
+/// Returns the value of `c` in a list of pairs.
+fn replacement(list: &'static str, c: char) -> Option<&'static str> {
     let mut words = list.split_whitespace();
     while let (Some(key), Some(value)) = (words.next(), words.next()) {
         if key.chars().eq([c]) {
@@ -96,7 +96,7 @@ fn paired(list: &'static str, c: char) -> Option<&'static str> {
 
 /// Escapes text for LaTeX with T1 fonts and textcomp. Characters that the fonts lack are written as code points.
 fn tex(text: &str) -> String {
-    let escape = |c: char| match (paired(SIGNS, c), paired(SYMBOLS, c)) {
+    let escape = |c: char| match (replacement(SIGNS, c), replacement(SYMBOLS, c)) {
         (Some(shown), _) => shown.to_owned(),
         (_, Some(symbol)) => format!("\\ensuremath{{{symbol}}}"),
         // Latin-1 and Latin Extended-A but for the few that T1 has no command for.
@@ -129,9 +129,9 @@ mod tests {
 
     #[test]
     fn escapes_every_tex_special_character() {
-        let found = tex(r"\ { } $ & # ^ _ % ~");
+        let escaped = tex(r"\ { } $ & # ^ _ % ~");
         let expected = r"\textbackslash{} \{ \} \$ \& \# \textasciicircum{} \_ \% \textasciitilde{}";
-        assert_eq!(found, expected);
+        assert_eq!(escaped, expected);
         assert_eq!(tex("RT ±20% λ=0.1 --x"), "RT \\ensuremath{\\pm}20\\% \\ensuremath{\\lambda}=0.1 -{}-{}x");
         assert_eq!(tex("«ü» 模"), "«ü» {[}U+6A21{]}");
     }

@@ -7,28 +7,28 @@ use ttf_parser::{Face, GlyphId, OutlineBuilder};
 static FACE: LazyLock<Face<'static>> =
     LazyLock::new(|| Face::parse(include_bytes!("../../assets/labels.ttf"), 0).expect("the built-in font is one"));
 
-/// Glyph and its width for text of height 1; a box if the font has no such glyph.
+/// Returns the glyph and its width for text of height 1; a box if the font has no such glyph.
 fn glyph(letter: char) -> (GlyphId, f64) {
     let glyph = FACE.glyph_index(letter).unwrap_or_default();
     (glyph, f64::from(FACE.glyph_hor_advance(glyph).unwrap_or(0)) / f64::from(FACE.units_per_em()))
 }
 
-/// Width of text at the height of charts.
+/// Returns the width of text at the height of charts.
 pub fn text_width(words: &str) -> f64 {
     TEXT * words.chars().map(|c| glyph(c).1).sum::<f64>()
 }
 
-/// Outlines of a text at its position.
+/// Returns the outlines of a text at its position.
 pub(super) fn outlines(text: &Text) -> VectorPath {
     let size = text.letters.size;
-    let whole = size / TEXT * text_width(&text.words);
-    let part = match text.anchor {
+    let width = size / TEXT * text_width(&text.words);
+    let share = match text.anchor {
         Anchor::Start => 0.0,
         Anchor::Middle => 0.5,
         Anchor::End => 1.0,
     };
     let scale = size / f64::from(FACE.units_per_em());
-    let mut pen = Pen { at: text.at, along: -part * whole, scale, upright: text.upright, path: VectorPath::default() };
+    let mut pen = Pen { at: text.at, along: -share * width, scale, upright: text.upright, path: VectorPath::default() };
     for letter in text.words.chars() {
         let (glyph, width) = glyph(letter);
         FACE.outline_glyph(glyph, &mut pen);
@@ -48,6 +48,7 @@ struct Pen {
 }
 
 impl Pen {
+    /// Returns the position of a point of the font on the drawing.
     fn point(&self, x: f32, y: f32) -> Point {
         let (along, up) = (self.along + self.scale * f64::from(x), self.scale * f64::from(y));
         let [x, y] = self.at;
@@ -69,7 +70,7 @@ impl OutlineBuilder for Pen {
     }
 
     fn curve_to(&mut self, _: f32, _: f32, _: f32, _: f32, _: f32, _: f32) {
-        unreachable!("a TrueType font has parabolas alone");
+        unreachable!("a TrueType font has only parabolas");
     }
 
     fn close(&mut self) {
@@ -80,13 +81,13 @@ impl OutlineBuilder for Pen {
 /// Breaks `text` after commas into lines no wider than `width`, longer parts at spaces, but not between a word and its
 /// number; longer words are cut.
 pub fn wrapped(text: &str, width: f64) -> Vec<String> {
-    let lines = broken(text, ", ", width);
-    let parts = |line: &String| with_numbers(broken(line, " ", width), width);
+    let lines = break_after(text, ", ", width);
+    let parts = |line: &String| keep_numbers(break_after(line, " ", width), width);
     lines.iter().flat_map(parts).map(|line| cut(&line, width)).collect()
 }
 
 /// Moves the last word of a line to the next line if that begins with its number.
-fn with_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
+fn keep_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
     for k in 1..lines.len() {
         let is_number = lines[k].starts_with(|c: char| c.is_ascii_digit() || "=-−+.".contains(c));
         let Some((rest, name)) = lines[k - 1].rsplit_once(' ').filter(|_| is_number) else { continue };
@@ -99,7 +100,7 @@ fn with_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
 }
 
 /// Breaks `text` after `mark` into lines no wider than `width` if possible.
-fn broken(text: &str, mark: &str, width: f64) -> Vec<String> {
+fn break_after(text: &str, mark: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for part in text.split_inclusive(mark) {
         match lines.last_mut() {
@@ -110,7 +111,7 @@ fn broken(text: &str, mark: &str, width: f64) -> Vec<String> {
     lines.iter().map(|line| line.trim_end().to_owned()).collect()
 }
 
-/// Longest start of `text` that fits, with two dots if cut.
+/// Returns the longest start of `text` that fits, with two dots if cut.
 pub fn cut(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();

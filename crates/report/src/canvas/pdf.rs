@@ -17,7 +17,7 @@ const POINTS_PER_MM: f64 = 72.0 / 25.4;
 const HANDLE: f64 = 0.552_284_75;
 
 impl Canvas {
-    /// PDF for print, `width_mm` wide: needs no fonts and stays sharp.
+    /// Returns the PDF for print, `width_mm` wide: needs no fonts and stays sharp.
     pub fn pdf(&self, width_mm: f64) -> Vec<u8> {
         let scale = width_mm * POINTS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| Short(length * scale));
@@ -64,10 +64,12 @@ struct Page<'a> {
 }
 
 impl<'a> Page<'a> {
+    /// Appends text to the content.
     fn put(&mut self, text: std::fmt::Arguments<'_>) {
         self.out.write_fmt(text).expect("text takes all text");
     }
 
+    /// Draws shapes, bottom first.
     fn shapes(&mut self, shapes: &'a [Shape]) {
         for shape in shapes {
             match shape {
@@ -93,15 +95,16 @@ impl<'a> Page<'a> {
         }
     }
 
+    /// Returns the index of a pair of opacities, added at its first use.
     fn opacity(&mut self, expected: [f64; 2]) -> usize {
-        self.opacities.iter().position(|known| *known == expected).unwrap_or_else(|| {
+        self.opacities.iter().position(|pair| *pair == expected).unwrap_or_else(|| {
             self.opacities.push(expected);
             self.opacities.len() - 1
         })
     }
 
-    /// Sets colours and strokes if they changed; returns the painting operator.
-    fn painted(&mut self, paint: &Paint) -> &'static str {
+    /// Sets colours and strokes if they changed, and returns the painting operator.
+    fn set_paint(&mut self, paint: &Paint) -> &'static str {
         if self.paint != Some(*paint) {
             self.paint = Some(*paint);
             let opacity = self.opacity([paint.fill, paint.stroke].map(|c| c.map_or(1.0, |c| c.opacity)));
@@ -126,8 +129,9 @@ impl<'a> Page<'a> {
         }
     }
 
+    /// Draws a path.
     fn path(&mut self, path: &VectorPath, paint: &Paint) {
-        let operator = self.painted(paint);
+        let operator = self.set_paint(paint);
         let mut last = [0.0; 2];
         for step in &path.0 {
             match *step {
@@ -146,13 +150,15 @@ impl<'a> Page<'a> {
         self.put(format_args!("{operator}\n"));
     }
 
+    /// Appends a cubic curve with the handles `a` and `b`.
     fn curve(&mut self, a: Point, b: Point, end: Point) {
         let [a, b, end] = [a, b, end].map(|p| p.map(Short));
         self.put(format_args!("{} {} {} {} {} {} c ", a[0], a[1], b[0], b[1], end[0], end[1]));
     }
 
+    /// Draws a circle as four curves.
     fn circle(&mut self, [x, y]: Point, radius: f64, paint: &Paint) {
-        let operator = self.painted(paint);
+        let operator = self.set_paint(paint);
         let at = |dx: f64, dy: f64| [x + radius * dx, y + radius * dy];
         self.put(format_args!("{} {} m ", Short(x + radius), Short(y)));
         for (dx, dy) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)] {
@@ -163,7 +169,7 @@ impl<'a> Page<'a> {
     }
 }
 
-/// Whether a colour is partly transparent.
+/// Returns whether a colour is partly transparent.
 fn has_mask(pixels: &RasterImage) -> bool {
     pixels.rgba.chunks_exact(4).any(|p| p[3] < 255)
 }
@@ -171,24 +177,25 @@ fn has_mask(pixels: &RasterImage) -> bool {
 /// PDF objects with their offsets.
 struct File {
     bytes: Vec<u8>,
-    begins: Vec<usize>,
+    offsets: Vec<usize>,
 }
 
 impl File {
     /// Starts a file, with four bytes that mark it as binary.
     fn new() -> Self {
-        Self { bytes: b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n".to_vec(), begins: Vec::new() }
+        Self { bytes: b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n".to_vec(), offsets: Vec::new() }
     }
 
+    /// Adds an object.
     fn object(&mut self, body: &str) {
-        self.framed(|bytes| bytes.extend_from_slice(body.as_bytes()));
+        self.add_object(|bytes| bytes.extend_from_slice(body.as_bytes()));
     }
 
     /// Adds an object with a compressed stream.
     fn stream(&mut self, entries: &str, content: &[u8]) {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
         let packed = encoder.write_all(content).and_then(|()| encoder.finish()).expect("memory takes all bytes");
-        self.framed(|bytes| {
+        self.add_object(|bytes| {
             let head = format!("<<{entries}/Filter/FlateDecode/Length {}>>\nstream\n", packed.len());
             bytes.extend_from_slice(head.as_bytes());
             bytes.extend_from_slice(&packed);
@@ -196,9 +203,10 @@ impl File {
         });
     }
 
-    fn framed(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
-        self.begins.push(self.bytes.len());
-        self.bytes.extend_from_slice(format!("{} 0 obj\n", self.begins.len()).as_bytes());
+    /// Adds an object with the content that `write` appends, and records its offset.
+    fn add_object(&mut self, write: impl FnOnce(&mut Vec<u8>)) {
+        self.offsets.push(self.bytes.len());
+        self.bytes.extend_from_slice(format!("{} 0 obj\n", self.offsets.len()).as_bytes());
         write(&mut self.bytes);
         self.bytes.extend_from_slice(b"\nendobj\n");
     }
@@ -212,21 +220,22 @@ impl File {
                  /Interpolate {smooth}"
             )
         };
-        let mut own = entries("DeviceRGB");
+        let mut rgb_entries = entries("DeviceRGB");
         if has_mask(pixels) {
             let alpha: Vec<u8> = pixels.rgba.chunks_exact(4).map(|p| p[3]).collect();
             self.stream(&entries("DeviceGray"), &alpha);
-            _ = write!(own, "/SMask {} 0 R", self.begins.len());
+            _ = write!(rgb_entries, "/SMask {} 0 R", self.offsets.len());
         }
         let rgb: Vec<u8> = pixels.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-        self.stream(&own, &rgb);
+        self.stream(&rgb_entries, &rgb);
     }
 
+    /// Appends the table of objects, and returns the file.
     fn finish(mut self) -> Vec<u8> {
-        let (start, count) = (self.bytes.len(), self.begins.len() + 1);
+        let (start, count) = (self.bytes.len(), self.offsets.len() + 1);
         let mut table = format!("xref\n0 {count}\n0000000000 65535 f \n");
-        for begin in &self.begins {
-            _ = writeln!(table, "{begin:010} 00000 n ");
+        for offset in &self.offsets {
+            _ = writeln!(table, "{offset:010} 00000 n ");
         }
         _ = writeln!(table, "trailer\n<</Size {count}/Root 1 0 R>>\nstartxref\n{start}\n%%EOF");
         self.bytes.extend_from_slice(table.as_bytes());
@@ -239,22 +248,23 @@ mod tests {
     use crate::canvas::{Anchor, BLACK, Canvas, INK, Paint, RasterImage, WHITE};
     use std::io::Read as _;
 
-    fn place(bytes: &[u8], expected: &str) -> Option<usize> {
+    /// Returns the position of `expected` in the bytes.
+    fn find(bytes: &[u8], expected: &str) -> Option<usize> {
         bytes.windows(expected.len()).position(|part| part == expected.as_bytes())
     }
 
     /// Checks the table of objects; returns text and decompressed stream of each object.
     fn parsed(pdf: &[u8]) -> Vec<(String, Vec<u8>)> {
         assert!(pdf.starts_with(b"%PDF-1.4\n") && pdf.ends_with(b"%%EOF\n"));
-        let table = place(pdf, "\nxref\n").unwrap() + 1;
+        let table = find(pdf, "\nxref\n").unwrap() + 1;
         let text = std::str::from_utf8(&pdf[table..]).unwrap();
         assert!(text.contains(&format!("startxref\n{table}\n")), "{text}");
         let begins = text.lines().filter(|line| line.ends_with(" 00000 n ")).map(|l| l[..10].parse::<usize>().unwrap());
         let object = |(k, begin): (usize, usize)| {
             let object = &pdf[begin..];
             assert!(object.starts_with(format!("{} 0 obj\n", k + 1).as_bytes()));
-            let Some(at) = place(object, "\nstream\n") else {
-                return (String::from_utf8_lossy(&object[..place(object, "endobj").unwrap()]).into(), Vec::new());
+            let Some(at) = find(object, "\nstream\n") else {
+                return (String::from_utf8_lossy(&object[..find(object, "endobj").unwrap()]).into(), Vec::new());
             };
             let head = String::from_utf8_lossy(&object[..at]).into_owned();
             let length: usize = head.split("/Length ").nth(1).unwrap().trim_end_matches('>').parse().unwrap();

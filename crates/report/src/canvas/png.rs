@@ -10,7 +10,7 @@ use tiny_skia as skia;
 const PIXELS_PER_MM: f64 = 300.0 / 25.4;
 
 impl Canvas {
-    /// PNG on white, `width_mm` wide.
+    /// Returns the PNG on white, `width_mm` wide.
     pub fn png(&self, width_mm: f64) -> Vec<u8> {
         let scale = width_mm * PIXELS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| (length * scale).round() as u32);
@@ -30,6 +30,7 @@ pub(super) fn encoded(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
     png
 }
 
+/// Draws shapes on the pixels, bottom first.
 fn draw(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Transform) {
     for shape in shapes {
         match shape {
@@ -66,6 +67,7 @@ fn outline(path: &VectorPath) -> Option<skia::Path> {
     builder.finish()
 }
 
+/// Fills and strokes a path.
 fn draw_path(paper: &mut skia::Pixmap, path: Option<skia::Path>, paint: &Paint, transform: skia::Transform) {
     let Some(path) = path else { return };
     if let Some(colour) = paint.fill {
@@ -84,6 +86,7 @@ fn draw_path(paper: &mut skia::Pixmap, path: Option<skia::Path>, paint: &Paint, 
     }
 }
 
+/// Converts a colour to a fill.
 fn filling(colour: Colour) -> skia::Paint<'static> {
     let mut paint = skia::Paint { anti_alias: true, ..skia::Paint::default() };
     let [r, g, b] = colour.rgb;
@@ -91,15 +94,16 @@ fn filling(colour: Colour) -> skia::Paint<'static> {
     paint
 }
 
+/// Draws an image.
 fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &RasterImage, transform: skia::Transform) {
     let colours = pixels.rgba.chunks_exact(4).map(|p| skia::ColorU8::from_rgba(p[0], p[1], p[2], p[3]).premultiply());
     let bytes = colours.flat_map(|c| [c.red(), c.green(), c.blue(), c.alpha()]).collect();
     let size_in_pixels = skia::IntSize::from_wh(pixels.width as u32, pixels.height as u32);
-    let picture = size_in_pixels.and_then(|size| skia::Pixmap::from_vec(bytes, size)).expect("pixels have a size");
+    let image = size_in_pixels.and_then(|size| skia::Pixmap::from_vec(bytes, size)).expect("pixels have a size");
     let [across, down] = [size[0] / pixels.width as f64, size[1] / pixels.height as f64];
     let inner = transform.pre_translate(x as f32, y as f32).pre_scale(across as f32, down as f32);
     let quality = if pixels.smooth { skia::FilterQuality::Bilinear } else { skia::FilterQuality::Nearest };
-    paper.draw_pixmap(0, 0, picture.as_ref(), &skia::PixmapPaint { quality, ..Default::default() }, inner, None);
+    paper.draw_pixmap(0, 0, image.as_ref(), &skia::PixmapPaint { quality, ..Default::default() }, inner, None);
 }
 
 #[cfg(test)]
@@ -107,7 +111,7 @@ mod tests {
     use super::super::{Anchor, BLACK, INK, TextStyle};
     use super::*;
 
-    /// Grey values and width of the image.
+    /// Returns the grey values and width of the image.
     fn grey(canvas: &Canvas, width_mm: f64) -> image::GrayImage {
         image::load_from_memory(&canvas.png(width_mm)).unwrap().to_luma8()
     }
@@ -122,9 +126,9 @@ mod tests {
         assert!(svg.contains("<path") && !svg.contains("<text"), "{svg}");
         let on_page = canvas.svg("chart", "\"a\" & b");
         assert!(on_page.contains(">η − &lt;</text>") && on_page.contains("\"&quot;a&quot; &amp; b\""), "{on_page}");
-        let picture = grey(&canvas, 25.4);
-        assert_eq!(picture.dimensions(), (300, 150));
-        let dark = picture.pixels().filter(|p| p.0[0] < 60).count();
+        let image = grey(&canvas, 25.4);
+        assert_eq!(image.dimensions(), (300, 150));
+        let dark = image.pixels().filter(|p| p.0[0] < 60).count();
         assert!((300..9_000).contains(&dark), "{dark} dark pixels");
     }
 
@@ -139,8 +143,8 @@ mod tests {
         canvas.line(&[[0.0, 50.0], [100.0, 50.0]], Paint { dash: &[10.0, 10.0], ..Paint::stroke(BLACK, 4.0) });
         let chess = RasterImage { width: 2, height: 1, rgba: [[0, 0, 0, 255], [255; 4]].concat(), smooth: false };
         canvas.pixels([60.0, 80.0], [20.0, 20.0], chess);
-        let picture = grey(&canvas, 100.0 * 25.4 / 300.0);
-        let at = |x, y| picture.get_pixel(x, y).0[0];
+        let image = grey(&canvas, 100.0 * 25.4 / 300.0);
+        let at = |x, y| image.get_pixel(x, y).0[0];
         assert_eq!((at(10, 10), at(18, 18), at(30, 30)), (19, 255, 255), "a circle, scaled");
         assert!((150..180).contains(&at(55, 5)), "half ink on white is {}", at(55, 5));
         assert_eq!((at(70, 5), at(72, 6), at(75, 5)), (19, 19, 255), "a dot");

@@ -9,18 +9,19 @@ use pwrfgs_core::messages;
 use std::fmt::Write as _;
 
 impl Canvas {
-    /// SVG for a page: text uses the font of the page, and style sheets select it by `class`.
+    /// Returns the SVG for a page: text uses the font of the page, and style sheets select it by `class`.
     pub fn svg(&self, class: &str, title: &str) -> String {
-        self.written(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", xml(title)), false)
+        self.to_svg(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", xml(title)), false)
     }
 
-    /// SVG for print, `width_mm` wide: text as outlines, so no font is needed.
+    /// Returns the SVG for print, `width_mm` wide: text as outlines, so no font is needed.
     pub fn svg_for_print(&self, width_mm: f64) -> String {
         let height_mm = width_mm * self.height / self.width;
-        self.written(&format!("width=\"{width_mm}mm\" height=\"{height_mm:.2}mm\""), true)
+        self.to_svg(&format!("width=\"{width_mm}mm\" height=\"{height_mm:.2}mm\""), true)
     }
 
-    fn written(&self, attributes: &str, outlined: bool) -> String {
+    /// Returns the SVG with these attributes of its root; text is drawn as outlines if `outlined`.
+    fn to_svg(&self, attributes: &str, outlined: bool) -> String {
         #[cfg(test)]
         super::outside::record(self);
         let (width, height) = (Short(self.width), Short(self.height));
@@ -34,6 +35,7 @@ impl Canvas {
     }
 }
 
+/// Writer of SVG elements.
 struct Writer {
     out: String,
     /// Paint of the open group; shapes of equal paint share one group.
@@ -42,25 +44,27 @@ struct Writer {
 }
 
 impl Writer {
+    /// Writes shapes, bottom first.
     fn shapes(&mut self, shapes: &[Shape]) {
         for shape in shapes {
             self.shape(shape);
         }
-        self.painted(None);
+        self.set_paint(None);
     }
 
+    /// Writes one shape.
     fn shape(&mut self, shape: &Shape) {
         match shape {
             Shape::Path(path, paint) => self.path(path, *paint),
             Shape::Circle([x, y], radius, paint) => {
-                self.painted(Some(*paint));
+                self.set_paint(Some(*paint));
                 self.put(format_args!("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"/>", Short(*x), Short(*y), Short(*radius)));
             }
             Shape::Text(text) if self.outlined => self.path(&outlines(text), Paint::fill(text.letters.colour)),
             Shape::Text(text) => self.text(text),
             Shape::RasterImage(at, size, pixels) => self.pixels(*at, *size, pixels),
             Shape::Group([x, y], scale, shapes) => {
-                self.painted(None);
+                self.set_paint(None);
                 let (x, y) = (Short(*x), Short(*y));
                 self.put(format_args!("<g transform=\"translate({x} {y}) scale({scale:.4})\">"));
                 self.shapes(shapes);
@@ -69,12 +73,13 @@ impl Writer {
         }
     }
 
+    /// Appends text.
     fn put(&mut self, text: std::fmt::Arguments<'_>) {
         self.out.write_fmt(text).expect("text takes all text");
     }
 
     /// Opens a group of this paint, unless it is open.
-    fn painted(&mut self, paint: Option<Paint>) {
+    fn set_paint(&mut self, paint: Option<Paint>) {
         if self.open == paint {
             return;
         }
@@ -101,8 +106,9 @@ impl Writer {
         self.open = paint;
     }
 
+    /// Writes a path.
     fn path(&mut self, path: &VectorPath, paint: Paint) {
-        self.painted(Some(paint));
+        self.set_paint(Some(paint));
         self.out.push_str("<path d=\"");
         let mut last = None;
         for step in &path.0 {
@@ -122,8 +128,9 @@ impl Writer {
         self.out.push_str("\"/>");
     }
 
+    /// Writes text.
     fn text(&mut self, text: &Text) {
-        self.painted(Some(Paint::fill(text.letters.colour)));
+        self.set_paint(Some(Paint::fill(text.letters.colour)));
         let anchor = match text.anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -140,8 +147,9 @@ impl Writer {
         self.put(format_args!(" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"));
     }
 
+    /// Writes an image.
     fn pixels(&mut self, [x, y]: Point, [width, height]: Point, pixels: &RasterImage) {
-        self.painted(None);
+        self.set_paint(None);
         let png = encoded(pixels.width as u32, pixels.height as u32, &pixels.rgba);
         let [x, y, width, height] = [x, y, width, height].map(Short);
         let sharp = if pixels.smooth { "" } else { " style=\"image-rendering:pixelated\"" };

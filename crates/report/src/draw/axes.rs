@@ -33,26 +33,27 @@ pub(super) struct AxisScale {
 }
 
 impl AxisScale {
-    /// Returns `None` if there are no data.
+    /// Creates the scale of an axis for these values; `None` if there are no data.
     pub(super) fn new(axis: &ChartAxis, values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut scale = Self { ends: (0.0, 0.0), log: axis.log };
         scale.ends = if let Some((low, high)) = axis.ends {
-            (scale.place(low), scale.place(high))
+            (scale.coordinate(low), scale.coordinate(high))
         } else {
-            let (low, high) = bounds(values.map(|v| scale.place(v)).filter(|v| v.is_finite()));
-            let air = (0.05 * (high - low)).max(if axis.log { 0.02 } else { 1e-9 });
-            (low - air, high + air)
+            let (low, high) = bounds(values.map(|v| scale.coordinate(v)).filter(|v| v.is_finite()));
+            let margin = (0.05 * (high - low)).max(if axis.log { 0.02 } else { 1e-9 });
+            (low - margin, high + margin)
         };
         (scale.ends.0 < scale.ends.1).then_some(scale)
     }
 
-    fn place(&self, value: f64) -> f64 {
+    /// Returns the coordinate of a value: its logarithm on a logarithmic axis.
+    fn coordinate(&self, value: f64) -> f64 {
         if self.log && value.is_finite() { value.log10() } else { value }
     }
 
-    /// Position of a value along the axis, from 0 to 1.
-    fn part(&self, place: f64) -> f64 {
-        (place - self.ends.0) / (self.ends.1 - self.ends.0)
+    /// Returns the position of a coordinate along the axis, from 0 to 1.
+    fn share(&self, coordinate: f64) -> f64 {
+        (coordinate - self.ends.0) / (self.ends.1 - self.ends.0)
     }
 }
 
@@ -67,28 +68,28 @@ pub(super) struct PlotArea {
 }
 
 impl PlotArea {
-    /// Horizontal position of a value, limited to the plot area.
+    /// Returns the horizontal position of a value, limited to the plot area.
     pub(super) fn across(&self, x: f64) -> f64 {
-        (self.left + (self.right - self.left) * self.x.part(self.x.place(x))).clamp(self.left, self.right)
+        (self.left + (self.right - self.left) * self.x.share(self.x.coordinate(x))).clamp(self.left, self.right)
     }
 
-    /// Position of a value; `None` if not finite.
+    /// Returns the position of a value; `None` if not finite.
     pub(super) fn at(&self, (x, y): (f64, f64)) -> Option<Point> {
-        let place = [self.across(x), self.bottom - (self.bottom - self.top) * self.y.part(self.y.place(y))];
-        place.iter().all(|v| v.is_finite()).then_some(place)
+        let point = [self.across(x), self.bottom - (self.bottom - self.top) * self.y.share(self.y.coordinate(y))];
+        point.iter().all(|v| v.is_finite()).then_some(point)
     }
 
     /// Draws grid, ticks and names. For plotters, both axes count its own pixels, so that the ticks computed here are
     /// key points with known labels.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
-        let fine = |length: f64| (length * GRID).round() as i32;
+        let pixels = |length: f64| (length * GRID).round() as i32;
         let (across, up) = (self.right - self.left, self.bottom - self.top);
-        let apart = |all: &[Tick]| {
-            let reach = |tick: &Tick| (across * self.x.part(tick.0), text_width(&tick.1) / 2.0);
+        let fit = |all: &[Tick]| {
+            let reach = |tick: &Tick| (across * self.x.share(tick.0), text_width(&tick.1) / 2.0);
             all.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
-        let key = |tick: Tick, scale: &AxisScale, length: f64| (fine(length * scale.part(tick.0)), tick.1);
-        let x_ticks = ticks(self.x.ends, x.log, &apart).into_iter().map(|t| key(t, &self.x, across));
+        let key = |tick: Tick, scale: &AxisScale, length: f64| (pixels(length * scale.share(tick.0)), tick.1);
+        let x_ticks = ticks(self.x.ends, x.log, &fit).into_iter().map(|t| key(t, &self.x, across));
         let y_ticks = ticks(self.y.ends, y.log, &|_| true).into_iter().map(|t| key(t, &self.y, up));
         let [(x_keys, x_labels), (y_keys, y_labels)]: [(Vec<i32>, Vec<String>); 2] = [x_ticks.unzip(), y_ticks.unzip()];
         let label = |keys: &[i32], labels: &[String], key: i32| {
@@ -99,22 +100,22 @@ impl PlotArea {
         let (beside, below) = (canvas.width - self.right, canvas.height - height);
         let root = PlottersBackend(canvas).into_drawing_area();
         let drawn = ChartBuilder::on(&root)
-            .margin_left(fine(4.0))
-            .margin_top(fine(self.top))
-            .margin_right(fine(beside))
-            .margin_bottom(fine(below))
-            .set_label_area_size(LabelAreaPosition::Left, fine(self.left - 4.0))
-            .set_label_area_size(LabelAreaPosition::Bottom, fine(height - self.bottom))
+            .margin_left(pixels(4.0))
+            .margin_top(pixels(self.top))
+            .margin_right(pixels(beside))
+            .margin_bottom(pixels(below))
+            .set_label_area_size(LabelAreaPosition::Left, pixels(self.left - 4.0))
+            .set_label_area_size(LabelAreaPosition::Bottom, pixels(height - self.bottom))
             .build_cartesian_2d(
-                (0..fine(across)).with_key_points(x_keys.clone()),
-                (0..fine(up)).with_key_points(y_keys.clone()),
+                (0..pixels(across)).with_key_points(x_keys.clone()),
+                (0..pixels(up)).with_key_points(y_keys.clone()),
             )
             .and_then(|mut axes| {
                 let x_label = |key: &i32| label(&x_keys, &x_labels, *key);
                 let y_label = |key: &i32| label(&y_keys, &y_labels, *key);
                 let mut mesh = axes.configure_mesh();
                 mesh.disable_x_mesh().bold_line_style(line(Colour::hex(0xde_e0e5))).axis_style(line(INK));
-                mesh.set_all_tick_mark_size(fine(3.5)).label_style(letters.clone()).axis_desc_style(letters);
+                mesh.set_all_tick_mark_size(pixels(3.5)).label_style(letters.clone()).axis_desc_style(letters);
                 mesh.x_label_formatter(&x_label).y_label_formatter(&y_label).x_desc(&x.name).y_desc(&y.name).draw()
             });
         drawn.expect("a canvas takes everything");
@@ -136,15 +137,18 @@ pub(super) struct PlottersBackend<'a>(pub(super) &'a mut Canvas);
 /// Error of the backend; drawing into memory cannot fail.
 type DrawResult = Result<(), DrawingErrorKind<Infallible>>;
 
+/// Converts a position of plotters.
 fn point((x, y): BackendCoord) -> Point {
     [f64::from(x) / GRID, f64::from(y) / GRID]
 }
 
+/// Converts a colour of plotters.
 fn colour(colour: BackendColor) -> Colour {
     let (r, g, b) = colour.rgb;
     Colour { rgb: [r, g, b], opacity: colour.alpha }
 }
 
+/// Converts the style of a line of plotters.
 fn stroke(style: &impl BackendStyle) -> Paint {
     Paint::stroke(colour(style.color()), f64::from(style.stroke_width()) / GRID)
 }
@@ -204,7 +208,7 @@ impl DrawingBackend for PlottersBackend<'_> {
 /// Position on the axis (the logarithm if logarithmic) and label.
 pub(crate) type Tick = (f64, String);
 
-/// Ticks between two positions, as many as `fits` allows next to each other.
+/// Returns the ticks between two positions, as many as `fits` allows next to each other.
 pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -> bool) -> Vec<Tick> {
     let decades = high - low;
     let all: Vec<Vec<Tick>> = if log && decades >= 0.5 {
@@ -213,37 +217,37 @@ pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -
         digits[densest..].iter().map(|digits| powers((low, high), digits)).collect()
     } else {
         let (from, to) = if log { (10f64.powf(low), 10f64.powf(high)) } else { (low, high) };
-        let place = |v: f64| (if log { v.log10() } else { v }, label(v));
-        [6.0, 4.0, 2.0].iter().map(|&n| multiples(from, to, n).into_iter().map(place).collect()).collect()
+        let tick = |v: f64| (if log { v.log10() } else { v }, label(v));
+        [6.0, 4.0, 2.0].iter().map(|&n| multiples(from, to, n).into_iter().map(tick).collect()).collect()
     };
     let sparsest = all.last().cloned().unwrap_or_default();
     all.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
 }
 
-/// Powers of ten times each of `digits`, between two logarithms.
+/// Returns the powers of ten times each of `digits`, between two logarithms.
 fn powers((low, high): (f64, f64), digits: &[f64]) -> Vec<Tick> {
     let stride = if high - low > 8.0 { 2 } else { 1 };
     (low.floor() as i32..=high.ceil() as i32)
         .filter(|power| power.rem_euclid(stride) == 0)
         .flat_map(|power| digits.iter().map(move |d| d * 10f64.powi(power)))
         .map(|v| (v.log10(), label(v)))
-        .filter(|(place, _)| (low..=high).contains(place))
+        .filter(|(position, _)| (low..=high).contains(position))
         .collect()
 }
 
-/// Multiples of 1, 2 or 5 times a power of ten, four to nine of them.
+/// Returns multiples of 1, 2 or 5 times a power of ten, four to nine of them.
 pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     multiples(low, high, 6.0)
 }
 
-/// At most `most` round numbers within an axis.
+/// Returns at most `most` round numbers within an axis.
 pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
     let all = linear_ticks(low, high);
     let stride = all.len().div_ceil(most).max(1);
     all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
-/// At most `wanted` multiples of 1, 2 or 5 times a power of ten.
+/// Returns at most about `tick_count` multiples of 1, 2 or 5 times a power of ten.
 fn multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
     let rough = (high - low) / tick_count;
     let power = 10f64.powf(rough.log10().floor());
@@ -252,7 +256,7 @@ fn multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Short notation of a number.
+/// Returns the short notation of a number.
 pub(crate) fn label(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

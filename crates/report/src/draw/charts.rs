@@ -73,7 +73,7 @@ pub(crate) struct ChartLine {
     pub(crate) bars: Vec<[(f64, f64); 2]>,
 }
 
-/// Name of a line and its place.
+/// Name of a line and its position.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum LineName {
     /// No name.
@@ -105,17 +105,17 @@ impl ChartLine {
         Self { name: LineName::AtEnd(name.into()), ..self }
     }
 
-    /// Sample for the legend, if the line is listed there.
+    /// Returns the sample for the legend, if the line is listed there.
     fn symbol(&self) -> Option<Symbol> {
         let LineName::Legend(name) = &self.name else { return None };
-        let (mut picture, end) = (Canvas::new(24.0, SYMBOL), [24.0, SYMBOL / 2.0]);
-        self.style.draw_line(&mut picture, &[[0.0, end[1]], end]);
-        self.style.draw_mark(&mut picture, [end[0] / 2.0, end[1]]);
-        Some(Symbol { picture, meaning: name.clone() })
+        let (mut drawing, end) = (Canvas::new(24.0, SYMBOL), [24.0, SYMBOL / 2.0]);
+        self.style.draw_line(&mut drawing, &[[0.0, end[1]], end]);
+        self.style.draw_mark(&mut drawing, [end[0] / 2.0, end[1]]);
+        Some(Symbol { drawing, meaning: name.clone() })
     }
 
-    /// All points that must be visible.
-    fn places(&self) -> impl Iterator<Item = (f64, f64)> {
+    /// Returns all points that must be visible.
+    fn visible_points(&self) -> impl Iterator<Item = (f64, f64)> {
         self.points.iter().chain(&self.marks).chain(self.bars.iter().flatten()).copied()
     }
 }
@@ -123,9 +123,9 @@ impl ChartLine {
 impl Chart {
     /// Draws the chart; `None` if there is nothing to draw.
     pub(crate) fn draw(&self) -> Option<Canvas> {
-        let places = || self.lines.iter().flat_map(ChartLine::places);
-        let x = AxisScale::new(&self.x, places().map(|p| p.0))?;
-        let y = AxisScale::new(&self.y, places().map(|p| p.1))?;
+        let points = || self.lines.iter().flat_map(ChartLine::visible_points);
+        let x = AxisScale::new(&self.x, points().map(|p| p.0))?;
+        let y = AxisScale::new(&self.y, points().map(|p| p.1))?;
         let ChartStyle { size: [width, height], margins: [left, top, right, bottom] } = self.style;
         let legend = Legend::new(self.lines.iter().filter_map(ChartLine::symbol).collect(), width);
         let mut canvas = Canvas::new(width, height + legend.height());
@@ -140,7 +140,7 @@ impl Chart {
         (!self.lines.is_empty()).then_some(canvas)
     }
 
-    /// Names at the ends of lines.
+    /// Returns the names at the ends of lines.
     fn at_ends(&self) -> impl Iterator<Item = (&str, &ChartLine)> {
         self.lines.iter().filter_map(|l| match &l.name {
             LineName::AtEnd(name) => Some((name.as_str(), l)),
@@ -150,20 +150,21 @@ impl Chart {
 
     /// Draws lines and bars, then all marks on top.
     fn draw_lines(&self, canvas: &mut Canvas, frame: &PlotArea) {
-        let places = |places: &[(f64, f64)]| places.iter().filter_map(|p| frame.at(*p)).collect::<Vec<Point>>();
+        let on_canvas = |points: &[(f64, f64)]| points.iter().filter_map(|p| frame.at(*p)).collect::<Vec<Point>>();
         for line in self.lines.iter().rev() {
-            line.style.draw_line(canvas, &places(&line.points));
+            line.style.draw_line(canvas, &on_canvas(&line.points));
             for bar in &line.bars {
-                if let [a, b] = places(bar)[..] {
+                if let [a, b] = on_canvas(bar)[..] {
                     line.style.draw_bar(canvas, [a, b]);
                 }
             }
         }
         for line in self.lines.iter().rev() {
-            places(&line.marks).into_iter().for_each(|at| line.style.draw_mark(canvas, at));
+            on_canvas(&line.marks).into_iter().for_each(|at| line.style.draw_mark(canvas, at));
         }
     }
 
+    /// Draws the shaded ranges with their names.
     fn draw_bands(&self, canvas: &mut Canvas, frame: &PlotArea) {
         for band in &self.bands {
             let [a, b] = [band.x.0, band.x.1].map(|x| frame.across(x));
@@ -197,19 +198,19 @@ impl Chart {
     }
 }
 
-/// Positions at least `step` apart and within `ends` if possible, each close to `wanted` (ascending): one pass up and
-/// one pass down.
+/// Returns positions at least `step` apart and within `ends` if possible, each close to `targets` (ascending): one pass
+/// up and one pass down.
 fn moved_apart(targets: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
-    let mut places = targets.to_vec();
-    for k in 1..places.len() {
-        places[k] = places[k].max(places[k - 1] + step);
+    let mut positions = targets.to_vec();
+    for k in 1..positions.len() {
+        positions[k] = positions[k].max(positions[k - 1] + step);
     }
     let mut limit = ends.1.max(ends.0 + step * (targets.len() as f64 - 1.0));
-    for place in places.iter_mut().rev() {
-        *place = place.min(limit);
-        limit = *place - step;
+    for position in positions.iter_mut().rev() {
+        *position = position.min(limit);
+        limit = *position - step;
     }
-    places
+    positions
 }
 
 /// Heights of text, slightly smaller than on axes, and of a row.
@@ -224,7 +225,7 @@ pub(crate) const SYMBOL: f64 = 14.0;
 
 /// Symbol with its meaning.
 pub(crate) struct Symbol {
-    pub(crate) picture: Canvas,
+    pub(crate) drawing: Canvas,
     pub(crate) meaning: String,
 }
 
@@ -239,15 +240,15 @@ pub(crate) struct Legend {
 impl Legend {
     /// Arranges symbols in as few rows as fit into this width.
     pub(crate) fn new(symbols: Vec<Symbol>, width: f64) -> Self {
-        let wide = |s: &Symbol| s.picture.width + INDENT + text_width(&s.meaning) * SIZE / TEXT;
+        let symbol_width = |s: &Symbol| s.drawing.width + INDENT + text_width(&s.meaning) * SIZE / TEXT;
         let columns = |rows: usize| -> Vec<f64> {
-            symbols.chunks(rows).map(|column| column.iter().map(wide).fold(0.0, f64::max)).collect()
+            symbols.chunks(rows).map(|column| column.iter().map(symbol_width).fold(0.0, f64::max)).collect()
         };
-        let whole = |columns: &[f64]| columns.iter().map(|w| w + GAP).sum::<f64>() - GAP;
+        let total_width = |columns: &[f64]| columns.iter().map(|w| w + GAP).sum::<f64>() - GAP;
         let most = symbols.len().max(1);
-        let rows = (1..most).find(|rows| whole(&columns(*rows)) + 2.0 * MARGIN <= width).unwrap_or(most);
+        let rows = (1..most).find(|rows| total_width(&columns(*rows)) + 2.0 * MARGIN <= width).unwrap_or(most);
         let widths = columns(rows);
-        let mut x = ((width - whole(&widths)) / 2.0).max(MARGIN);
+        let mut x = ((width - total_width(&widths)) / 2.0).max(MARGIN);
         let begin = |w: &f64| {
             x += w + GAP;
             x - w - GAP
@@ -255,6 +256,7 @@ impl Legend {
         Self { rows, columns: widths.iter().map(begin).collect(), symbols }
     }
 
+    /// Returns the height of the legend; 0 without symbols.
     pub(crate) fn height(&self) -> f64 {
         if self.symbols.is_empty() { 0.0 } else { ROW * self.rows as f64 + 8.0 }
     }
@@ -262,17 +264,17 @@ impl Legend {
     /// Draws the legend below `top`, column by column.
     pub(crate) fn draw(&self, canvas: &mut Canvas, top: f64) {
         canvas.letters = TextStyle { size: SIZE, ..canvas.letters };
-        for (k, Symbol { picture, meaning }) in self.symbols.iter().enumerate() {
+        for (k, Symbol { drawing, meaning }) in self.symbols.iter().enumerate() {
             let (x, middle) = (self.columns[k / self.rows], top + 4.0 + ROW * ((k % self.rows) as f64 + 0.5));
-            canvas.put([x, middle - SYMBOL / 2.0], 1.0, picture);
-            let left = x + picture.width + INDENT;
+            canvas.put([x, middle - SYMBOL / 2.0], 1.0, drawing);
+            let left = x + drawing.width + INDENT;
             let room = (canvas.width - left) * TEXT / SIZE;
             canvas.text([left, middle + 0.27 * SIZE], Anchor::Start, cut(meaning, room));
         }
     }
 }
 
-/// Phases of algorithm 1 as shaded ranges.
+/// Returns the phases of algorithm 1 as shaded ranges.
 pub(crate) fn phases(training: &Training) -> Vec<Band> {
     let (d, p, end) = (training.densify_until as f64, training.prune_until as f64, training.steps as f64);
     let band = |name, x, colour| Band { name, x, colour };
@@ -286,8 +288,8 @@ pub(crate) fn phases(training: &Training) -> Vec<Band> {
 /// Maximum number of corners of a step function; more cannot be distinguished in print.
 const CORNERS: usize = 4_000;
 
-/// Corners of a step function through `points`: each value holds until the next step. For many points, the ends
-/// and extremes of short ranges remain.
+/// Returns the corners of a step function through `points`: each value holds until the next step. For many points, the
+/// ends and extremes of short ranges remain.
 pub(crate) fn decimate_steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut drawn: Vec<(f64, f64)> = Vec::new();
     for (i, &(step, n)) in points.iter().enumerate() {
@@ -302,16 +304,16 @@ pub(crate) fn decimate_steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     if drawn.len() <= CORNERS { drawn } else { drawn.chunks(4 * drawn.len() / CORNERS).flat_map(extremes).collect() }
 }
 
-/// First, last, lowest and highest of some points, in their order.
-fn extremes(places: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let by_height = |a: &usize, b: &usize| places[*a].1.total_cmp(&places[*b].1);
-    let all = 0..places.len();
-    let mut kept = vec![0, places.len() - 1];
+/// Returns the first, last, lowest and highest of some points, in their order.
+fn extremes(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let by_height = |a: &usize, b: &usize| points[*a].1.total_cmp(&points[*b].1);
+    let all = 0..points.len();
+    let mut kept = vec![0, points.len() - 1];
     kept.extend(all.clone().min_by(by_height));
     kept.extend(all.max_by(by_height));
     kept.sort_unstable();
     kept.dedup();
-    kept.into_iter().map(|k| places[k]).collect()
+    kept.into_iter().map(|k| points[k]).collect()
 }
 
 #[cfg(test)]
@@ -359,13 +361,13 @@ mod tests {
         let apart = |targets: &[f64], ends| moved_apart(targets, 10.0, ends);
         assert_eq!(apart(&[10.0, 12.0, 13.0, 80.0], (0.0, 100.0)), [10.0, 20.0, 30.0, 80.0]);
         assert_eq!(apart(&[90.0, 95.0, 99.0], (0.0, 100.0)), [80.0, 90.0, 100.0]);
-        assert_eq!(apart(&[5.0, 5.0, 5.0], (0.0, 15.0)), [0.0, 10.0, 20.0], "too many for the room");
+        assert_eq!(apart(&[5.0, 5.0, 5.0], (0.0, 15.0)), [0.0, 10.0, 20.0], "too many for the range");
         assert!(apart(&[], (0.0, 15.0)).is_empty());
     }
 
     #[test]
     fn legend_uses_fewest_rows_that_fit() {
-        let symbol = |meaning: String| Symbol { picture: Canvas::new(24.0, SYMBOL), meaning };
+        let symbol = |meaning: String| Symbol { drawing: Canvas::new(24.0, SYMBOL), meaning };
         let legend = Legend::new((0..7).map(|k| symbol(format!("no. {k}"))).collect(), 380.0);
         assert!((2..=3).contains(&legend.rows), "{} rows", legend.rows);
         assert!(legend.columns.windows(2).all(|w| w[0] < w[1]));

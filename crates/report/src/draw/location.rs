@@ -1,4 +1,4 @@
-//! Where transmitters are: the region of one, and the errors of many.
+//! Maps of located transmitters: the region of one transmitter, or the errors of many.
 
 use super::plan::FloorPlan;
 use crate::canvas::{Canvas, Colour, INK, Paint, Point, RasterImage, VectorPath, WHITE};
@@ -34,21 +34,21 @@ pub struct LocationMap<'a> {
 impl LocationMap<'_> {
     /// Draws the map.
     pub fn draw(&self) -> Canvas {
-        let ends = self.estimates.iter().flat_map(|(own, truth)| std::iter::once(*own).chain(*truth));
+        let ends = self.estimates.iter().flat_map(|(estimate, truth)| std::iter::once(*estimate).chain(*truth));
         let mut corners = FloorPlan::corners(self.outlines.iter().flatten().copied().chain(ends));
         if self.outlines.is_empty() {
             corners = FloorPlan::corners(self.training.iter().copied().chain(corners));
         } else {
             // Half a region of surroundings on every side.
-            let air = 0.5 * (corners[1][0] - corners[0][0]).max(corners[1][1] - corners[0][1]);
-            corners = [corners[0].map(|v| v - air), corners[1].map(|v| v + air)];
+            let margin = 0.5 * (corners[1][0] - corners[0][0]).max(corners[1][1] - corners[0][1]);
+            corners = [corners[0].map(|v| v - margin), corners[1].map(|v| v + margin)];
         }
         let plan = FloorPlan::of_floor(corners);
         let mut map = plan.canvas();
         self.draw_density(&mut map, &plan, corners);
         plan.points(&mut map, self.training.iter().copied());
         for outline in &self.outlines {
-            let corners: Vec<Point> = outline.iter().chain(outline.first()).map(|p| plan.place(*p)).collect();
+            let corners: Vec<Point> = outline.iter().chain(outline.first()).map(|p| plan.project(*p)).collect();
             map.line(&corners, Paint::stroke(WHITE, 2.6));
             map.line(&corners, Paint::stroke(INK, 1.2));
         }
@@ -64,7 +64,7 @@ impl LocationMap<'_> {
             words.push("cross: true position");
         }
         words.push("grey dots: training positions");
-        if self.receivers.iter().any(|place| plan.holds(*place)) {
+        if self.receivers.iter().any(|receiver| plan.contains(*receiver)) {
             words.push("squares: receivers");
         }
         let region = match self.parts {
@@ -91,8 +91,8 @@ impl LocationMap<'_> {
         if columns.is_empty() || rows.is_empty() {
             return;
         }
-        let [left, bottom] = plan.place([edge(0, columns.start), edge(1, rows.start)]);
-        let [right, top] = plan.place([edge(0, columns.end), edge(1, rows.end)]);
+        let [left, bottom] = plan.project([edge(0, columns.start), edge(1, rows.start)]);
+        let [right, top] = plan.project([edge(0, columns.end), edge(1, rows.end)]);
         let colour = |v: &f32| {
             let [r, g, b] = sequential(f64::from(*v).sqrt());
             [r, g, b, (255.0 * f64::from(*v).sqrt().min(1.0)) as u8]
@@ -107,18 +107,20 @@ impl LocationMap<'_> {
     fn draw_estimates(&self, map: &mut Canvas, plan: &FloorPlan) {
         let is_single = self.estimates.len() == 1;
         let (mut lines, mut crosses) = (VectorPath::default(), VectorPath::default());
-        for (own, truth) in
-            self.estimates.iter().filter_map(|(own, truth)| Some((plan.place(*own), plan.place((*truth)?))))
+        for (estimate, truth) in self
+            .estimates
+            .iter()
+            .filter_map(|(estimate, truth)| Some((plan.project(*estimate), plan.project((*truth)?))))
         {
-            lines.add(&[own, truth]);
+            lines.add(&[estimate, truth]);
             crosses.add_cross(truth, if is_single { 4.0 } else { 1.6 });
         }
         map.path(lines, Paint::stroke(INK.faint(0.6), 0.7));
         map.path(crosses.clone(), Paint::stroke(WHITE, if is_single { 4.0 } else { 1.4 }));
         map.path(crosses, Paint::stroke(TRUTH, if is_single { 2.0 } else { 0.8 }));
-        for (own, _) in &self.estimates {
+        for (estimate, _) in &self.estimates {
             let (radius, rim) = if is_single { (4.5, 1.2) } else { (1.5, 0.3) };
-            map.circle(plan.place(*own), radius, Paint::fill(ESTIMATE).outlined(WHITE, rim));
+            map.circle(plan.project(*estimate), radius, Paint::fill(ESTIMATE).outlined(WHITE, rim));
         }
     }
 }

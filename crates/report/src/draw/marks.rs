@@ -68,7 +68,7 @@ impl Marker {
     pub(crate) const ALL: [Self; 8] =
         [Self::Circle, Self::Square, Self::Triangle, Self::Diamond, Self::Wedge, Self::Plus, Self::Star, Self::Cross];
 
-    /// Corners around the centre, with a radius of about 1, y downwards.
+    /// Returns the corners around the centre, with a radius of about 1, y downwards.
     fn corners(self) -> Vec<(f64, f64)> {
         let ring = |n: usize, first_deg: f64, radii: &[f64]| -> Vec<(f64, f64)> {
             let corner = |k: usize| {
@@ -114,12 +114,12 @@ pub(crate) struct Style {
 }
 
 impl Style {
-    /// Style of a line without marks.
+    /// Returns the style of a line without marks.
     pub(crate) fn line(colour: Colour, width: f64, stroke: Stroke) -> Self {
         Self { colour, width, stroke, marker: None, hollow: false }
     }
 
-    /// Style of variant `k`: eight colours with eight markers, then the same dashed.
+    /// Returns the style of variant `k`: eight colours with eight markers, then the same dashed.
     pub(crate) fn variant(k: usize) -> Self {
         Self {
             colour: Colour::hex(COLOURS[k % COLOURS.len()]),
@@ -130,27 +130,28 @@ impl Style {
         }
     }
 
-    /// Style of method `k`, whose line joins variants: that of a variant, with other dashes than its neighbours.
+    /// Returns the style of method `k`, whose line joins variants: that of a variant, with other dashes than its
+    /// neighbours.
     pub(crate) fn method(k: usize) -> Self {
         Self { stroke: STROKES[(k + k / STROKES.len()) % STROKES.len()], ..Self::variant(k) }
     }
 
-    /// Style of predictions of another program, the `k`th of all lines: that of a variant without marks.
+    /// Returns the style of predictions of another program, the `k`th of all lines: that of a variant without marks.
     pub(crate) fn external(k: usize) -> Self {
         Self { marker: None, ..Self::variant(k) }
     }
 
-    /// Style of baseline `k`.
+    /// Returns the style of baseline `k`.
     pub(crate) fn baseline(k: usize) -> Self {
         Self::line(Colour::hex(GREYS[k / DASHES.len() % GREYS.len()]), 1.0, DASHES[k % DASHES.len()])
     }
 
-    /// Style of published points.
+    /// Returns the style of published points.
     pub(crate) fn published(hollow: bool) -> Self {
         Self { marker: Some(Marker::Star), hollow, ..Self::line(GREY, 1.0, Stroke::None) }
     }
 
-    /// Style of a line that joins variants.
+    /// Returns the style of a line that joins variants.
     pub(crate) fn thread() -> Self {
         Self::line(Colour::hex(0xaf_b3bb), 1.0, Stroke::FULL)
     }

@@ -31,39 +31,39 @@ pub(crate) struct FloorPlan {
 impl FloorPlan {
     /// Creates the mapping for the area between two corners, in metres, for a given width and maximum map height.
     pub(crate) fn new([low, high]: [Point; 2], names: [&'static str; 2], width: f64, most_height: f64) -> Self {
-        let [low, high] = no_line(low, high);
+        let [low, high] = with_extent(low, high);
         let [left, top, right, bottom] = MARGINS;
         let [across, up] = [high[0] - low[0], high[1] - low[1]];
         let scale = ((width - left - right) / across).min(most_height / up);
         Self { low, high, names, scale, size: [left + scale * across + right, top + scale * up + bottom] }
     }
 
-    /// Smallest frame with a margin around `places`; a square metre if there are none.
-    pub(crate) fn corners(places: impl IntoIterator<Item = Point>) -> [Point; 2] {
-        let is_finite = |place: &Point| place.iter().all(|v| v.is_finite());
-        let places: Vec<Point> = places.into_iter().filter(is_finite).collect();
-        if places.is_empty() {
+    /// Returns the smallest frame with a margin around `points`; a square metre if there are none.
+    pub(crate) fn corners(points: impl IntoIterator<Item = Point>) -> [Point; 2] {
+        let is_finite = |point: &Point| point.iter().all(|v| v.is_finite());
+        let points: Vec<Point> = points.into_iter().filter(is_finite).collect();
+        if points.is_empty() {
             return [[-0.5; 2], [0.5; 2]];
         }
-        let [x, y] = [0, 1].map(|k| bounds(places.iter().map(|place| place[k])));
-        let air = 0.04 * (x.1 - x.0).max(y.1 - y.0).max(0.5);
-        [[x.0 - air, y.0 - air], [x.1 + air, y.1 + air]]
+        let [x, y] = [0, 1].map(|k| bounds(points.iter().map(|point| point[k])));
+        let margin = 0.04 * (x.1 - x.0).max(y.1 - y.0).max(0.5);
+        [[x.0 - margin, y.0 - margin], [x.1 + margin, y.1 + margin]]
     }
 
-    /// Position on the drawing.
-    pub(crate) fn place(&self, [x, y]: Point) -> Point {
+    /// Returns the position on the drawing.
+    pub(crate) fn project(&self, [x, y]: Point) -> Point {
         let [left, top, ..] = MARGINS;
         [left + self.scale * (x - self.low[0]), top + self.scale * (self.high[1] - y)]
     }
 
-    /// Whether a point is on the map.
-    pub(crate) fn holds(&self, place: Point) -> bool {
-        (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&place[k]))
+    /// Returns whether a point is on the map.
+    pub(crate) fn contains(&self, point: Point) -> bool {
+        (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&point[k]))
     }
 
-    /// Corner, width and height of the map on the drawing.
+    /// Returns the corner, width and height of the map on the drawing.
     pub(crate) fn area(&self) -> (Point, Point) {
-        let [a, b] = [self.place([self.low[0], self.high[1]]), self.place([self.high[0], self.low[1]])];
+        let [a, b] = [self.project([self.low[0], self.high[1]]), self.project([self.high[0], self.low[1]])];
         (a, [b[0] - a[0], b[1] - a[1]])
     }
 
@@ -82,14 +82,14 @@ impl FloorPlan {
         let (at, size) = self.area();
         canvas.rect(at, size, Paint::stroke(INK, 0.7));
         let [left, bottom] = [at[0], at[1] + size[1]];
-        let [(x_ticks, x_title), (y_ticks, y_title)] = [0, 1].map(|k| self.marked(k));
+        let [(x_ticks, x_title), (y_ticks, y_title)] = [0, 1].map(|k| self.ticks_and_title(k));
         for (value, words) in &x_ticks {
-            let [px, _] = self.place([*value, self.low[1]]);
+            let [px, _] = self.project([*value, self.low[1]]);
             canvas.line(&[[px, bottom], [px, bottom + 3.0]], Paint::stroke(INK, 0.7));
             canvas.text([px, bottom + LINE], Anchor::Middle, words);
         }
         for (value, words) in &y_ticks {
-            let [_, py] = self.place([self.low[0], *value]);
+            let [_, py] = self.project([self.low[0], *value]);
             canvas.line(&[[left - 3.0, py], [left, py]], Paint::stroke(INK, 0.7));
             canvas.text([left - 5.0, py + 3.5], Anchor::End, words);
         }
@@ -97,8 +97,8 @@ impl FloorPlan {
         canvas.upright([12.0, at[1] + size[1] / 2.0], y_title);
     }
 
-    /// Draws numbers along an axis and its title.
-    fn marked(&self, axis: usize) -> (Vec<(f64, String)>, String) {
+    /// Returns the ticks of an axis and its title.
+    fn ticks_and_title(&self, axis: usize) -> (Vec<(f64, String)>, String) {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
         let far = low.abs().max(high.abs()) > 9_999.0;
         let from = if far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
@@ -107,9 +107,9 @@ impl FloorPlan {
         (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
     }
 
-    /// Creates a floor plan around `places`, as large as a map.
-    pub(crate) fn around(places: impl IntoIterator<Item = Point>) -> Self {
-        Self::of_floor(Self::corners(places))
+    /// Creates a floor plan around `points`, as large as a map.
+    pub(crate) fn around(points: impl IntoIterator<Item = Point>) -> Self {
+        Self::of_floor(Self::corners(points))
     }
 
     /// Creates a floor plan between two corners, metres, as large as a map.
@@ -132,12 +132,12 @@ impl FloorPlan {
         canvas
     }
 
-    /// Writes the numbers from 1 beside `places`, with a white rim.
-    pub(crate) fn numbers(&self, canvas: &mut Canvas, places: &[Point], size: f64, [right, up]: Point) {
+    /// Writes the numbers from 1 beside `points`, with a white rim.
+    pub(crate) fn numbers(&self, canvas: &mut Canvas, points: &[Point], size: f64, [right, up]: Point) {
         let letters = canvas.letters;
         canvas.letters.size = size;
-        for (k, place) in places.iter().enumerate() {
-            let ([x, y], words) = (self.place(*place), (k + 1).to_string());
+        for (k, point) in points.iter().enumerate() {
+            let ([x, y], words) = (self.project(*point), (k + 1).to_string());
             for (colour, shift) in [(WHITE, 0.8), (WHITE, -0.8), (INK, 0.0)] {
                 canvas.letters.colour = colour;
                 canvas.text([x + right + shift, y - up + shift], Anchor::Start, &words);
@@ -154,29 +154,29 @@ impl FloorPlan {
     }
 
     /// Draws a receiver: a square with a dot.
-    pub(crate) fn receiver(&self, canvas: &mut Canvas, place: Point) {
-        if self.holds(place) {
-            draw_receiver(canvas, self.place(place));
+    pub(crate) fn receiver(&self, canvas: &mut Canvas, position: Point) {
+        if self.contains(position) {
+            draw_receiver(canvas, self.project(position));
         }
     }
 
     /// Draws surface points, faintly.
     pub(crate) fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
         let mut path = VectorPath::default();
-        points.into_iter().filter(|p| self.holds(*p)).for_each(|p| path.add(&[self.place(p); 2]));
+        points.into_iter().filter(|p| self.contains(*p)).for_each(|p| path.add(&[self.project(p); 2]));
         canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).faint(0.6), 1.5) });
     }
 }
 
-/// Mark of a receiver.
+/// Draws the mark of a receiver.
 pub(crate) fn draw_receiver(canvas: &mut Canvas, [x, y]: Point) {
     let r = RECEIVER;
     canvas.rect([x - r, y - r], [2.0 * r; 2], Paint::fill(WHITE).outlined(BLACK, 1.6));
     canvas.circle([x, y], 2.0, Paint::fill(BLACK));
 }
 
-/// Corners that differ along both axes.
-fn no_line(mut low: Point, mut high: Point) -> [Point; 2] {
+/// Returns corners that differ along both axes.
+fn with_extent(mut low: Point, mut high: Point) -> [Point; 2] {
     let longest = (high[0] - low[0]).max(high[1] - low[1]);
     let least = if longest > 0.0 { FLATTEST * longest } else { 1.0 };
     for k in 0..2 {
@@ -257,7 +257,7 @@ impl Heatmap<'_> {
         let corners = [self.first.map(|v| v - half), [end(0, self.columns), end(1, rows)]];
         let plan = FloorPlan::new(corners, self.names, WIDTH, MOST_HEIGHT);
         let mut map = plan.canvas();
-        let [a, b] = [plan.place([corners[0][0], corners[1][1]]), plan.place([corners[1][0], corners[0][1]])];
+        let [a, b] = [plan.project([corners[0][0], corners[1][1]]), plan.project([corners[1][0], corners[0][1]])];
         let (low, high) = self.range();
         map.pixels(a, [b[0] - a[0], b[1] - a[1]], self.pixels(rows, low, high));
         self.draw_training(&mut map, &plan);
@@ -278,14 +278,14 @@ impl Heatmap<'_> {
         canvas
     }
 
-    /// Lines that explain circles and hatching, at most `width` wide.
+    /// Returns the lines that explain circles and hatching, at most `width` wide.
     fn training_note(&self, width: f64) -> Vec<String> {
         let Some(TrainingMap { limit, .. }) = self.training else { return Vec::new() };
         let note = format!("circles: training positions; hatched: farther than {limit:.2} m from all of them");
         wrapped(&note, width * TEXT / SMALL)
     }
 
-    /// Range of the colours.
+    /// Returns the range of the colours.
     fn range(&self) -> (f64, f64) {
         if self.colours == Palette::Cyclic {
             return (0.0, 360.0);
@@ -299,6 +299,7 @@ impl Heatmap<'_> {
         }
     }
 
+    /// Returns the colour of a value.
     fn colour(&self, value: f64, (low, high): (f64, f64)) -> Rgb {
         match self.colours {
             _ if !value.is_finite() => NOTHING,
@@ -307,6 +308,7 @@ impl Heatmap<'_> {
         }
     }
 
+    /// Returns the values as an image, highest row first.
     fn pixels(&self, rows: usize, low: f64, high: f64) -> RasterImage {
         let upwards = (0..rows).rev().flat_map(|row| &self.values[row * self.columns..][..self.columns]);
         let rgba = upwards.map(|v| self.colour(f64::from(*v), (low, high))).flat_map(|[r, g, b]| [r, g, b, 255]);
@@ -317,7 +319,7 @@ impl Heatmap<'_> {
     fn draw_training(&self, canvas: &mut Canvas, plan: &FloorPlan) {
         let Some(TrainingMap { is_beyond: beyond, positions, .. }) = self.training else { return };
         let (cell, rows) = (self.step * plan.scale, beyond.len() / self.columns.max(1));
-        let [left, bottom] = plan.place(self.first.map(|v| v - self.step / 2.0));
+        let [left, bottom] = plan.project(self.first.map(|v| v - self.step / 2.0));
         let [width, height] = [self.columns, rows].map(|count| count as f64 * cell);
         let is_beyond = |[x, y]: Point| {
             let [column, row] = [x, y].map(|v| (v / cell) as usize);
@@ -332,16 +334,17 @@ impl Heatmap<'_> {
         }
         canvas.path(lines.clone(), Paint::stroke(WHITE.faint(0.7), 2.2));
         canvas.path(lines, Paint::stroke(INK, 0.7));
-        for place in positions.iter().filter(|place| plan.holds(**place)) {
-            canvas.circle(plan.place(*place), 1.2, Paint::fill(WHITE).outlined(BLACK, 0.5));
+        for position in positions.iter().filter(|position| plan.contains(**position)) {
+            canvas.circle(plan.project(*position), 1.2, Paint::fill(WHITE).outlined(BLACK, 0.5));
         }
     }
 
+    /// Draws some of the vectors as arrows.
     fn draw_arrows(&self, canvas: &mut Canvas, plan: &FloorPlan) {
         if self.arrows.len() != self.values.len() {
             return;
         }
-        let [o, x] = [self.first, [self.first[0] + self.step, self.first[1]]].map(|p| plan.place(p));
+        let [o, x] = [self.first, [self.first[0] + self.step, self.first[1]]].map(|p| plan.project(p));
         let stride = (ARROWS / (x[0] - o[0]).max(1e-9)).ceil().max(1.0) as usize;
         let (mut lines, rows) = (VectorPath::default(), self.values.len() / self.columns);
         for row in (stride / 2..rows).step_by(stride) {
@@ -352,7 +355,7 @@ impl Heatmap<'_> {
                     continue;
                 }
                 let far = [column, row].map(|k| self.step * k as f64);
-                let [px, py] = plan.place([self.first[0] + far[0], self.first[1] + far[1]]);
+                let [px, py] = plan.project([self.first[0] + far[0], self.first[1] + far[1]]);
                 let [u, v] = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
                 let tip = [px + u, py + v];
                 let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
@@ -394,9 +397,9 @@ mod tests {
     #[test]
     fn floor_plan_has_equal_scale_on_both_axes() {
         let plan = FloorPlan::new([[0.0, 0.0], [8.0, 4.0]], ["x", "y"], 300.0, 400.0);
-        let [o, x, y] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|p| plan.place(p));
+        let [o, x, y] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|p| plan.project(p));
         assert!((x[0] - o[0] - (o[1] - y[1])).abs() < 1e-9);
-        assert!(plan.holds([8.0, 4.0]) && !plan.holds([8.1, 4.0]));
+        assert!(plan.contains([8.0, 4.0]) && !plan.contains([8.1, 4.0]));
         let mut canvas = plan.canvas();
         plan.receiver(&mut canvas, [1.0, 1.0]);
         plan.axes(&mut canvas);
@@ -407,8 +410,8 @@ mod tests {
     #[test]
     fn draws_empty_and_flat_plans_and_map_coordinates() {
         let far = [[5_399_990.0, 1.0], [5_399_998.0, 1.0], [f64::NAN, f64::INFINITY]];
-        for (places, title) in [(vec![], "x [m]"), (vec![[1.0, 2.0]], "x [m]"), (far.to_vec(), "x − 5400000 [m]")] {
-            let plan = FloorPlan::new(FloorPlan::corners(places), ["x", "y"], 200.0, 200.0);
+        for (points, title) in [(vec![], "x [m]"), (vec![[1.0, 2.0]], "x [m]"), (far.to_vec(), "x − 5400000 [m]")] {
+            let plan = FloorPlan::new(FloorPlan::corners(points), ["x", "y"], 200.0, 200.0);
             let mut canvas = plan.canvas();
             plan.axes(&mut canvas);
             let svg = canvas.svg("map", "");

@@ -28,7 +28,7 @@ const TEST: Colour = Colour::hex(0x00_805c);
 pub(crate) struct Panel {
     pub(crate) title: String,
     pub(crate) numbers: String,
-    pub(crate) picture: Canvas,
+    pub(crate) drawing: Canvas,
     /// Remarks about elements that are not drawn.
     pub(crate) caption: String,
 }
@@ -59,7 +59,9 @@ impl RoomFigure {
         draw_points(&mut behind, &view, data);
         let mut draw = |part: &[usize], colour, add: fn(&mut VectorPath, Point, f64), radius| {
             let mut path = VectorPath::default();
-            evenly(part, TRANSMITTERS).into_iter().for_each(|i| add(&mut path, view.place(data.sample(i).tx), radius));
+            evenly(part, TRANSMITTERS)
+                .into_iter()
+                .for_each(|i| add(&mut path, view.project(data.sample(i).tx), radius));
             behind.path(path, Paint::stroke(colour, 0.8));
         };
         draw(&partition.train, TRAINING, VectorPath::add_plus, 1.6);
@@ -68,25 +70,25 @@ impl RoomFigure {
         let mut receiver = None;
         if let [pose] = &poses[..] {
             let only = ReceiverArrow::new(pose, &view, 0.14 * longest(low, high));
-            only.draw(&mut behind, view.place(pose.position));
+            only.draw(&mut behind, view.project(pose.position));
             receiver = Some(only);
         } else {
-            poses.iter().for_each(|pose| draw_receiver(&mut behind, view.place(pose.position)));
+            poses.iter().for_each(|pose| draw_receiver(&mut behind, view.project(pose.position)));
         }
         let (has_test, has_points) = (!partition.test.is_empty(), !data.scene.points.is_empty());
         Self { view, behind, receiver, radius, has_test, has_points }
     }
 
-    /// Panel with the Gaussians of one snapshot.
+    /// Draws the panel with the Gaussians of one snapshot.
     pub(crate) fn panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
         let n = snapshot.means.len();
         let mut shown: Vec<(RoomPoint, f64)> = scattered(n)
             .into_iter()
             .map(|i| (snapshot.place(i), f64::from(snapshot.opacities[i])))
-            .filter(|(mean, _)| self.view.holds(*mean))
+            .filter(|(mean, _)| self.view.contains(*mean))
             .collect();
         let outside = n - shown.len();
-        shown.sort_by(|a, b| b.1.total_cmp(&a.1)); // stable sort: equal opacities, as at the start, are drawn from all places
+        shown.sort_by(|a, b| b.1.total_cmp(&a.1)); // stable sort: equal opacities, as at the start, are drawn from the whole room
         let inside = shown.len();
         shown.truncate(GAUSSIANS);
         let mut numbers = format!("N = {}", grouped(n as i64));
@@ -100,7 +102,7 @@ impl RoomFigure {
         if inside > shown.len() {
             caption.push(format!("only the {} most opaque are drawn", grouped(shown.len() as i64)));
         }
-        Panel { title: title.into(), numbers, picture: self.draw(&mut shown), caption: caption.join("; ") }
+        Panel { title: title.into(), numbers, drawing: self.draw(&mut shown), caption: caption.join("; ") }
     }
 
     /// Draws the background, then Gaussians from far to near.
@@ -110,15 +112,15 @@ impl RoomFigure {
         if shown.len() <= STEMS {
             let mut stems = VectorPath::default();
             for (p, _) in &*shown {
-                stems.add(&[self.view.place(*p), self.view.place([p[0], p[1], self.view.floor()])]);
+                stems.add(&[self.view.project(*p), self.view.project([p[0], p[1], self.view.floor()])]);
             }
             canvas.path(stems, Paint::stroke(BLUE.faint(0.35), 0.6));
         }
-        shown.iter().for_each(|(p, opacity)| self.draw_gaussian(&mut canvas, self.view.place(*p), *opacity));
+        shown.iter().for_each(|(p, opacity)| self.draw_gaussian(&mut canvas, self.view.project(*p), *opacity));
         canvas
     }
 
-    /// Circle with an area proportional to opacity.
+    /// Draws a circle with an area proportional to opacity.
     fn draw_gaussian(&self, canvas: &mut Canvas, at: Point, opacity: f64) {
         let paint = Paint::fill(BLUE.faint(0.85)).outlined(WHITE, 0.5);
         canvas.circle(at, (self.radius * opacity.sqrt()).max(0.9), paint);
@@ -127,15 +129,15 @@ impl RoomFigure {
     /// Symbols with their meanings.
     pub(crate) fn legend(&self) -> Vec<Symbol> {
         let symbol = |meaning: &str, path: VectorPath, paint| {
-            let mut picture = Canvas::new(12.0, SYMBOL);
-            picture.path(path, paint);
-            Symbol { picture, meaning: meaning.to_owned() }
+            let mut drawing = Canvas::new(12.0, SYMBOL);
+            drawing.path(path, paint);
+            Symbol { drawing, meaning: meaning.to_owned() }
         };
         let mut circles = Canvas::new(38.0, SYMBOL);
         for (x, opacity) in [(6.0, 0.1), (17.0, 0.5), (30.0, 1.0)] {
             self.draw_gaussian(&mut circles, [x, 7.0], opacity);
         }
-        let mut all = vec![Symbol { picture: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
+        let mut all = vec![Symbol { drawing: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
         let (mut dots, mut plus, mut cross) = (VectorPath::default(), VectorPath::default(), VectorPath::default());
         [[3.0, 5.0], [9.0, 7.0], [4.0, 10.0]].iter().for_each(|dot| dots.add(&[*dot; 2]));
         plus.add_plus([6.0, 7.0], 3.0);
@@ -149,15 +151,16 @@ impl RoomFigure {
         }
         all.push(self.receiver.map_or_else(
             || {
-                let mut picture = Canvas::new(14.0, SYMBOL);
-                draw_receiver(&mut picture, [7.0, SYMBOL / 2.0]);
-                Symbol { picture, meaning: "receivers".into() }
+                let mut drawing = Canvas::new(14.0, SYMBOL);
+                draw_receiver(&mut drawing, [7.0, SYMBOL / 2.0]);
+                Symbol { drawing, meaning: "receivers".into() }
             },
             ReceiverArrow::symbol,
         ));
         all
     }
 
+    /// Returns a remark about the point cloud, or an empty text.
     pub(crate) fn note(&self, data: &Dataset) -> String {
         let count = data.scene.points.len();
         if !self.has_points {
@@ -179,9 +182,9 @@ fn draw_points(canvas: &mut Canvas, view: &RoomView, data: &Dataset) {
     let mut layers = [(); 3].map(|()| VectorPath::default());
     for point in evenly(&data.scene.points, POINTS) {
         let p = data.scene.origin.world(point);
-        if view.holds(p) {
+        if view.contains(p) {
             let layer = ((3.0 * view.nearness(p)) as usize).min(2);
-            layers[layer].add(&[view.place(p); 2]);
+            layers[layer].add(&[view.project(p); 2]);
         }
     }
     for (layer, opacity) in layers.into_iter().zip([0.7, 0.5, 0.3]) {
@@ -190,7 +193,7 @@ fn draw_points(canvas: &mut Canvas, view: &RoomView, data: &Dataset) {
     }
 }
 
-/// Chamfer distance to the point cloud, as the metric of that name, m²; `None` if not applicable.
+/// Returns the chamfer distance to the point cloud, as the metric of that name, m²; `None` if not applicable.
 fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     let metric = Plugin::<dyn Metric>::parse("Chamfer()").ok()?;
     let model = Some(ModelFacts { means, gaussian_bytes: 0, file_bytes: 0 });
@@ -201,21 +204,21 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     }
 }
 
-/// Corners of the frame, slightly wider than its content and never flat. It contains the scene; without a point cloud
-/// also the central 90 % of each of `clouds`, because the walls are unknown; and every Gaussian within one scene
-/// length of the scene. Gaussians farther away would make the scene too small.
+/// Returns the corners of the frame, slightly wider than its content and never flat. It contains the scene; without a
+/// point cloud also the central 90 % of each of `clouds`, because the walls are unknown; and every Gaussian within one
+/// scene length of the scene. Gaussians farther away would make the scene too small.
 fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
     let (low, high) = data.scene.bounds;
     let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
     if data.scene.points.is_empty() {
         for k in 0..3 {
             for cloud in clouds {
-                let mut places: Vec<f64> = (0..cloud.means.len()).map(|i| cloud.place(i)[k]).collect();
-                places.retain(|v| v.is_finite());
-                places.sort_by(f64::total_cmp);
-                let cut = (places.len() / 20).max(usize::from(places.len() > 2)); // one of a few, too
-                low[k] = places.get(cut).map_or(low[k], |v| low[k].min(*v));
-                high[k] = places.iter().rev().nth(cut).map_or(high[k], |v| high[k].max(*v));
+                let mut coordinates: Vec<f64> = (0..cloud.means.len()).map(|i| cloud.place(i)[k]).collect();
+                coordinates.retain(|v| v.is_finite());
+                coordinates.sort_by(f64::total_cmp);
+                let cut = (coordinates.len() / 20).max(usize::from(coordinates.len() > 2)); // at least one of more than two
+                low[k] = coordinates.get(cut).map_or(low[k], |v| low[k].min(*v));
+                high[k] = coordinates.iter().rev().nth(cut).map_or(high[k], |v| high[k].max(*v));
             }
         }
     }
@@ -229,19 +232,19 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
     }
     let longest = longest(low, high);
     for k in 0..3 {
-        let air = if high[k] - low[k] < 0.1 * longest { 0.1 } else { 0.02 } * longest;
-        (low[k], high[k]) = (low[k] - air, high[k] + air);
+        let margin = if high[k] - low[k] < 0.1 * longest { 0.1 } else { 0.02 } * longest;
+        (low[k], high[k]) = (low[k] - margin, high[k] + margin);
     }
     (low, high)
 }
 
-/// Longest edge of a box; 1 if it has none.
+/// Returns the longest edge of a box; 1 if it has none.
 fn longest(low: RoomPoint, high: RoomPoint) -> f64 {
     let longest = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
     if longest > 0.0 { longest } else { 1.0 }
 }
 
-/// Numbers below `n` in an order whose start is spread over all of them (Knuth's multiplicative hash).
+/// Returns the numbers below `n` in an order whose start is spread over all of them (Knuth's multiplicative hash).
 fn scattered(n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by_key(|&i| (i as u32).wrapping_mul(2_654_435_769));
@@ -268,7 +271,7 @@ impl ReceiverArrow {
     pub(super) fn new(pose: &Pose, view: &RoomView, length: f64) -> Self {
         let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
         let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
-        let (from, to) = (view.place(pose.position), view.place(end));
+        let (from, to) = (view.project(pose.position), view.project(end));
         Self { along: [to[0] - from[0], to[1] - from[1]], facing: facing(boresight) }
     }
 
@@ -288,22 +291,22 @@ impl ReceiverArrow {
         let [x, y] = self.along;
         let length = x.hypot(y);
         let [u, v] = [x / length, y / length];
-        let place = |forward: f64, aside: f64| [at[0] + forward * u - aside * v, at[1] + forward * v + aside * u];
-        canvas.line(&[at, place(length, 0.0)], Paint::stroke(WHITE, 3.5));
-        let head = [place(7.0, 0.0), place(-4.0, 4.6), place(-4.0, -4.6)];
+        let point = |forward: f64, aside: f64| [at[0] + forward * u - aside * v, at[1] + forward * v + aside * u];
+        canvas.line(&[at, point(length, 0.0)], Paint::stroke(WHITE, 3.5));
+        let head = [point(7.0, 0.0), point(-4.0, 4.6), point(-4.0, -4.6)];
         canvas.polygon(&head, Paint::fill(BLACK).outlined(WHITE, 1.0));
-        canvas.line(&[at, place(length, 0.0)], Paint::stroke(BLACK, 1.4));
+        canvas.line(&[at, point(length, 0.0)], Paint::stroke(BLACK, 1.4));
     }
 
-    /// Description for the legend.
+    /// Returns the description for the legend.
     pub(super) fn symbol(self) -> Symbol {
-        let mut picture = Canvas::new(21.0, SYMBOL);
-        Self { along: [15.0, 0.0], ..self }.draw(&mut picture, [6.0, SYMBOL / 2.0]);
+        let mut drawing = Canvas::new(21.0, SYMBOL);
+        Self { along: [15.0, 0.0], ..self }.draw(&mut drawing, [6.0, SYMBOL / 2.0]);
         let meaning = match self.facing {
             f if f > HEAD_ON => "receiver, boresight towards the viewer",
             f if f < -HEAD_ON => "receiver, boresight away from the viewer",
             _ => "receiver and its boresight",
         };
-        Symbol { picture, meaning: meaning.into() }
+        Symbol { drawing, meaning: meaning.into() }
     }
 }

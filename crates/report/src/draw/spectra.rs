@@ -24,6 +24,7 @@ pub(crate) enum ColourScale {
 }
 
 impl ColourScale {
+    /// Returns the colour of a value.
     fn colour(self, value: f64) -> Rgb {
         match self {
             Self::Power => sequential(value),
@@ -31,6 +32,7 @@ impl ColourScale {
         }
     }
 
+    /// Returns the smallest and largest value.
     fn range(self) -> (f64, f64) {
         match self {
             Self::Power => (0.0, 1.0),
@@ -61,7 +63,7 @@ impl ColourScale {
         canvas
     }
 
-    /// Colour of marks on this scale: white, or dark if the middle of the scale is white.
+    /// Returns the colour of marks on this scale: white, or dark if the middle of the scale is white.
     fn contrast(self) -> (Colour, Colour) {
         match self {
             Self::Power => (WHITE.faint(0.45), WHITE.faint(0.9)),
@@ -94,14 +96,14 @@ impl Mark {
         }
     }
 
-    /// Column and row.
+    /// Returns the column and row.
     fn pixel(self, width: usize) -> (f64, f64) {
         let (Self::Measured(index) | Self::Predicted(index)) = self;
         ((index % width) as f64, (index / width) as f64)
     }
 }
 
-/// Spectrum as an image, elevation upwards; the first row of an image of a camera is at the top.
+/// Returns the spectrum as an image, elevation upwards; the first row of an image of a camera is at the top.
 pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> RasterImage {
     let (width, height) = (image.width, image.height);
     let upwards = plane.angles.map_or(plane.camera.is_none(), |(_, elevation)| elevation.step > 0.0);
@@ -111,7 +113,7 @@ pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> R
     RasterImage { width, height, rgba, smooth: false }
 }
 
-/// Map: azimuth to the right, elevation upwards, in degrees; in pixels if the plane has no angles.
+/// Draws the map: azimuth to the right, elevation upwards, in degrees; in pixels if the plane has no angles.
 pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Canvas {
     let height = MAP * image.height as f64 / image.width as f64;
     let (left, top) = (44.0, 8.0);
@@ -127,14 +129,14 @@ pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: 
     let [across, up] = rulers(plane);
     for mark in marks {
         let (column, row) = mark.pixel(image.width);
-        let (x, y) = (across.part_of_pixel(column), 1.0 - up.part_of_pixel(row));
+        let (x, y) = (across.share_of_pixel(column), 1.0 - up.share_of_pixel(row));
         mark.draw(&mut canvas, [left + MAP * x, top + height * y]);
     }
     canvas
 }
 
-/// Sky plot: zenith (boresight) in the centre, horizon at the rim, azimuth counter-clockwise from the x axis of the
-/// receiver on the right. `None` if the plane has no angles.
+/// Draws the sky plot: zenith (boresight) in the centre, horizon at the rim, azimuth counter-clockwise from the x axis
+/// of the receiver on the right. `None` if the plane has no angles.
 pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Option<Canvas> {
     let (azimuth, elevation) = plane.angles?;
     let middle @ [cx, cy] = [125.0, 114.0];
@@ -167,7 +169,7 @@ pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: 
     Some(canvas)
 }
 
-/// Image of the sky disc, transparent outside.
+/// Returns the image of the sky disc, transparent outside.
 fn sky_pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> Option<RasterImage> {
     let (azimuth, elevation) = plane.angles?;
     let size = SKY_PIXELS;
@@ -189,7 +191,8 @@ fn sky_pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> Option<R
     Some(RasterImage { width: size, height: size, rgba, smooth: true })
 }
 
-/// Interpolated value between pixels; beyond the border the nearest pixel, or the opposite side if azimuth is periodic.
+/// Returns the interpolated value between pixels; beyond the border the nearest pixel, or the opposite side if azimuth
+/// is periodic.
 fn bilinear(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
     let (w, h) = (image.width as i64, image.height as i64);
     let (x0, y0) = (px.floor(), py.floor());
@@ -211,7 +214,7 @@ pub(super) struct Ruler {
     unit: &'static str,
 }
 
-/// Axes of a spectrum, azimuth first.
+/// Returns the axes of a spectrum, azimuth first.
 pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
     let pixel = |step| AngleAxis { first: 0.0, step };
     let down = if plane.camera.is_some() { -1.0 } else { 1.0 };
@@ -220,28 +223,29 @@ pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
     [Ruler::new(azimuth, plane.width, unit), Ruler::new(elevation, plane.height, unit)]
 }
 
-/// Names of the axes.
+/// Returns the names of the axes.
 pub(crate) fn names(plane: &ImagePlane) -> [&'static str; 2] {
     if plane.angles.is_some() { ["azimuth", "elevation"] } else { ["column", "row"] }
 }
 
 impl Ruler {
+    /// Creates the axis of `n` pixels.
     fn new(axis: AngleAxis, n: usize, unit: &'static str) -> Self {
         let ends = [-0.5, n as f64 - 0.5].map(|pixel| axis.first + axis.step * pixel);
         Self { axis, low: ends[0].min(ends[1]), high: ends[0].max(ends[1]), unit }
     }
 
-    /// Position of a value, from 0 at the low to 1 at the high end.
-    fn part(&self, value: f64) -> f64 {
+    /// Returns the position of a value, from 0 at the low to 1 at the high end.
+    fn share(&self, value: f64) -> f64 {
         (value - self.low) / (self.high - self.low)
     }
 
-    /// Position of a pixel, from 0 to 1.
-    pub(super) fn part_of_pixel(&self, pixel: f64) -> f64 {
-        self.part(self.axis.first + self.axis.step * pixel)
+    /// Returns the position of a pixel, from 0 to 1.
+    pub(super) fn share_of_pixel(&self, pixel: f64) -> f64 {
+        self.share(self.axis.first + self.axis.step * pixel)
     }
 
-    /// Multiples of `step` within about half a pixel of the axis; of a finer or coarser step for fewer than two
+    /// Returns multiples of `step` within about half a pixel of the axis; of a finer or coarser step for fewer than two
     /// or many more than four.
     fn multiples(&self, mut step: f64) -> Vec<f64> {
         let span = self.high - self.low;
@@ -256,14 +260,14 @@ impl Ruler {
         (first..=last).map(|k| k as f64 * step).collect()
     }
 
-    /// Labels of round values with positions from 0 to 1, in at most so many intervals; the ends of the axis
-    /// have priority.
+    /// Returns the labels of round values with positions from 0 to 1, in at most so many intervals; the ends of the
+    /// axis have priority.
     fn ticks(&self, step: f64, intervals: f64) -> Vec<(String, f64)> {
         let all = self.multiples(step);
         let whole = all.len().saturating_sub(1).max(1);
         let stride = (1..=whole).find(|s| whole.is_multiple_of(*s) && (whole / s) as f64 <= intervals).unwrap_or(whole);
         let number = |v: f64| if self.unit.is_empty() { v.abs() } else { v };
-        let tick = |v: f64| (format!("{}{}", number(v), self.unit).replace('-', "−"), self.part(v).clamp(0.0, 1.0));
+        let tick = |v: f64| (format!("{}{}", number(v), self.unit).replace('-', "−"), self.share(v).clamp(0.0, 1.0));
         all.into_iter().step_by(stride).map(tick).collect()
     }
 }

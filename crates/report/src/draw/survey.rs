@@ -36,15 +36,15 @@ impl SurveyMap {
         let plan = FloorPlan::around(framed);
         let mut map = plan.canvas();
         plan.points(&mut map, self.candidates.iter().copied());
-        for place in &self.known {
-            map.circle(plan.place(*place), 0.7 * RADIUS, Paint::stroke(KNOWN, 1.0));
+        for position in &self.known {
+            map.circle(plan.project(*position), 0.7 * RADIUS, Paint::stroke(KNOWN, 1.0));
         }
         let last = self.selected.len().saturating_sub(1).max(1) as f64;
-        for (k, place) in self.selected.iter().enumerate().rev() {
+        for (k, position) in self.selected.iter().enumerate().rev() {
             let fill = Paint::fill(Colour::sequential(k as f64 / last));
-            map.circle(plan.place(*place), RADIUS, fill.outlined(BLACK, 0.6));
+            map.circle(plan.project(*position), RADIUS, fill.outlined(BLACK, 0.6));
         }
-        self.receivers.iter().for_each(|place| plan.receiver(&mut map, *place));
+        self.receivers.iter().for_each(|receiver| plan.receiver(&mut map, *receiver));
         let numbered = &self.selected[..self.selected.len().min(NUMBERED)];
         plan.numbers(&mut map, numbered, SMALL, [1.4 * RADIUS, RADIUS]);
         plan.titled(map, &self.title, &self.note(&plan))
@@ -56,7 +56,7 @@ impl SurveyMap {
         if !self.known.is_empty() {
             words.push("grey circles: known measurements".into());
         }
-        if self.receivers.iter().any(|place| plan.holds(*place)) {
+        if self.receivers.iter().any(|receiver| plan.contains(*receiver)) {
             words.push("squares: receivers".into());
         }
         words.join("; ")
@@ -92,14 +92,14 @@ impl CoverageMap {
         let [width, height] = plan.area().1;
         let (share, least, most) = DOT;
         let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();
-        for (place, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
+        for (position, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
             let colour = Colour::sequential((power - low) / (high - low).max(1e-9));
-            map.circle(plan.place(*place), radius.clamp(least, most), Paint::fill(colour));
+            map.circle(plan.project(*position), radius.clamp(least, most), Paint::fill(colour));
         }
-        for place in &self.others {
-            map.circle(plan.place(*place), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));
+        for receiver in &self.others {
+            map.circle(plan.project(*receiver), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));
         }
-        self.selected.iter().for_each(|place| plan.receiver(&mut map, *place));
+        self.selected.iter().for_each(|receiver| plan.receiver(&mut map, *receiver));
         plan.numbers(&mut map, &self.selected, TEXT, [8.0, 5.0]);
         plan.titled(map, &self.title, &self.note((low, high)))
     }

@@ -17,9 +17,9 @@ const DOTS: usize = 150;
 const MEASURED: Colour = BLACK;
 const PREDICTED: Colour = Colour::hex(0xd5_5e00);
 /// Dimensions of three charts in a row.
-const LOOK: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
+const ROW_STYLE: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
-/// Examples and the map of virtual transmitters.
+/// Returns the examples and the map of virtual transmitters.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let data = run.data;
     let single = data.width == 1 && data.height == 2;
@@ -32,12 +32,13 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     }
 }
 
-/// Frequencies of the subcarriers, Hz.
+/// Returns the frequencies of the subcarriers, Hz.
 fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
     run.data.observations.frequencies_hz()
 }
 
-/// Measured: solid dark line with dots; predicted: dashed with crosses. Print needs no colour.
+/// Returns the lines of a pair. Measured: solid dark line with dots; predicted: dashed with crosses. Print needs no
+/// colour.
 fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<ChartLine> {
     vec![
         marked(predicted, PREDICTED, Stroke::DASHED, Marker::Cross, "predicted"),
@@ -45,7 +46,7 @@ fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<ChartLine>
     ]
 }
 
-/// Line with marks if they are few enough to distinguish, or if it is a single point.
+/// Returns the line with marks if they are few enough to distinguish, or if it is a single point.
 fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
     let has_marks = points.len() <= 70 || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
@@ -53,14 +54,14 @@ fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marke
     ChartLine { marks, ..ChartLine::new(points, style) }.named(name)
 }
 
-/// Chart of a measured and a predicted line.
+/// Returns the chart of a measured and a predicted line.
 fn chart(title: &str, x: &str, y: &str, lines: Vec<ChartLine>) -> Option<Value> {
     let axis = |name: &str| ChartAxis { name: name.into(), ..ChartAxis::default() };
-    let svg = Chart { style: LOOK, x: axis(x), y: axis(y), lines, ..Chart::default() }.draw()?.svg("chart", title);
+    let svg = Chart { style: ROW_STYLE, x: axis(x), y: axis(y), lines, ..Chart::default() }.draw()?.svg("chart", title);
     Some(context! { title, svg })
 }
 
-/// Best, median and worst test link.
+/// Returns the best, median and worst test link.
 fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     let several = run.data.scene.receivers.len() > 1;
     let example = |example: &Example| {
@@ -68,7 +69,7 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
         let frequencies = frequencies(run);
         let (measured, predicted) = (Gains::of(truth), Gains::of(prediction));
         let (lines, along, antenna) = lines(&measured, &predicted, frequencies);
-        let of = antenna.map(|k| format!("antenna {} of {} (strongest)", k + 1, measured.antennas));
+        let caption = antenna.map(|k| format!("antenna {} of {} (strongest)", k + 1, measured.antennas));
         let mut charts = vec![
             chart("Magnitude", &along, "dB relative to the maximum", pair(lines[0].0.clone(), lines[0].1.clone())),
             chart("Phase", &along, "degrees, unwrapped", pair(lines[1].0.clone(), lines[1].1.clone())),
@@ -79,7 +80,7 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
         context! {
             several,
             score => number(*score),
-            antenna => of,
+            antenna => caption,
             charts => charts.into_iter().flatten().collect::<Vec<_>>(),
             ..example.words(run)
         }
@@ -87,13 +88,13 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     chosen.iter().map(example).collect()
 }
 
-/// Channels of one number each as dots on the complex plane, measured and predicted joined.
+/// Returns the channels of one number each as dots on the complex plane, measured and predicted joined.
 fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
-    super::examples::each(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
-        let place = |image: &Image| (image.pixels[0] as f64, image.pixels[1] as f64);
-        measured.push(place(truth));
-        predicted.push(place(prediction));
+    super::examples::for_each_link(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
+        let gain = |image: &Image| (image.pixels[0] as f64, image.pixels[1] as f64);
+        measured.push(gain(truth));
+        predicted.push(gain(prediction));
     });
     let reach = measured.iter().chain(&predicted).flat_map(|(a, b)| [a.abs(), b.abs()]).filter(|v| v.is_finite());
     let reach = 1.08 * reach.fold(0.0, f64::max);
@@ -104,7 +105,7 @@ fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     let joined = Style::line(Colour::hex(0x8d_94a1), 0.8, Stroke::FULL);
     lines.extend(measured.iter().zip(&predicted).map(|(a, b)| ChartLine::new(vec![*a, *b], joined)));
     let axis = |name: &str| ChartAxis { name: name.into(), ends: Some((-reach, reach)), log: false };
-    let style = ChartStyle { size: [470.0, 450.0], ..LOOK };
+    let style = ChartStyle { size: [470.0, 450.0], ..ROW_STYLE };
     let chart = Chart { style, x: axis("real part"), y: axis("imaginary part"), lines, ..Chart::default() };
     if measured.is_empty() || reach <= 0.0 {
         return None;
@@ -126,29 +127,30 @@ pub(super) struct Gains {
 pub(super) type LinePair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
 
 impl Gains {
+    /// Converts the rows of an observation.
     pub(super) fn of(rows: &Image) -> Self {
         let values = gains_of(&rows.pixels, rows.width).into_iter().map(|gain| gain.map(|v| v as f64)).collect();
         Self { antennas: rows.height / 2, subcarriers: rows.width, values }
     }
 
-    /// Gains of an antenna over the subcarriers.
+    /// Returns the gains of an antenna over the subcarriers.
     pub(super) fn antenna(&self, a: usize) -> &[[f64; 2]] {
         &self.values[a * self.subcarriers..][..self.subcarriers]
     }
 
-    /// Antenna with the highest power.
+    /// Returns the antenna with the highest power.
     fn strongest(&self) -> usize {
         let energy = |a: usize| self.antenna(a).iter().map(square).sum::<f64>();
         (0..self.antennas).max_by(|a, b| energy(*a).total_cmp(&energy(*b)).then(b.cmp(a))).unwrap_or(0)
     }
 }
 
-/// Squared magnitude |h|².
+/// Returns the squared magnitude |h|².
 pub(super) fn square([re, im]: &[f64; 2]) -> f64 {
     re * re + im * im
 }
 
-/// Magnitude and phase of both, with name of the horizontal axis and shown antenna.
+/// Returns the magnitude and phase of both, with name of the horizontal axis and shown antenna.
 pub(super) fn lines(
     measured: &Gains,
     predicted: &Gains,
@@ -178,24 +180,25 @@ pub(super) fn lines(
     )
 }
 
-/// Share in decibels, 10 log₁₀, limited for zero.
-pub(super) fn decibels(power: f64, of: f64) -> f64 {
-    if of > 0.0 { (10.0 * (power / of).log10()).max(FLOOR_DB) } else { FLOOR_DB }
+/// Returns the ratio in decibels, 10 log₁₀, at least [`FLOOR_DB`].
+pub(super) fn decibels(power: f64, reference: f64) -> f64 {
+    if reference > 0.0 { (10.0 * (power / reference).log10()).max(FLOOR_DB) } else { FLOOR_DB }
 }
 
+/// Returns the phase of a gain, degrees.
 fn angle([re, im]: &[f64; 2]) -> f64 {
     im.atan2(*re).to_degrees()
 }
 
-/// Unwrapped phases: no jump exceeds half a turn; the first is as close to `from` as whole turns allow.
+/// Returns the unwrapped phases: no jump exceeds half a turn; the first is as close to `from` as whole turns allow.
 fn unwrapped(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
     let mut last = from.unwrap_or(0.0);
     let near = |phase: f64, last: f64| phase + 360.0 * ((last - phase) / 360.0).round();
-    let of_each = |gain| {
+    let unwrap = |gain| {
         last = near(angle(gain), last);
         last
     };
-    gains.iter().map(of_each).collect()
+    gains.iter().map(unwrap).collect()
 }
 
 /// Minimum number of subcarriers for a delay profile.
@@ -205,42 +208,43 @@ const FINE: usize = 4;
 /// Share of all delays that is drawn before 0.
 const BEFORE: usize = 6;
 /// Maximum number of points along the delay axis.
-const PLACES: usize = 2_048;
+const MOST_DELAYS: usize = 2_048;
 
-/// Subcarrier spacing, Hz; `None` for too few or unequally spaced subcarriers.
+/// Returns the subcarrier spacing, Hz; `None` for too few or unequally spaced subcarriers.
 pub(super) fn spacing(frequencies: &[f64]) -> Option<f64> {
     let step = (frequencies.last()? - frequencies.first()?) / (frequencies.len().max(2) - 1) as f64;
     let is_even = frequencies.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 1e-3 * step.abs());
     (frequencies.len() >= FEWEST && is_even && step.is_finite() && step != 0.0).then_some(step.abs())
 }
 
-/// Power delay profiles, measured and predicted: inverse Fourier transform over subcarriers, power summed over
-/// antennas. Delay in ns, power in dB relative to the measured peak.
+/// Returns the power delay profiles, measured and predicted: inverse Fourier transform over subcarriers, power summed
+/// over antennas. Delay in ns, power in dB relative to the measured peak.
 pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> Option<[Vec<(f64, f64)>; 2]> {
     let step = spacing(frequencies)?;
     let forward = frequencies.first() <= frequencies.last();
-    let places = (FINE * frequencies.len()).min(PLACES);
+    let delays = (FINE * frequencies.len()).min(MOST_DELAYS);
     let power = |gains: &Gains| -> Vec<f64> {
-        let at = |place: usize| (0..gains.antennas).map(|a| tap(gains.antenna(a), place, places, forward)).sum();
-        (0..places).map(at).collect()
+        let at = |index: usize| (0..gains.antennas).map(|a| tap(gains.antenna(a), index, delays, forward)).sum();
+        (0..delays).map(at).collect()
     };
     let (measured, predicted) = (power(measured), power(predicted));
     let peak = measured.iter().copied().fold(0.0, f64::max);
     // The end of the period is drawn before 0, so that a path at 0 is complete.
-    let before = places / BEFORE;
+    let before = delays / BEFORE;
     let line = |powers: Vec<f64>| {
-        let delay = |k: usize| 1e9 * (k as f64 - before as f64) / (places as f64 * step);
-        (0..places).map(|k| (delay(k), decibels(powers[(k + places - before) % places], peak))).collect()
+        let delay = |k: usize| 1e9 * (k as f64 - before as f64) / (delays as f64 * step);
+        (0..delays).map(|k| (delay(k), decibels(powers[(k + delays - before) % delays], peak))).collect()
     };
     Some([line(measured), line(predicted)])
 }
 
-/// |Σ h w exp(j 2π k place/places)|² with a raised-cosine window w, which keeps one path from masking all others.
-fn tap(gains: &[[f64; 2]], place: usize, places: usize, forward: bool) -> f64 {
-    let count = gains.len() as f64;
+/// Returns |Σ h w exp(j 2π k `index`/`count`)|² with a raised-cosine window w, which keeps one path from masking all
+/// others.
+fn tap(gains: &[[f64; 2]], index: usize, count: usize, forward: bool) -> f64 {
+    let subcarriers = gains.len() as f64;
     let sum = gains.iter().enumerate().fold([0.0; 2], |[x, y], (k, [re, im])| {
-        let weight = 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / count).cos();
-        let turn = TAU * (k * place % places) as f64 / places as f64;
+        let weight = 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / subcarriers).cos();
+        let turn = TAU * (k * index % count) as f64 / count as f64;
         let (sin, cos) = (if forward { turn } else { -turn }).sin_cos();
         [x + weight * (re * cos - im * sin), y + weight * (re * sin + im * cos)]
     });
@@ -255,8 +259,8 @@ mod tests {
     fn unwraps_phases_and_limits_decibels() {
         let turning: Vec<[f64; 2]> =
             (0..5).map(|k| f64::from(150 * k).to_radians().sin_cos()).map(|(sin, cos)| [cos, sin]).collect();
-        let found = unwrapped(&turning, None);
-        assert!(found.iter().zip([0.0, 150.0, 300.0, 450.0, 600.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        let phases = unwrapped(&turning, None);
+        assert!(phases.iter().zip([0.0, 150.0, 300.0, 450.0, 600.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{phases:?}");
         assert!((unwrapped(&turning, Some(350.0))[0] - 360.0).abs() < 1e-9);
         assert_eq!((decibels(0.0, 1.0), decibels(1.0, 0.0)), (FLOOR_DB, FLOOR_DB));
     }

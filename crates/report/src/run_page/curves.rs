@@ -9,7 +9,7 @@ use pwrfgs_core::{Appearance, Headline};
 use pwrfgs_experiment::{IntervalScores, LoadedRun, record::column, scores::MODEL};
 
 /// Maximum number of ranges over which the loss is averaged.
-const STRETCHES: usize = 150;
+const MOST_RANGES: usize = 150;
 const MODEL_COLOUR: Colour = Colour::hex(0x18_4ea3);
 /// Colours of baselines, in their order, for the colour-blind (Okabe and Ito).
 const BASELINE_COLOURS: [u32; 8] =
@@ -21,7 +21,7 @@ const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 /// Heading and chart.
 type Figure = (String, String);
 
-/// All curves for which there are numbers.
+/// Returns all curves for which there are numbers.
 pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
     if !run.record.curve.is_empty() {
@@ -34,19 +34,20 @@ pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
     figures
 }
 
-/// Measured against nominal coverage of prediction intervals.
+/// Returns the measured against nominal coverage of prediction intervals.
 fn reliability(run: &LoadedRun<'_>) -> Option<Figure> {
-    let all = &run.record.scores.table.intervals;
+    let scores = &run.record.scores.table.intervals;
     let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex);
-    let curve = |own: &IntervalScores| {
-        let points = own.levels.iter().map(|level| (level.level, level.coverage)).collect();
-        let is_model = own.predictor == MODEL;
+    let curve = |intervals: &IntervalScores| {
+        let points = intervals.levels.iter().map(|level| (level.level, level.coverage)).collect();
+        let is_model = intervals.predictor == MODEL;
         let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
         let stroke = if is_model { Stroke::FULL } else { Stroke::DASHED };
-        ChartLine::new(points, Style::line(colour, 3.0, stroke)).named(&own.predictor)
+        ChartLine::new(points, Style::line(colour, 3.0, stroke)).named(&intervals.predictor)
     };
     // The first line is on top: dashes of a baseline stay visible on the line of the model.
-    let mut lines: Vec<ChartLine> = all.iter().rev().filter(|own| !own.levels.is_empty()).map(curve).collect();
+    let mut lines: Vec<ChartLine> =
+        scores.iter().rev().filter(|intervals| !intervals.levels.is_empty()).map(curve).collect();
     lines.first()?;
     let equal = ChartLine::new(vec![(0.0, 0.0), (1.0, 1.0)], Style::line(INK, 1.0, Stroke::DASHED));
     lines.push(equal.named("nominal = measured"));
@@ -55,40 +56,41 @@ fn reliability(run: &LoadedRun<'_>) -> Option<Figure> {
     figure("Prediction intervals: coverage of the test set", &chart)
 }
 
-/// Chart over the steps with the three phases of algorithm 1 shaded.
+/// Returns the chart over the steps with the three phases of algorithm 1 shaded.
 fn over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<ChartLine>) -> Chart {
     let training = &run.record.pipeline.training;
     let x = ChartAxis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
     Chart { x, y: ChartAxis { log, ..ChartAxis::default() }, bands: phases(training), lines, ..Chart::default() }
 }
 
+/// Returns a solid line without marks.
 fn line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine {
     ChartLine::new(points, Style::line(colour, width, Stroke::FULL))
 }
 
+/// Draws a chart with a title; `None` if there is nothing to draw.
 fn figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
     let title = title.into();
     chart.draw().map(|canvas| (title.clone(), canvas.svg("chart", &title)))
 }
 
-/// Loss on a logarithmic axis: mean and range over short ranges of steps.
+/// Returns the loss on a logarithmic axis: mean and range over short ranges of steps.
 fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
-    let stretches: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(STRETCHES).max(1)).collect();
+    let ranges: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(MOST_RANGES).max(1)).collect();
     let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
     let fold =
         |s: &[(f64, f64)], f: fn(f64, f64) -> f64| middle(s, s.iter().map(|p| p.1).reduce(f).unwrap_or(f64::NAN));
-    let mean: Vec<_> =
-        stretches.iter().map(|s| middle(s, s.iter().map(|p| p.1).sum::<f64>() / s.len() as f64)).collect();
-    let upper = stretches.iter().map(|s| fold(s, f64::max));
-    let range: Vec<_> = upper.chain(stretches.iter().rev().map(|s| fold(s, f64::min))).collect();
+    let mean: Vec<_> = ranges.iter().map(|s| middle(s, s.iter().map(|p| p.1).sum::<f64>() / s.len() as f64)).collect();
+    let upper = ranges.iter().map(|s| fold(s, f64::max));
+    let range: Vec<_> = upper.chain(ranges.iter().rev().map(|s| fold(s, f64::min))).collect();
     let mut lines = vec![line(mean, MODEL_COLOUR, 2.0)];
-    if points.len() > stretches.len() {
+    if points.len() > ranges.len() {
         lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
     figure("Training loss", &over_steps(run, true, lines))
 }
 
-/// N on a logarithmic axis.
+/// Returns the chart of N on a logarithmic axis.
 fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let lines = vec![line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
@@ -96,7 +98,7 @@ fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     figure(title, &over_steps(run, true, lines))
 }
 
-/// Validation score, with the baselines on the same samples.
+/// Returns the validation score, with the baselines on the same samples.
 fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
     let rows = &run.record.validation;
     if rows.is_empty() {
@@ -118,8 +120,8 @@ fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
 /// Number of groups of test samples by spread.
 const GROUPS: usize = 10;
 
-/// Error against the spread of an ensemble: median and range from the 10th to the 90th percentile of groups of equal
-/// numbers of test samples, with their rank correlation. `None` for a single model.
+/// Returns the error against the spread of an ensemble: median and range from the 10th to the 90th percentile of groups
+/// of equal numbers of test samples, with their rank correlation. `None` for a single model.
 pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
     let measured = run.record.confidence.as_ref()?;
     let groups = measured.groups(GROUPS);
@@ -147,11 +149,11 @@ pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
 }
 
 /// Maximum number of points along a curve.
-const PLACES: usize = 400;
+const MOST_POINTS: usize = 400;
 /// Share of each predictor within the axis, for errors and ratios without natural limits.
 const INSIDE: f64 = 0.98;
 
-/// Share of the test set below each value.
+/// Returns the share of the test set below each value.
 fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores;
     let task = run.data.task();
@@ -165,14 +167,14 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
     let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex).cycle();
     let mut lines = Vec::new();
     for (name, sorted) in &sorted {
-        let stride = sorted.len().div_ceil(PLACES).max(1);
+        let stride = sorted.len().div_ceil(MOST_POINTS).max(1);
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
         let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
         points.extend(sorted.last().map(|v| (*v, 1.0)));
         points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
-        let own = *name == MODEL;
-        let colour = if own { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
-        lines.push(line(points, colour, if own { 3.0 } else { 2.0 }).named(name));
+        let is_model = *name == MODEL;
+        let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
+        lines.push(line(points, colour, if is_model { 3.0 } else { 2.0 }).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ends: Some(ends), log: false };
     let y = ChartAxis { ends: Some((0.0, 1.0)), ..ChartAxis::default() };
@@ -180,13 +182,13 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
     figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
-/// Ends of the axis.
+/// Returns the ends of the axis.
 fn ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match (headline.best, headline.higher) {
         (Some(best), true) => {
             let first = sorted.iter().map(|(_, values)| values.first().map_or(best, |v| (v * 10.0).floor() / 10.0));
-            (first.fold(best, |low: f64, own| low.min(own).max(-best)), best)
+            (first.fold(best, |low: f64, value| low.min(value).max(-best)), best)
         }
         (Some(best), false) => (best, at(INSIDE).fold(1.0, f64::max).ceil()),
         (None, _) => {

@@ -22,7 +22,7 @@ pub(super) struct Example {
 }
 
 impl Example {
-    /// Facts shown on every page.
+    /// Returns the facts shown on every page.
     pub(super) fn words(&self, run: &LoadedRun<'_>) -> Value {
         let sample = run.data.sample(self.sample);
         context! {
@@ -35,7 +35,7 @@ impl Example {
     }
 }
 
-/// Distinct examples of a run; none without test samples. They are predicted again, which gives
+/// Returns distinct examples of a run; none without test samples. They are predicted again, which gives
 /// identical bits.
 pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let (data, part, model) = (run.data, &run.partition.test, run.model.prepare());
@@ -45,7 +45,7 @@ pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     } else {
         // The pipeline does not contain this metric.
         let mut scores = Vec::with_capacity(part.len());
-        each(run, part, |_, truth, prediction| scores.push(data.task().score(prediction, truth)));
+        for_each_link(run, part, |_, truth, prediction| scores.push(data.task().score(prediction, truth)));
         scores
     };
     let mut order: Vec<usize> = (0..scores.len()).collect();
@@ -71,8 +71,8 @@ pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
 /// Number of links that are predicted together.
 const CHUNK: usize = 512;
 
-/// Calls `look` for each link with its measurement and prediction, in order.
-pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut visit: impl FnMut(usize, &Image, &Image)) {
+/// Calls `visit` for each link with its measurement and prediction, in order.
+pub(super) fn for_each_link(run: &LoadedRun<'_>, links: &[usize], mut visit: impl FnMut(usize, &Image, &Image)) {
     let (model, data) = (run.model.prepare(), run.data);
     for chunk in links.chunks(CHUNK) {
         let queries: Vec<Query<'_>> = chunk.iter().map(|&i| data.query(i)).collect();
@@ -82,7 +82,7 @@ pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut visit: impl FnMut(u
     }
 }
 
-/// Best, median and worst test spectrum by SSIM, and their common error limit.
+/// Returns the best, median and worst test spectrum by SSIM, and their common error limit.
 pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
     let chosen = if run.data.task().has_pixels { chosen } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
@@ -111,12 +111,12 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
     (chosen.iter().zip(&errors).map(example).collect(), limit)
 }
 
-/// Difference `a` minus `b`.
+/// Returns the difference `a` minus `b`.
 fn difference(a: &Image, b: &Image) -> Image {
     Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(a, b)| a - b).collect() }
 }
 
-/// Strongest directions in words; none if the plane has no angles.
+/// Returns the strongest directions in words; none if the plane has no angles.
 fn peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
     let plane = run.model.plane();
     let direction = |image: &Image| {

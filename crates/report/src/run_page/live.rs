@@ -28,7 +28,8 @@ const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 /// Last statement of the script.
 const START: &str = "startReport();\n";
 
-/// Values for the template: always the script, which also sorts tables; the stage only if positions are known.
+/// Returns the values for the template: always the script, which also sorts tables; the stage only if positions are
+/// known.
 pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
     let digest = hash(&script);
@@ -36,12 +37,12 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
         return context! { script, digest };
     }
     let model = model_bytes(run);
-    let gaussians = shows(run.model).then(|| {
+    let gaussians = fits_page(run.model).then(|| {
         let origin = origin(&run.model.members()[0].stages.setup, Some(run.data));
         gaussians(run.model, origin, None).to_bytes()
     });
-    let chosen = chosen(run, model.is_some());
-    let links = shown(run, &chosen);
+    let chosen = choose_links(run, model.is_some());
+    let links = page_links(run, &chosen);
     context! {
         script,
         digest,
@@ -54,33 +55,34 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     }
 }
 
-/// Hash of the only permitted script, for the content security policy.
+/// Returns the hash of the only permitted script, for the content security policy.
 fn hash(script: &str) -> String {
     let digits = digest(script.as_bytes());
     let byte = |k: usize| u8::from_str_radix(&digits[2 * k..2 * k + 2], 16).unwrap_or_default();
     base64(&(0..digits.len() / 2).map(byte).collect::<Vec<_>>())
 }
 
+/// Encodes bytes as text.
 fn base64(bytes: &[u8]) -> String {
     STANDARD.encode(bytes)
 }
 
-/// Whether the Gaussians are few enough for a page.
-fn shows(model: &Ensemble) -> bool {
+/// Returns whether the Gaussians are few enough for a page.
+fn fits_page(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
 
-/// Model file, whole or in 8 bits, if it is one model that the page can predict.
+/// Returns the model file, whole or in 8 bits, if it is one model that the page can predict.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let ([only], None) = (run.model.members(), run.model.residuals()) else { return None };
     let deformation = only.stages.deformation()?;
     let name = name_of(deformation);
-    let is_known = |own: &&str| name.starts_with(*own) && !deformation.traits().reads_carrier;
-    let known = PREDICTED_IN_PAGE.iter().any(is_known);
+    let is_match = |supported: &&str| name.starts_with(*supported) && !deformation.traits().reads_carrier;
+    let is_supported = PREDICTED_IN_PAGE.iter().any(is_match);
     let setup = &only.stages.setup;
     let is_fixed = setup.receivers.len() == 1 && !setup.moves && setup.plane.camera.is_none();
-    let drawn = is_fixed && run.data.task().has_pixels;
-    if !(known && drawn) {
+    let has_fixed_spectra = is_fixed && run.data.task().has_pixels;
+    if !(is_supported && has_fixed_spectra) {
         return None;
     }
     if only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES {
@@ -89,12 +91,12 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     compress::to_bytes(only, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
-/// Test links whose observations are in the page: evenly from best to worst, as many as fit.
-fn chosen(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
+/// Returns the test links whose observations are in the page: evenly from best to worst, as many as fit.
+fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let task = run.data.task();
     let numbers = if task.is_scalar { run.data.scene.receivers.len() } else { run.data.width * run.data.height };
-    let of_one = numbers * if task.has_pixels { 1 } else { size_of::<f32>() } * if alone { 1 } else { 2 };
-    let most = OBSERVATIONS.min(BYTES / of_one.max(1)).max(1);
+    let bytes_per_link = numbers * if task.has_pixels { 1 } else { size_of::<f32>() } * if alone { 1 } else { 2 };
+    let most = OBSERVATIONS.min(BYTES / bytes_per_link.max(1)).max(1);
     let mut test: Vec<(usize, f64)> = scored(run).collect();
     test.sort_by(|a, b| a.1.total_cmp(&b.1));
     let all: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
@@ -103,8 +105,8 @@ fn chosen(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     chosen
 }
 
-/// Links on the page, sorted: the selected ones, and others evenly.
-fn shown(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
+/// Returns the links on the page, sorted: the selected ones, and others evenly.
+fn page_links(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
     let all: Vec<usize> = (0..run.data.len()).collect();
     let mut shown = [&evenly(&all, LINKS)[..], chosen].concat();
     shown.sort_unstable();
@@ -112,7 +114,7 @@ fn shown(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
     shown
 }
 
-/// Test links with their scores.
+/// Returns the test links with their scores.
 fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
     let key = run.data.task().headline.key;
     let values = run.record.scores.samples(MODEL, key).unwrap_or_default();
@@ -120,15 +122,16 @@ fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a
     run.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
 }
 
+/// Returns the data of the room for the page.
 fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     let mut scores = vec![f64::NAN; run.data.len()];
     scored(run).for_each(|(i, score)| scores[i] = score);
-    let known = PartitionedData { data: run.data, partition: run.partition, scores: &scores, links };
-    let mut tensors = room(&run.model.members()[0].stages.setup, Some(known), &[], POINTS);
+    let measured = PartitionedData { data: run.data, partition: run.partition, scores: &scores, links };
+    let mut tensors = room(&run.model.members()[0].stages.setup, Some(measured), &[], POINTS);
     let ellipsoids = run.model.is_drawn_as(Appearance::Ellipsoids);
     tensors.note["sides"] = json!([{
         "name": run.record.pipeline.name,
-        "gaussians": shows(run.model).then(|| run.model.gaussians()),
+        "gaussians": fits_page(run.model).then(|| run.model.gaussians()),
         "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
         "training_limit_m": run.model.training_limit(),
@@ -137,39 +140,39 @@ fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     tensors
 }
 
-/// Measurement of each selected link and, unless the page predicts, its prediction. Spectra have 8 bits per pixel;
-/// powers are those of all receivers. Named by index in `links`.
+/// Returns the measurement of each selected link and, unless the page predicts, its prediction. Spectra have 8 bits per
+/// pixel; powers are those of all receivers. Named by index in `links`.
 fn observation_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
     let LoadedRun { data, model, .. } = run;
-    let places: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
-    let mut tensors = TensorBundle::new(json!({ "links": places }));
+    let indices: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
+    let mut tensors = TensorBundle::new(json!({ "links": indices }));
     let is_scalar = data.task().is_scalar;
-    let mut put = |name: &str, place: usize, images: &[Image]| match images {
+    let mut put = |name: &str, index: usize, images: &[Image]| match images {
         [image] if data.task().has_pixels => {
-            tensors.put_bytes(&format!("{name}.{place}"), &[image.height, image.width], image.to_bytes());
+            tensors.put_bytes(&format!("{name}.{index}"), &[image.height, image.width], image.to_bytes());
         }
         images => {
             let values: Vec<Real> = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
-            tensors.put(&format!("{name}.{place}"), &[values.len()], values);
+            tensors.put(&format!("{name}.{index}"), &[values.len()], values);
         }
     };
     let receivers = if is_scalar { data.scene.receivers.len() } else { 1 };
-    let of_link = |&i: &usize| {
+    let queries_of = |&i: &usize| {
         let query = data.query(i);
         (0..receivers).map(move |r| if is_scalar { Query { receiver: r, ..query } } else { query })
     };
-    let queries: Vec<Query<'_>> = chosen.iter().flat_map(of_link).collect();
-    let found = if predicted { model.prepare().predict_many(&queries) } else { Vec::new() };
-    for (k, (place, &i)) in places.iter().zip(chosen).enumerate() {
-        put("truth", *place, &measured(data, i));
+    let queries: Vec<Query<'_>> = chosen.iter().flat_map(queries_of).collect();
+    let predictions = if predicted { model.prepare().predict_many(&queries) } else { Vec::new() };
+    for (k, (index, &i)) in indices.iter().zip(chosen).enumerate() {
+        put("truth", *index, &measured(data, i));
         if predicted {
-            put("predicted", *place, &found[k * receivers..][..receivers]);
+            put("predicted", *index, &predictions[k * receivers..][..receivers]);
         }
     }
     tensors
 }
 
-/// Observation of a link; for a power, those of its transmitter at all receivers, NaN without one.
+/// Returns the observation of a link; for a power, those of its transmitter at all receivers, NaN without one.
 fn measured(data: &Dataset, link: usize) -> Vec<Image> {
     if !data.task().is_scalar {
         return vec![data.image(link)];

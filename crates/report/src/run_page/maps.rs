@@ -33,16 +33,16 @@ enum ErrorScale {
     Positive(f64),
 }
 
-/// Maps of 1 − SSIM of the test spectra; none for other tasks, or if the pipeline lacks the metric.
+/// Returns the maps of 1 − SSIM of the test spectra; none for other tasks, or if the pipeline lacks the metric.
 pub(super) fn of_spectra(run: &LoadedRun<'_>) -> Option<Value> {
     let headline = run.data.task().headline;
     let scores = run.record.scores.samples(MODEL, headline.key).filter(|_| run.data.task().has_pixels)?;
     let best = headline.best?;
     let error = |(&link, score): (&usize, &f64)| LinkError { link, error: best - score };
-    maps(run, run.partition.test.iter().zip(scores).map(error).filter(|own| own.error.is_finite()).collect())
+    maps(run, run.partition.test.iter().zip(scores).map(error).filter(|error| error.error.is_finite()).collect())
 }
 
-/// Maps of the shown receivers; none without positions.
+/// Returns the maps of the shown receivers; none without positions.
 pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value> {
     let data = run.data;
     if !data.placed || errors.is_empty() {
@@ -50,13 +50,13 @@ pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value>
     }
     let receivers = &data.scene.receivers;
     let scale = ErrorScale::new(&errors, data.task().has_pixels);
-    let mut of_each: Vec<Vec<LinkError>> = vec![Vec::new(); receivers.len()];
-    errors.into_iter().for_each(|own| of_each[data.links[own.link].receiver].push(own));
-    let with_links: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
+    let mut per_receiver: Vec<Vec<LinkError>> = vec![Vec::new(); receivers.len()];
+    errors.into_iter().for_each(|error| per_receiver[data.links[error.link].receiver].push(error));
+    let with_links: Vec<usize> = (0..receivers.len()).filter(|&r| !per_receiver[r].is_empty()).collect();
     let map = |&r: &usize| {
         let name = receivers[r].name.clone();
-        let svg = map_of(run, r, &of_each[r], scale).svg("map", &format!("errors at {name}"));
-        context! { name, svg, links => of_each[r].len() }
+        let svg = draw_map(run, r, &per_receiver[r], scale).svg("map", &format!("errors at {name}"));
+        context! { name, svg, links => per_receiver[r].len() }
     };
     let (quantity, bar) = match scale {
         ErrorScale::Signed(limit) => ("predicted minus measured, dB", Some(ColourScale::Error(limit).bar())),
@@ -67,28 +67,28 @@ pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value>
         maps => with_links.iter().take(MAPS).map(map).collect::<Vec<_>>(),
         unshown => with_links.len().saturating_sub(MAPS),
         most => SHOWN,
-        cut => of_each.iter().any(|own| own.len() > SHOWN),
+        cut => per_receiver.iter().any(|errors| errors.len() > SHOWN),
         legend => scale.legend().svg("legend", "legend of the marks"),
         bar => bar.map(|bar| bar.svg("bar", "colour scale of the error, dB")),
     })
 }
 
-/// Map of one receiver, in the frame of all transmitters that it received.
-fn map_of(run: &LoadedRun<'_>, receiver: usize, errors: &[LinkError], scale: ErrorScale) -> Canvas {
+/// Draws the map of one receiver, in the frame of all transmitters that it received.
+fn draw_map(run: &LoadedRun<'_>, receiver: usize, errors: &[LinkError], scale: ErrorScale) -> Canvas {
     let data = run.data;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
-    let own = data.scene.origin.world_pose(data.scene.receivers[receiver].pose).position;
+    let position = data.scene.origin.world_pose(data.scene.receivers[receiver].pose).position;
     let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.tx));
-    let plan = FloorPlan::new(FloorPlan::corners(links().chain([flat(own)])), ["x", "y"], WIDTH, MOST_HEIGHT);
+    let plan = FloorPlan::new(FloorPlan::corners(links().chain([flat(position)])), ["x", "y"], WIDTH, MOST_HEIGHT);
     let mut canvas = plan.canvas();
     let points = evenly(&data.scene.points, POINTS);
     plan.points(&mut canvas, points.into_iter().map(|p| flat(data.scene.origin.world(p))));
     let mut shown = evenly(errors, SHOWN);
     shown.sort_by(|a, b| a.error.abs().total_cmp(&b.error.abs())); // the worst on top
-    for own in &shown {
-        scale.draw(&mut canvas, plan.place(flat(data.sample(own.link).tx)), own.error);
+    for error in &shown {
+        scale.draw(&mut canvas, plan.project(flat(data.sample(error.link).tx)), error.error);
     }
-    plan.receiver(&mut canvas, flat(own));
+    plan.receiver(&mut canvas, flat(position));
     plan.axes(&mut canvas);
     FloorPlan::widened(&canvas, WIDTH)
 }
@@ -97,7 +97,7 @@ impl ErrorScale {
     /// Creates the scale up to the 95th percentile of the absolute errors: a few large errors would make all others
     /// white.
     fn new(errors: &[LinkError], is_positive: bool) -> Self {
-        let most = quantile(&sorted(errors.iter().map(|own| own.error.abs())), 0.95);
+        let most = quantile(&sorted(errors.iter().map(|error| error.error.abs())), 0.95);
         if is_positive {
             Self::Positive(((20.0 * most).ceil() / 20.0).max(0.05))
         } else {
@@ -120,7 +120,7 @@ impl ErrorScale {
         canvas.polygon(&[[x, y - up * size], beside(1.0), beside(-1.0)], paint(diverging(part)));
     }
 
-    /// Legend of the marks.
+    /// Returns the legend of the marks.
     fn legend(self) -> Canvas {
         let marks = match self {
             Self::Signed(limit) => vec![

@@ -24,22 +24,22 @@ struct PowerPair {
 }
 
 impl PowerPair {
-    /// Error, positive if the prediction is too high, dB.
+    /// Returns the error, positive if the prediction is too high, dB.
     fn error(&self) -> f64 {
         self.predicted - self.measured
     }
 }
 
-/// Figures, maps and examples.
+/// Returns the figures, maps and examples.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let mut pairs = Vec::with_capacity(run.partition.test.len());
-    super::examples::each(run, &run.partition.test, |link, truth, prediction| {
+    super::examples::for_each_link(run, &run.partition.test, |link, truth, prediction| {
         pairs.push(PowerPair { link, measured: truth.pixels[0] as f64, predicted: prediction.pixels[0] as f64 });
     });
-    pairs.retain(|own| own.error().is_finite());
+    pairs.retain(|pair| pair.error().is_finite());
     let errors = sorted(pairs.iter().map(PowerPair::error));
     let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&pairs)].into_iter().flatten().collect();
-    let by_link = pairs.iter().map(|own| LinkError { link: own.link, error: own.error() }).collect();
+    let by_link = pairs.iter().map(|pair| LinkError { link: pair.link, error: pair.error() }).collect();
     context! {
         figures,
         median => signed(quantile(&errors, 0.5)),
@@ -51,12 +51,13 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     }
 }
 
-/// Number with two decimals and sign.
+/// Returns the number with two decimals and sign.
 fn signed(db: f64) -> String {
     format!("{db:+.2}").replace('-', "−")
 }
 
-/// Histogram of errors in per cent of the test links; the outermost bars contain the last hundredth at each end.
+/// Returns the histogram of errors in per cent of the test links; the outermost bars contain the last hundredth at each
+/// end.
 fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     let reach = quantile(errors, 0.01).abs().max(quantile(errors, 0.99).abs());
     let reach = if reach > 0.0 { reach } else { 1.0 };
@@ -91,13 +92,13 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
 }
 
-/// Predicted against measured power, with the line of equality.
+/// Returns the predicted against measured power, with the line of equality.
 fn scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
-    let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|own| (own.measured, own.predicted)).collect();
+    let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|pair| (pair.measured, pair.predicted)).collect();
     let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
-    let air = (0.04 * (high - low)).max(1.0);
-    let ends = (low - air, high + air);
+    let margin = (0.04 * (high - low)).max(1.0);
+    let ends = (low - margin, high + margin);
     let lines = vec![
         ChartLine::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(BLACK, 1.3, Stroke::DASHED))
             .named("predicted = measured"),
@@ -109,7 +110,7 @@ fn scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
     if pairs.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
 }
 
-/// Best, median and worst link as rows.
+/// Returns the best, median and worst link as rows.
 fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     let row = |example: &Example| {
         let Example { score, truth, prediction, .. } = example;

@@ -4,13 +4,14 @@ use minijinja::{Value, context};
 use pwrfgs_experiment::scores::{MetricRow, ScoreCell, ScoreTable};
 use pwrfgs_experiment::{LoadedRun, statistics::Summary, text::number};
 
-/// Groups of columns, one per metric: per-sample metrics first, then single values such as latency.
+/// Returns the groups of columns, one per metric: per-sample metrics first, then single values such as latency.
 pub(super) fn groups(scores: &ScoreTable) -> Vec<Value> {
     let mut metrics: Vec<&MetricRow> = scores.metrics.iter().collect();
     metrics.sort_by_key(|m| !m.is_per_sample());
     metrics.into_iter().map(|metric| group(scores, metric)).collect()
 }
 
+/// Returns the columns of one metric: titles, numbers and marks.
 fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     let (key, unit, samples) = (metric.key.clone(), metric.unit.clone(), metric.is_per_sample());
     let columns: &'static [&'static str] = match (samples, metric.higher_is_better) {
@@ -63,8 +64,8 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
 /// Maximum number of rows; others are counted.
 const ROWS: usize = 60;
 
-/// Mean and median of the first metric over the test links of each receiver; `None` for a single receiver, or if no
-/// predictor has per-sample values.
+/// Returns the mean and median of the first metric over the test links of each receiver; `None` for a single receiver,
+/// or if no predictor has per-sample values.
 pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     let (data, scores) = (run.data, &run.record.scores);
     let headline = data.task().headline;
@@ -72,30 +73,30 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     if receivers.len() < 2 {
         return None;
     }
-    let mut of_each: Vec<Vec<usize>> = vec![Vec::new(); receivers.len()];
-    for (place, &i) in run.partition.test.iter().enumerate() {
-        of_each[data.links[i].receiver].push(place);
+    let mut per_receiver: Vec<Vec<usize>> = vec![Vec::new(); receivers.len()];
+    for (k, &i) in run.partition.test.iter().enumerate() {
+        per_receiver[data.links[i].receiver].push(k);
     }
     let predictors: Vec<(&String, &[f64])> =
         scores.predictors.iter().filter_map(|(name, _)| Some((name, scores.samples(name, headline.key)?))).collect();
-    let receiving: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
+    let receiving: Vec<usize> = (0..receivers.len()).filter(|&r| !per_receiver[r].is_empty()).collect();
     let row = |&r: &usize| {
         let summaries: Vec<Summary> = predictors
             .iter()
-            .map(|(_, values)| of_each[r].iter().filter_map(|&k| values.get(k).copied()).collect::<Vec<f64>>())
-            .map(|own| Summary::of(&own, headline.higher))
+            .map(|(_, values)| per_receiver[r].iter().filter_map(|&k| values.get(k).copied()).collect::<Vec<f64>>())
+            .map(|scores| Summary::of(&scores, headline.higher))
             .collect();
         let cells: Vec<(String, &str)> = summaries
             .iter()
-            .flat_map(|own| {
+            .flat_map(|summary| {
                 let rivals = || summaries.iter();
                 [
-                    marked(own.mean, rivals().map(|other| other.mean), headline.higher),
-                    marked(own.median, rivals().map(|other| other.median), headline.higher),
+                    marked(summary.mean, rivals().map(|other| other.mean), headline.higher),
+                    marked(summary.median, rivals().map(|other| other.median), headline.higher),
                 ]
             })
             .collect();
-        context! { name => receivers[r].name.clone(), links => of_each[r].len(), cells }
+        context! { name => receivers[r].name.clone(), links => per_receiver[r].len(), cells }
     };
     (!predictors.is_empty() && !receiving.is_empty()).then(|| {
         context! {
@@ -108,7 +109,7 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     })
 }
 
-/// Number, and whether none is better.
+/// Returns the number, and whether none is better.
 fn marked(value: f64, mut all: impl Iterator<Item = f64>, higher: bool) -> (String, &'static str) {
     let is_best = value.is_finite() && all.all(|other| !(if higher { other > value } else { other < value }));
     (number(value), if is_best { "best" } else { "" })

@@ -28,7 +28,7 @@ pub(super) enum RowKind {
 }
 
 impl RowKind {
-    /// Value in the CSV file.
+    /// Returns the value in the CSV file.
     pub(super) fn name(self) -> &'static str {
         ["variant", "external", "baseline", "oracle", "ceiling"][self as usize]
     }
@@ -61,13 +61,13 @@ pub(super) enum SummaryStatistic {
 }
 
 impl SummaryStatistic {
-    /// Value in the CSV file.
+    /// Returns the value in the CSV file.
     pub(super) fn name(self) -> &'static str {
         ["mean", "median", "tail10", "value"][self as usize]
     }
 
-    /// Index among the numbers of a cell.
-    fn place(self) -> usize {
+    /// Returns the index among the numbers of a cell.
+    fn index(self) -> usize {
         match self {
             Self::Mean | Self::Whole => 0,
             Self::Median => 1,
@@ -75,7 +75,7 @@ impl SummaryStatistic {
         }
     }
 
-    /// Words above a column.
+    /// Returns the words above a column.
     pub(super) fn words(self, higher_is_better: bool) -> &'static str {
         match self {
             Self::Tail10 if higher_is_better => "10th percentile",
@@ -85,7 +85,7 @@ impl SummaryStatistic {
     }
 }
 
-/// Statistics of a metric.
+/// Returns the statistics of a metric.
 pub(super) fn statistics(metric: &MetricRow) -> &'static [SummaryStatistic] {
     if metric.is_per_sample() {
         &[SummaryStatistic::Mean, SummaryStatistic::Median, SummaryStatistic::Tail10]
@@ -94,20 +94,20 @@ pub(super) fn statistics(metric: &MetricRow) -> &'static [SummaryStatistic] {
     }
 }
 
-/// Whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
+/// Returns whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
 pub(super) fn is_ranked(metric: &MetricRow, same_machine: bool) -> bool {
     metric.key != TRAINED_ON && (same_machine || !is_time(metric))
 }
 
-/// Whether a metric is a time, which depends on the machine.
+/// Returns whether a metric is a time, which depends on the machine.
 pub(super) fn is_time(metric: &MetricRow) -> bool {
     metric.key.starts_with("latency") || metric.key == TRAINING
 }
 
 impl ComparisonRow<'_> {
-    /// Values of the runs that have one.
+    /// Returns the values of the runs that have one.
     pub(super) fn values(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Vec<f64> {
-        let of_run = |run: &&Record| match statistic {
+        let value = |run: &&Record| match statistic {
             SummaryStatistic::Whole if metric.key == TRAINING => {
                 (self.kind == RowKind::Variant).then_some(run.facts.training_seconds)
             }
@@ -119,36 +119,37 @@ impl ComparisonRow<'_> {
                     RowKind::External | RowKind::Oracle | RowKind::Ceiling => None,
                 }
             }
-            _ => run.scores.table.numbers(self.predictor, &metric.key)?.get(statistic.place()).copied(),
+            _ => run.scores.table.numbers(self.predictor, &metric.key)?.get(statistic.index()).copied(),
         };
-        self.runs.iter().filter_map(of_run).filter(|v| !v.is_nan()).collect()
+        self.runs.iter().filter_map(value).filter(|v| !v.is_nan()).collect()
     }
 
-    /// Mean and deviation over seeds. A baseline on a split that is equal for all seeds has no deviation.
+    /// Returns the mean and deviation over seeds. A baseline on a split that is equal for all seeds has no deviation.
     pub(super) fn spread(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Option<Spread> {
         let spread = Spread::of(&self.values(metric, statistic))?;
         let same = self.kind != RowKind::Variant && spread.deviation == Some(0.0);
         Some(if same { Spread { deviation: None, ..spread } } else { spread })
     }
 
+    /// Returns the scores of a seed by sample.
     fn samples(&self, seed: u64, metric: &MetricRow) -> Option<BTreeMap<u32, f64>> {
         self.runs.iter().find(|run| run.facts.seed == seed)?.scores.by_id(self.predictor, &metric.key)
     }
 
-    /// Difference of this row from `reference`, paired by seed and test sample; pairs without finite difference are
-    /// omitted.
-    pub(super) fn less(
+    /// Returns the difference of this row from `reference`, paired by seed and test sample; pairs without finite
+    /// difference are omitted.
+    pub(super) fn difference_from(
         &self,
         reference: &ComparisonRow<'_>,
         metric: &MetricRow,
         blocks: &Blocks,
     ) -> Option<Difference> {
-        let of_seed = |run: &&Record| {
-            let own = self.samples(run.facts.seed, metric)?;
-            let other = reference.samples(run.facts.seed, metric)?;
-            Some(blocks.cells(own.iter().filter_map(|(id, value)| Some((*id, value - other.get(id)?)))))
+        let seed_differences = |run: &&Record| {
+            let scores = self.samples(run.facts.seed, metric)?;
+            let others = reference.samples(run.facts.seed, metric)?;
+            Some(blocks.cells(scores.iter().filter_map(|(id, value)| Some((*id, value - others.get(id)?)))))
         };
-        Difference::of(&self.runs.iter().filter_map(of_seed).collect::<Vec<_>>())
+        Difference::of(&self.runs.iter().filter_map(seed_differences).collect::<Vec<_>>())
     }
 }
 
@@ -163,6 +164,7 @@ pub(super) struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
+    /// Collects the rows and metrics of a setting.
     pub(super) fn new(setting: &'a Setting) -> Self {
         let variant = |(k, v): (usize, &'a StudyVariant)| {
             let twin = setting.twin(k).map(|first| first.label.as_str());
@@ -185,8 +187,8 @@ impl<'a> Comparison<'a> {
                     None => {
                         let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
                         let external = setting.is_external(name);
-                        let known = if oracle { RowKind::Oracle } else { RowKind::Baseline };
-                        let kind = if external { RowKind::External } else { known };
+                        let ranked = if oracle { RowKind::Oracle } else { RowKind::Baseline };
+                        let kind = if external { RowKind::External } else { ranked };
                         rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
                     }
                 }
@@ -217,21 +219,23 @@ impl<'a> Comparison<'a> {
         for (key, unit, higher_is_better) in [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false)] {
             metrics.push(MetricRow { key: key.into(), unit: unit.into(), higher_is_better, cells: Vec::new() });
         }
-        let places =
-            setting.runs().flat_map(|run| run.test.positions.iter().map(|(id, place)| (*id, *place))).collect();
-        Self { setting, rows, metrics, blocks: Blocks::new(&places) }
+        let positions =
+            setting.runs().flat_map(|run| run.test.positions.iter().map(|(id, position)| (*id, *position))).collect();
+        Self { setting, rows, metrics, blocks: Blocks::new(&positions) }
     }
 
+    /// Returns the row with a label.
     pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
         self.rows.iter().find(|row| row.label == label)
     }
 
+    /// Returns the metric with a key.
     pub(super) fn metric(&self, key: &str) -> Option<&MetricRow> {
         self.metrics.iter().find(|m| m.key == key)
     }
 
-    /// Warnings about scores that are not finite, which means omit.
-    pub(super) fn holes(&self) -> Vec<String> {
+    /// Returns warnings about scores that are not finite, which means omit.
+    pub(super) fn missing_score_warnings(&self) -> Vec<String> {
         let mut all = Vec::new();
         for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
             let without = |run: &&&Record| run.scores.value(row.predictor, &metric.key).is_some_and(f64::is_nan);
@@ -244,8 +248,8 @@ impl<'a> Comparison<'a> {
         all
     }
 
-    /// Warnings about baselines that differ between runs of a seed: a row can show only one of them.
-    pub(super) fn ambiguous(&self) -> Vec<String> {
+    /// Returns warnings about baselines that differ between runs of a seed: a row can show only one of them.
+    pub(super) fn ambiguous_baseline_warnings(&self) -> Vec<String> {
         let key = self.setting.headline().key;
         let mut all = Vec::new();
         for row in self.rows.iter().filter(|row| [RowKind::Baseline, RowKind::Oracle].contains(&row.kind)) {
@@ -265,7 +269,7 @@ impl<'a> Comparison<'a> {
         all
     }
 
-    /// Groups of variants with bit-identical models, by label.
+    /// Returns the groups of variants with bit-identical models, by label.
     pub(super) fn twins(&self) -> Vec<String> {
         let group = |first: &ComparisonRow<'a>| {
             let others = self.rows.iter().filter(|row| row.twin == Some(first.label)).map(|row| row.label);
@@ -274,19 +278,19 @@ impl<'a> Comparison<'a> {
         self.rows.iter().map(group).filter(|group| group.len() > 1).map(|group| group.join(" ≡ ")).collect()
     }
 
-    /// Notes of all predictors of the setting.
+    /// Returns the notes of all predictors of the setting.
     pub(super) fn notes(&self) -> Vec<String> {
-        let of_variant = |variant: &'a StudyVariant| {
+        let variant_notes = |variant: &'a StudyVariant| {
             let named = move |note: &String| note.replace(" of model", &format!(" of {}", variant.label));
             variant.runs.iter().flat_map(|run| &run.scores.table.notes).map(named)
         };
-        distinct(self.setting.variants.iter().flat_map(of_variant))
+        distinct(self.setting.variants.iter().flat_map(variant_notes))
     }
 }
 
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";
 
-/// `report.csv`: one line per number: all metrics of all rows of all settings, with references.
+/// Returns `report.csv`: one line per number: all metrics of all rows of all settings, with references.
 ///
 /// Columns: setting, simulated, variant, kind (`variant`, `external`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
@@ -317,9 +321,9 @@ pub(super) fn csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a
         let Some(reference) = comparison.row(reference) else { continue };
         for row in comparison.rows.iter().filter(|row| row.label != reference.label) {
             for metric in comparison.metrics.iter().filter(|m| m.is_per_sample()) {
-                let Some(found) = row.less(reference, metric, &comparison.blocks) else { continue };
-                let ends = found.interval.map_or_else(Default::default, |(a, b)| [a.to_string(), b.to_string()]);
-                let (value, n) = (found.mean.to_string(), found.seeds.to_string());
+                let Some(difference) = row.difference_from(reference, metric, &comparison.blocks) else { continue };
+                let ends = difference.interval.map_or_else(Default::default, |(a, b)| [a.to_string(), b.to_string()]);
+                let (value, n) = (difference.mean.to_string(), difference.seeds.to_string());
                 put(row, metric, ["difference", &value, "", &n, reference.label, &ends[0], &ends[1]]);
             }
         }

@@ -70,6 +70,7 @@ impl Figure {
         Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
 
+    /// Creates a figure with title and caption of the template, in all formats.
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
         let (least, most) = setting.seeds();
         let words = sentences("figures.txt", context! { name, least, most, ..words });
@@ -93,7 +94,7 @@ pub struct FigureSet {
 /// Function that draws a figure from data and models.
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
-/// All figures for which there are numbers. `progress` counts figures.
+/// Returns all figures for which there are numbers. `progress` counts figures.
 pub fn all(setting: &Setting, progress: Progress<'_>) -> FigureSet {
     let from_scores = [
         gaussians::figure,
@@ -106,8 +107,8 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> FigureSet {
         errors::distribution,
         errors::distance,
     ];
-    let of_spectra: &[FromData] = &[panels::room, panels::spectra, rate::figure];
-    let from_data = if setting.task().has_pixels { of_spectra } else { &of_spectra[..1] };
+    let all_from_data: &[FromData] = &[panels::room, panels::spectra, rate::figure];
+    let from_data = if setting.task().has_pixels { all_from_data } else { &all_from_data[..1] };
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
     for (done, make) in from_scores.iter().enumerate() {

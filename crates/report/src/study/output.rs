@@ -19,11 +19,11 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// File that marks a folder as a report.
-const OWN: &str = "report.json";
+const LIST: &str = "report.json";
 
-/// Content of [`OWN`].
+/// Content of [`LIST`].
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Owned {
+struct FileList {
     /// Version of pwrfgs.
     version: String,
     /// Paths inside the folder, in ascending order.
@@ -39,7 +39,7 @@ struct Owned {
 /// # Errors
 /// If the reference does not exist, the folder is not a report, or a file cannot be written.
 pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
-    let check = || refuse_links(out).and_then(|()| owned(out));
+    let check = || refuse_links(out).and_then(|()| read_list(out));
     check()?; // before the figures are drawn
     let page = StudyPage::new(study, reference, observer)?;
     let files = files(&page)?;
@@ -54,18 +54,19 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
         std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
     }
     // First the list of all files, so that an interrupted report can be replaced.
-    own(out, &before.files | &names)?;
+    write_list(out, &before.files | &names)?;
     before.files.difference(&names).for_each(|old| files::remove(&out.join(old)));
     for (name, bytes) in &files {
         write_atomically(&out.join(name), bytes)?;
     }
     // Removes the folder of figures if it is empty.
     _ = std::fs::remove_dir(out.join("figures"));
-    own(out, names)?;
-    Ok(text(&page))
+    write_list(out, names)?;
+    Ok(text_tables(&page))
 }
 
-/// Names and bytes of all files except [`OWN`]. The page is the last: a new folder with a page is complete.
+/// Returns the names and bytes of all files except [`LIST`]. The page is the last: a new folder with a page is
+/// complete.
 fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = vec![("report.csv".into(), page.csv.clone().into())];
     for section in &page.sections {
@@ -82,30 +83,30 @@ fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
 
 /// Rejects symbolic links: a report replaces and removes files, and only its own.
 fn refuse_links(out: &Path) -> Result<()> {
-    let places = [out.to_owned(), out.join(OWN), out.join("tables"), out.join("figures")];
-    let leads_away = |place: &&std::path::PathBuf| place.symlink_metadata().is_ok_and(|found| found.is_symlink());
-    places.iter().find(leads_away).map_or(Ok(()), |place| {
+    let paths = [out.to_owned(), out.join(LIST), out.join("tables"), out.join("figures")];
+    let is_link = |path: &&std::path::PathBuf| path.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink());
+    paths.iter().find(is_link).map_or(Ok(()), |path| {
         let advice = "reports are not written through links; choose another --out";
-        Err(Error::Config(format!("{}: symbolic link; {advice}", place.display())))
+        Err(Error::Config(format!("{}: symbolic link; {advice}", path.display())))
     })
 }
 
-/// List of files in `out`; empty for a new folder. Rejects paths that are not folders, and folders with files but
-/// without a list of a report.
-fn owned(out: &Path) -> Result<Owned> {
-    let path = out.join(OWN);
+/// Returns the list of files in `out`; empty for a new folder. Rejects paths that are not folders, and folders with
+/// files but without a list of a report.
+fn read_list(out: &Path) -> Result<FileList> {
+    let path = out.join(LIST);
     let Some(text) = files::if_found(&path, files::read_string(&path))? else {
-        return refuse_foreign(out, "a report's folder").map(|()| Owned::default());
+        return refuse_foreign(out, "a report's folder").map(|()| FileList::default());
     };
     // Only names of report files: nothing else is removed, whatever the list contains.
-    serde_json::from_str::<Owned>(&text)
+    serde_json::from_str::<FileList>(&text)
         .ok()
-        .filter(|list| list.files.iter().all(|name| is_ours(name)))
+        .filter(|list| list.files.iter().all(|name| is_report_file(name)))
         .ok_or_else(|| Error::input(&path, "not a list of report files; choose another --out"))
 }
 
-/// Whether a report writes files of this name.
-fn is_ours(name: &str) -> bool {
+/// Returns whether a report writes files of this name.
+fn is_report_file(name: &str) -> bool {
     let below = |folder: &str, ends: &[&str]| {
         name.strip_prefix(folder).is_some_and(|n| !n.contains(['/', '\\']) && ends.iter().any(|end| n.ends_with(end)))
     };
@@ -114,19 +115,20 @@ fn is_ours(name: &str) -> bool {
         || below("figures/", &[".svg", ".pdf", ".png"])
 }
 
-fn own(out: &Path, files: BTreeSet<String>) -> Result<()> {
-    let list = Owned { version: env!("CARGO_PKG_VERSION").into(), files };
+/// Writes the list of files.
+fn write_list(out: &Path, files: BTreeSet<String>) -> Result<()> {
+    let list = FileList { version: env!("CARGO_PKG_VERSION").into(), files };
     let text = serde_json::to_string_pretty(&list).expect("plain data") + "\n";
-    write_atomically(&out.join(OWN), text.as_bytes())
+    write_atomically(&out.join(LIST), text.as_bytes())
 }
 
-/// Names and texts of all documents: `report.tex` with one file per table, then `report.html`.
+/// Returns the names and texts of all documents: `report.tex` with one file per table, then `report.html`.
 fn documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     let (mut all, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {
         let (mut message, mut tables) = (Vec::new(), Vec::new());
         for table in &section.tables {
-            let t = shown(table, &mut message);
+            let t = table_context(table, &mut message);
             let context = context! { t => t.clone(), setting => section.title.clone(), name => section.name.clone() };
             all.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
             tables.push(t);
@@ -145,9 +147,9 @@ fn documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     Ok(all)
 }
 
-/// Table for a template: groups neighbouring columns of one title and lines of one kind; separates the sentences of the
-/// legend that no table above contains.
-fn shown<'a>(table: &'a Table, message: &mut Vec<&'a str>) -> Value {
+/// Returns the table for a template: groups neighbouring columns of one title and lines of one kind; separates the
+/// sentences of the legend that no table above contains.
+fn table_context<'a>(table: &'a Table, message: &mut Vec<&'a str>) -> Value {
     let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !message.contains(s)).collect();
     message.extend(&fresh);
     let groups: Vec<&[TableColumn]> =
@@ -163,8 +165,8 @@ fn shown<'a>(table: &'a Table, message: &mut Vec<&'a str>) -> Value {
     }
 }
 
-/// Tables of every setting that fit a terminal.
-fn text(page: &StudyPage) -> String {
+/// Returns the tables of every setting that fit a terminal.
+fn text_tables(page: &StudyPage) -> String {
     let mut out = String::new();
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
@@ -184,6 +186,7 @@ fn text(page: &StudyPage) -> String {
     out.split_inclusive('\n').map(|line| single_line(line.trim_end_matches('\n')) + "\n").collect()
 }
 
+/// Returns a cell as text, with its mark.
 fn cell(shown: &FormattedValue) -> String {
     let mark = match shown.mark {
         RankMark::None => " ",
@@ -198,10 +201,10 @@ fn cell(shown: &FormattedValue) -> String {
     if shown.value.is_empty() { "n/a ".into() } else { format!("{}{more}{mark}", shown.value) }
 }
 
-/// Aligned text: labels left, numbers right, below two header lines.
+/// Returns the aligned text: labels left, numbers right, below two header lines.
 fn lines(table: &Table) -> Vec<Vec<String>> {
     let head =
-        |of: fn(&TableColumn) -> String| [String::new()].into_iter().chain(table.columns.iter().map(of)).collect();
+        |text: fn(&TableColumn) -> String| [String::new()].into_iter().chain(table.columns.iter().map(text)).collect();
     let heads = [head(|c| format!("{} {} ", c.title, c.arrow)), head(|c| format!("{} ", c.detail))];
     let line = |line: &TableLine| [single_line(&line.label)].into_iter().chain(line.cells.iter().map(cell)).collect();
     heads.into_iter().chain(table.lines.iter().map(line)).collect()
@@ -216,14 +219,14 @@ mod tests {
     #[test]
     fn refuses_folder_that_is_not_a_report() {
         let folder = tempfile::tempdir().unwrap();
-        owned(folder.path()).unwrap();
-        owned(&folder.path().join("missing")).unwrap();
+        read_list(folder.path()).unwrap();
+        read_list(&folder.path().join("missing")).unwrap();
         std::fs::write(folder.path().join("thesis.tex"), "x").unwrap();
-        let message = owned(folder.path()).unwrap_err();
+        let message = read_list(folder.path()).unwrap_err();
         assert!(message.is_input() && message.to_string().contains("`thesis.tex`"), "{message}");
-        assert!(owned(&folder.path().join("thesis.tex")).unwrap_err().is_input());
-        own(folder.path(), BTreeSet::from(["report.csv".into()])).unwrap();
-        owned(folder.path()).unwrap();
+        assert!(read_list(&folder.path().join("thesis.tex")).unwrap_err().is_input());
+        write_list(folder.path(), BTreeSet::from(["report.csv".into()])).unwrap();
+        read_list(folder.path()).unwrap();
     }
 
     #[cfg(unix)]
@@ -232,16 +235,16 @@ mod tests {
         let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let precious = elsewhere.path().join("1-old.svg");
         std::fs::write(&precious, "mine").unwrap();
-        own(folder.path(), BTreeSet::from(["figures/1-old.svg".to_owned()])).unwrap();
-        own(elsewhere.path(), BTreeSet::new()).unwrap();
+        write_list(folder.path(), BTreeSet::from(["figures/1-old.svg".to_owned()])).unwrap();
+        write_list(elsewhere.path(), BTreeSet::new()).unwrap();
         let study = Study { title: "none".into(), ..Study::default() };
         let write = |out: &Path| write(&study, None, out, &mut pwrfgs_experiment::NoopObserver);
-        let whole = |name: &str| {
+        let link_to = |name: &str| {
             let link = folder.path().join(name);
             std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();
             link
         };
-        for link in [whole("figures"), whole("tables")] {
+        for link in [link_to("figures"), link_to("tables")] {
             let message = write(folder.path()).unwrap_err();
             assert!(
                 message.is_input() && message.to_string().contains("symbolic link; reports are not written"),
@@ -249,12 +252,12 @@ mod tests {
             );
             std::fs::remove_file(link).unwrap();
         }
-        assert!(write(&whole("report")).unwrap_err().is_input());
+        assert!(write(&link_to("report")).unwrap_err().is_input());
         assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
         // A link in place of a file is rejected if it is not listed; if it is listed, it is replaced and not followed.
         std::os::unix::fs::symlink(&precious, folder.path().join("report.csv")).unwrap();
         assert!(write(folder.path()).unwrap_err().to_string().contains("report.csv: not a file of the report"));
-        own(folder.path(), BTreeSet::from(["report.csv".to_owned()])).unwrap();
+        write_list(folder.path(), BTreeSet::from(["report.csv".to_owned()])).unwrap();
         write(folder.path()).unwrap();
         assert!(!folder.path().join("report.csv").is_symlink());
         assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
@@ -264,17 +267,22 @@ mod tests {
     fn rejects_file_list_with_foreign_paths() {
         for name in ["../../precious", "/etc/hosts", "tables/../../a.tex", "figures/x.gif", "notes.md"] {
             let folder = tempfile::tempdir().unwrap();
-            own(folder.path(), BTreeSet::from([name.to_owned()])).unwrap();
-            assert!(owned(folder.path()).unwrap_err().is_input(), "{name}");
+            write_list(folder.path(), BTreeSet::from([name.to_owned()])).unwrap();
+            assert!(read_list(folder.path()).unwrap_err().is_input(), "{name}");
         }
-        assert!(is_ours("figures/1-ssim.svg") && is_ours("tables/2-scores.tex") && is_ours("report.csv"));
+        assert!(
+            is_report_file("figures/1-ssim.svg")
+                && is_report_file("tables/2-scores.tex")
+                && is_report_file("report.csv")
+        );
     }
 
+    /// Returns a cell.
     fn shown(value: &str, deviation: &str, mark: RankMark) -> FormattedValue {
         FormattedValue { value: value.into(), deviation: deviation.into(), mark, ..FormattedValue::default() }
     }
 
-    /// Page of one section with one table.
+    /// Returns the page of one section with one table.
     fn page(columns: Vec<TableColumn>, lines: Vec<TableLine>) -> StudyPage {
         let table = Table { name: "scores", title: "50 % of a_b".into(), columns, lines, legend: vec!["a<b".into()] };
         let title = "office (simulated)".to_owned();
@@ -282,8 +290,9 @@ mod tests {
         StudyPage { title: "a & b".into(), sections: vec![section], ..StudyPage::default() }
     }
 
+    /// Returns the text of a document.
     fn document(page: &StudyPage, name: &str) -> String {
-        documents(page).unwrap().into_iter().find(|(found, _)| found == name).unwrap().1
+        documents(page).unwrap().into_iter().find(|(file, _)| file == name).unwrap().1
     }
 
     #[test]

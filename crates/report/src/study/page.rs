@@ -70,15 +70,16 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
     if comparisons.iter().any(|c| c.row(label).is_some()) {
         return Ok(());
     }
-    let mut known: Vec<&str> = comparisons.iter().flat_map(|c| &c.rows).map(|row| row.label).collect();
-    known.sort_unstable();
-    known.dedup();
-    let hint = did_you_mean(label, known.iter().copied());
-    let known = known.join("`, `");
-    Err(Error::Config(format!("--reference: no variant or baseline `{label}`{hint} (found `{known}`)")))
+    let mut labels: Vec<&str> = comparisons.iter().flat_map(|c| &c.rows).map(|row| row.label).collect();
+    labels.sort_unstable();
+    labels.dedup();
+    let hint = did_you_mean(label, labels.iter().copied());
+    let labels = labels.join("`, `");
+    Err(Error::Config(format!("--reference: no variant or baseline `{label}`{hint} (found `{labels}`)")))
 }
 
 impl Section {
+    /// Creates the section of a setting.
     fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: FigureSet) -> Self {
         let setting = comparison.setting;
         let named = reference.and_then(|label| comparison.row(label));
@@ -86,8 +87,8 @@ impl Section {
         let runs: Vec<&Record> = setting.runs().collect();
         let same_machine = runs.iter().all(|r| r.facts.machine == runs[0].facts.machine);
         let samples = [0, 1, 2].map(|k| {
-            let of = runs.iter().map(|r| r.facts.samples[k]);
-            vec![of.clone().min(), of.max()]
+            let counts = runs.iter().map(|r| r.facts.samples[k]);
+            vec![counts.clone().min(), counts.max()]
         });
         let mut message = sentences(
             "lead.txt",
@@ -109,8 +110,8 @@ impl Section {
         );
         let mut warnings = message.split_off(1);
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
-        warnings.extend(comparison.holes());
-        warnings.extend(comparison.ambiguous());
+        warnings.extend(comparison.missing_score_warnings());
+        warnings.extend(comparison.ambiguous_baseline_warnings());
         warnings.extend(drawn.left_out);
         let tables = [
             tables::ranks(setting),
@@ -133,17 +134,20 @@ impl Section {
     }
 }
 
+/// Describes the machine of a run.
 fn machine(record: &Record) -> String {
     let machine = &record.facts.machine;
     let threads = if machine.threads == 1 { "thread" } else { "threads" };
     format!("{}, {} {threads} of {} cores, {}", machine.cpu, machine.threads, machine.cores, machine.system)
 }
 
+/// Describes the program of a run.
 fn program(record: &Record) -> String {
     let id = record.facts.commit.as_ref().map(|id| id.chars().take(10).collect::<String>());
     format!("pwrfgs {}{}", record.facts.version, id.map_or_else(String::new, |id| format!(" at {id}")))
 }
 
+/// Returns the runs of a setting with seed, training, machine and folder.
 fn run_lines(setting: &Setting) -> Vec<Value> {
     let line = |variant: &str, record: &Record| {
         let facts = &record.facts;

@@ -70,7 +70,7 @@ pub(super) enum RankMark {
     Clear,
 }
 
-/// Title that marks simulated data.
+/// Returns the title that marks simulated data.
 fn title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
@@ -95,17 +95,19 @@ impl TableLine {
 }
 
 impl Table {
-    /// Whether any number is marked as best.
+    /// Returns whether any number is marked as best.
     pub(super) fn is_marked(&self) -> bool {
         self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == RankMark::Best)
     }
 
+    /// Returns whether a row has this type.
     fn has(&self, kind: RowKind) -> bool {
         self.lines.iter().any(|line| line.kind == kind)
     }
 }
 
-/// Score and rank of each method at each number of Gaussians, best mean rank first; `None` without equal numbers.
+/// Returns the score and rank of each method at each number of Gaussians, best mean rank first; `None` without equal
+/// numbers.
 pub(super) fn ranks(setting: &Setting) -> Option<Table> {
     let pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
@@ -117,9 +119,9 @@ pub(super) fn ranks(setting: &Setting) -> Option<Table> {
     };
     let mut columns: Vec<TableColumn> = pareto.numbers.iter().map(column).collect();
     columns.push(TableColumn { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
-    let lines = pareto.families.iter().map(|way| {
-        let cell = |place: &Option<_>| {
-            place.map_or_else(FormattedValue::default, |(score, rank): (Spread, usize)| FormattedValue {
+    let lines = pareto.families.iter().map(|family| {
+        let cell = |pair: &Option<_>| {
+            pair.map_or_else(FormattedValue::default, |(score, rank): (Spread, usize)| FormattedValue {
                 value: format!("{} ({rank})", number(score.mean)),
                 deviation: score.deviation.map_or_else(String::new, number),
                 mark: match rank {
@@ -130,11 +132,11 @@ pub(super) fn ranks(setting: &Setting) -> Option<Table> {
                 ..FormattedValue::default()
             })
         };
-        let mut cells: Vec<FormattedValue> = way.places.iter().map(cell).collect();
-        let mean = way.mean_rank();
+        let mut cells: Vec<FormattedValue> = family.places.iter().map(cell).collect();
+        let mean = family.mean_rank();
         let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
         cells.push(FormattedValue { value, ..FormattedValue::default() });
-        TableLine { label: way.name.clone(), kind: RowKind::Variant, cells }
+        TableLine { label: family.name.clone(), kind: RowKind::Variant, cells }
     });
     let lines: Vec<TableLine> = lines.collect();
     let mut table =

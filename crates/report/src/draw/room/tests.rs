@@ -4,7 +4,7 @@ use super::*;
 use crate::canvas::{Shape, Step};
 use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Spectra};
 
-/// Room of 4 x 3 x 2 m with `points` points and one transmitter per set.
+/// Returns the room of 4 x 3 x 2 m with `points` points and one transmitter per set.
 fn room(points: usize) -> (Dataset, Partition) {
     let sample = |id| Sample::new(id, [1.0, 1.0, f64::from(id) / 2.0]);
     let spectra = Spectra::grey((1, 1), vec![0; 2]).unwrap();
@@ -14,16 +14,19 @@ fn room(points: usize) -> (Dataset, Partition) {
     (data, Partition { train: vec![0], validation: vec![], test: vec![1] })
 }
 
+/// Returns a snapshot with these means.
 fn snapshot(means: impl IntoIterator<Item = [Real; 3]>) -> Snapshot {
     let means: Vec<_> = means.into_iter().collect();
     let rest = GaussianCloud::zeros(means.len());
     Snapshot::of(0, &GaussianCloud { means, ..rest }, Origin::ZERO)
 }
 
+/// Returns the SVG of a panel.
 fn svg(panel: &Panel) -> String {
-    panel.picture.svg("room", "")
+    panel.drawing.svg("room", "")
 }
 
+/// Returns the number of drawn circles.
 fn circles(panel: &Panel) -> usize {
     svg(panel).matches("<circle").count()
 }
@@ -69,7 +72,7 @@ fn room_figure_limits_drawn_gaussians_and_file_size() {
     let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert!(svg(&panel).len() < 300_000, "{} bytes", svg(&panel).len());
     assert_eq!(panel.caption, "only the 3,000 most opaque are drawn");
-    // Among equal Gaussians, the drawn ones are spread over all places.
+    // Among equal Gaussians, the drawn ones are spread over the whole room.
     let quarter = |k: usize| scattered(65_000)[..GAUSSIANS].iter().filter(|i| **i / 16_250 == k).count();
     assert!((0..4).all(|k| (700..800).contains(&quarter(k))));
 }
@@ -83,7 +86,7 @@ fn draws_flat_scene_and_empty_cloud() {
     assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
 }
 
-/// Receiver whose boresight is rotated by an angle, degrees, about an axis of the world.
+/// Returns the receiver whose boresight is rotated by an angle, degrees, about an axis of the world.
 fn turned(axis: [f64; 3], degrees: f64) -> Pose {
     let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
     Pose { position: [2.0, 1.0, 1.0], orientation: [axis[0] * sin, axis[1] * sin, axis[2] * sin, cos] }
@@ -99,14 +102,14 @@ fn arrow_points_along_boresight() {
         [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]];
     for ((axis, degrees), ahead) in poses.into_iter().chain(sides).zip(ahead) {
         let pose = turned(axis, degrees);
-        let at = view.place(pose.position);
-        let [x, y] = view.place([0, 1, 2].map(|k| pose.position[k] + ahead[k]));
+        let at = view.project(pose.position);
+        let [x, y] = view.project([0, 1, 2].map(|k| pose.position[k] + ahead[k]));
         let mut canvas = Canvas::new(10.0, 10.0);
         ReceiverArrow::new(&pose, &view, 0.5).draw(&mut canvas, at);
         let Shape::Path(head, _) = &canvas.shapes[1] else { panic!("no arrow for {ahead:?}") };
         let Step::Move(tip) = head.0[0] else { panic!("{head:?}") };
-        let (expected, found) = ((y - at[1]).atan2(x - at[0]), (tip[1] - at[1]).atan2(tip[0] - at[0]));
-        assert!((expected - found).abs() < 1e-5, "{ahead:?}: {expected} {found}");
+        let (expected, drawn) = ((y - at[1]).atan2(x - at[0]), (tip[1] - at[1]).atan2(tip[0] - at[0]));
+        assert!((expected - drawn).abs() < 1e-5, "{ahead:?}: {expected} {drawn}");
     }
 }
 

@@ -55,23 +55,23 @@ impl RoomView {
         }
     }
 
-    /// Whether the box contains `p`.
-    pub(crate) fn holds(&self, p: RoomPoint) -> bool {
+    /// Returns whether the box contains `p`.
+    pub(crate) fn contains(&self, p: RoomPoint) -> bool {
         (0..3).all(|k| (self.low[k]..=self.high[k]).contains(&p[k]))
     }
 
-    /// Height of the floor, metres.
+    /// Returns the height of the floor, metres.
     pub(crate) fn floor(&self) -> f64 {
         self.low[2]
     }
 
-    /// Position on the drawing.
-    pub(crate) fn place(&self, p: RoomPoint) -> Point {
+    /// Returns the position on the drawing.
+    pub(crate) fn project(&self, p: RoomPoint) -> Point {
         let [x, y] = flat(p);
         [self.scale * (x - self.corner[0]), self.scale * (self.corner[1] - y)]
     }
 
-    /// Nearness to the viewer: 0 at the farthest corner of the box, 1 at the nearest.
+    /// Returns the nearness to the viewer: 0 at the farthest corner of the box, 1 at the nearest.
     pub(crate) fn nearness(&self, p: RoomPoint) -> f64 {
         let eye = eye();
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
@@ -86,7 +86,7 @@ impl RoomView {
         canvas.letters.size = self.text;
         let (low, high) = (self.low, self.high);
         // The viewer is at large x and small y: the walls at small x and large y are behind.
-        let at = |x: f64, y: f64, z: f64| self.place([x, y, z]);
+        let at = |x: f64, y: f64, z: f64| self.project([x, y, z]);
         let [floor, top] = [low[2], high[2]]
             .map(|z| [at(low[0], low[1], z), at(high[0], low[1], z), at(high[0], high[1], z), at(low[0], high[1], z)]);
         let faces = [floor, [floor[0], floor[3], top[3], top[0]], [floor[3], floor[2], top[2], top[3]]];
@@ -130,19 +130,19 @@ impl RoomView {
     }
 }
 
-/// Direction to the viewer.
+/// Returns the direction to the viewer.
 fn eye() -> RoomPoint {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
 }
 
-/// Cosine of the angle between a direction and the direction to the viewer.
+/// Returns the cosine of the angle between a direction and the direction to the viewer.
 pub(crate) fn facing(direction: RoomPoint) -> f64 {
     let (eye, length) = (eye(), direction.iter().map(|v| v * v).sum::<f64>().sqrt());
     (0..3).map(|k| eye[k] * direction[k]).sum::<f64>() / length
 }
 
-/// Horizontal and vertical coordinate on the drawing, metres.
+/// Returns the horizontal and vertical coordinate on the drawing, metres.
 fn flat(p: RoomPoint) -> Point {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     let towards = az.cos() * p[0] + az.sin() * p[1];
@@ -157,12 +157,12 @@ mod tests {
     fn room_view_fills_image_and_keeps_lengths() {
         for (low, high) in [([0.0; 3], [8.0, 6.0, 3.0]), ([-1.0, -1.0, 0.0], [1.0, 1.0, 20.0])] {
             let view = RoomView::new(low, high, 10.0);
-            let ends = (0..8).map(|k| view.place([0, 1, 2].map(|a| if k >> a & 1 == 0 { low[a] } else { high[a] })));
+            let ends = (0..8).map(|k| view.project([0, 1, 2].map(|a| if k >> a & 1 == 0 { low[a] } else { high[a] })));
             for [x, y] in ends {
                 assert!((10.0 * MARGINS[0] - 1e-9..=WIDTH - 10.0 * MARGINS[2] + 1e-9).contains(&x), "{x}");
                 assert!((10.0 * MARGINS[1] - 1e-9..=view.size[1] - 10.0 * MARGINS[3] + 1e-9).contains(&y), "{y}");
             }
-            let [a, b, c] = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]].map(|p| view.place(p));
+            let [a, b, c] = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]].map(|p| view.project(p));
             assert!((b[0] - a[0] - (c[0] - b[0])).abs() < 1e-9, "no perspective");
             let (behind, before) = ([low[0], high[1], low[2]], [high[0], low[1], high[2]]);
             assert!(view.nearness(behind).abs() < 1e-9 && (view.nearness(before) - 1.0).abs() < 1e-9);

@@ -21,35 +21,35 @@ const WALLS: Colour = Colour::hex(0xb4_5f06);
 
 /// Virtual transmitter: position in metres, and level in dB relative to the strongest.
 struct MappedSource {
-    place: [f64; 3],
+    position: [f64; 3],
     db: f64,
 }
 
-/// Both views with remarks about omitted elements; `None` for a model that draws splats.
+/// Returns both views with remarks about omitted elements; `None` for a model that draws splats.
 pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
     if !run.model.is_drawn_as(Appearance::Points) {
         return None;
     }
-    let mut found = found(run);
-    if found.is_empty() {
+    let mut sources = strongest_first(run);
+    if sources.is_empty() {
         return None;
     }
-    let all = found.len();
-    found.truncate(SHOWN);
-    let view = |names, axes: [usize; 2]| draw(run, &found, names, axes);
+    let all = sources.len();
+    sources.truncate(SHOWN);
+    let view = |names, axes: [usize; 2]| draw(run, &sources, names, axes);
     let ((plan, outside), (side, hidden)) = (view(["x", "y"], [0, 1]), view(["x", "z"], [0, 2]));
     Some(context! {
         plan => plan.svg("map", "top view of the room"),
         side => side.svg("map", "side view of the room"),
         legend => legend(!run.data.scene.points.is_empty()).svg("legend", "legend of the marks"),
         count => grouped(all as i64),
-        shown => (all > found.len()).then(|| grouped(found.len() as i64)),
+        shown => (all > sources.len()).then(|| grouped(sources.len() as i64)),
         outside => outside.max(hidden),
     })
 }
 
-/// All virtual transmitters in the world frame, strongest first.
-fn found(run: &LoadedRun<'_>) -> Vec<MappedSource> {
+/// Returns all virtual transmitters in the world frame, strongest first.
+fn strongest_first(run: &LoadedRun<'_>) -> Vec<MappedSource> {
     let members = run.model.members();
     let mut all: Vec<([f64; 3], f64)> = members
         .iter()
@@ -58,30 +58,30 @@ fn found(run: &LoadedRun<'_>) -> Vec<MappedSource> {
             let strength = |[re, im]: &[pwrfgs_core::Real; 2]| (*re as f64).hypot(*im as f64);
             model.cloud.means.iter().zip(&model.cloud.signals).map(move |(p, s)| (origin.world(*p), strength(s)))
         })
-        .filter(|(place, s)| s.is_finite() && place.iter().all(|v| v.is_finite()))
+        .filter(|(position, s)| s.is_finite() && position.iter().all(|v| v.is_finite()))
         .collect();
     all.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let most = all.first().map_or(0.0, |own| own.1);
+    let most = all.first().map_or(0.0, |strongest| strongest.1);
     let db = |s: f64| if s > 0.0 && most > 0.0 { 20.0 * (s / most).log10() } else { f64::NEG_INFINITY };
-    all.into_iter().map(|(place, s)| MappedSource { place, db: db(s) }).collect()
+    all.into_iter().map(|(position, s)| MappedSource { position, db: db(s) }).collect()
 }
 
-/// View along an axis, and the number of transmitters outside its frame.
-fn draw(run: &LoadedRun<'_>, found: &[MappedSource], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
+/// Returns the view along an axis, and the number of transmitters outside its frame.
+fn draw(run: &LoadedRun<'_>, sources: &[MappedSource], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
     let scene = &run.data.scene;
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
-    let places: Vec<[f64; 2]> = found.iter().map(|own| flat(own.place)).collect();
-    let plan = FloorPlan::new(setup(walls, &places), names, WIDTH, 420.0);
+    let positions: Vec<[f64; 2]> = sources.iter().map(|source| flat(source.position)).collect();
+    let plan = FloorPlan::new(frame(walls, &positions), names, WIDTH, 420.0);
     let mut canvas = plan.canvas();
     plan.points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
-    let [a, b] = [plan.place([walls[0][0], walls[1][1]]), plan.place([walls[1][0], walls[0][1]])];
+    let [a, b] = [plan.project([walls[0][0], walls[1][1]]), plan.project([walls[1][0], walls[0][1]])];
     canvas.rect(a, [b[0] - a[0], b[1] - a[1]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
     let mut outside = 0;
-    for own in found {
-        let place = flat(own.place);
-        if plan.holds(place) {
-            canvas.circle(plan.place(place), radius(own.db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
+    for source in sources {
+        let position = flat(source.position);
+        if plan.contains(position) {
+            canvas.circle(plan.project(position), radius(source.db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
         } else {
             outside += 1;
         }
@@ -93,18 +93,18 @@ fn draw(run: &LoadedRun<'_>, found: &[MappedSource], names: [&'static str; 2], a
     (FloorPlan::widened(&canvas, WIDTH), outside)
 }
 
-/// Bounds of the room and its surroundings with mirror images, except the few farthest.
-fn setup(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
-    let ends = |q: f64| [0, 1].map(|k| quantile(&sorted(places.iter().map(|p| p[k])), q));
+/// Returns the bounds of the room and its surroundings with mirror images, except the few farthest.
+fn frame(walls: [[f64; 2]; 2], positions: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    let ends = |q: f64| [0, 1].map(|k| quantile(&sorted(positions.iter().map(|p| p[k])), q));
     FloorPlan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
 }
 
-/// Disc with an area that decreases with decibels.
+/// Returns the radius of a disc whose area decreases with decibels.
 fn radius(db: f64) -> f64 {
     RADIUS * (1.0 + db.max(-RANGE_DB) / RANGE_DB).max(0.03).sqrt()
 }
 
-/// Legend of the marks.
+/// Returns the legend of the marks.
 fn legend(has_points: bool) -> Canvas {
     let mut canvas = Canvas::new(620.0, 24.0);
     let (mut x, y) = (12.0, 12.0);

@@ -19,7 +19,7 @@ const MOST_BINS: usize = 8;
 /// Maximum number of variants with bands of quartiles; more bands would overlap.
 const MOST_BANDS: usize = 4;
 
-/// Error against the distance to the nearest training transmitter, which reveals leakage of a split.
+/// Returns the error against the distance to the nearest training transmitter, which reveals leakage of a split.
 pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
@@ -57,7 +57,7 @@ struct Bin {
     quartiles: [f64; 3],
 }
 
-/// Bins over all `runs` of one predictor; none if it has no first metric.
+/// Returns the bins over all `runs` of one predictor; none if it has no first metric.
 fn bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     let Headline { key, higher, best, .. } = task.headline;
     let drawn = |score: f64| best.filter(|_| higher).map_or(score, |best| best - score);
@@ -69,8 +69,8 @@ fn bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     binned(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)
 }
 
-/// Pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`]; distances of 0 or infinity are
-/// omitted, because the axis is logarithmic.
+/// Groups pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`]; distances of 0 or infinity
+/// are omitted, because the axis is logarithmic.
 fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
     pairs.retain(|p| p.0 > 0.0 && p.0.is_finite() && p.1.is_finite());
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -85,11 +85,12 @@ fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
 }
 
 /// Number of points of a distribution.
-const PLACES: usize = 200;
+const SHARES: usize = 200;
 /// Share of each predictor within the axis.
 const INSIDE: f64 = 0.98;
 
-/// Share of the test set below each value of the first metric; not for spectra, whose SSIM has its own figure.
+/// Returns the share of the test set below each value of the first metric; not for spectra, whose SSIM has its own
+/// figure.
 pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
     if setting.task().has_pixels {
         return None;
@@ -99,7 +100,7 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
     let points = |runs: &[Record], predictor: &str| -> Vec<(f64, f64)> {
         let samples = runs.iter().filter_map(|run| run.scores.by_id(predictor, headline.key));
         let values = sorted(samples.flat_map(BTreeMap::into_values).filter(|v| v.is_finite()));
-        let shares = (0..=PLACES).map(|k| k as f64 / PLACES as f64).filter(|share| tail.contains(share));
+        let shares = (0..=SHARES).map(|k| k as f64 / SHARES as f64).filter(|share| tail.contains(share));
         if values.is_empty() { Vec::new() } else { shares.map(|share| (quantile(&values, share), share)).collect() }
     };
     let mut lines = Vec::new();
@@ -127,10 +128,10 @@ mod tests {
         let mut pairs: Vec<(f64, f64)> = (1..=10).map(|k| (f64::from(k), f64::from(k) / 10.0)).collect();
         pairs.extend([(0.0, 9.0), (f64::INFINITY, 9.0)]);
         pairs.reverse();
-        let found = binned(pairs, 1);
-        assert_eq!(found.len(), 2);
-        assert_eq!((found[0].distance, found[0].quartiles), (3.0, [0.2, 0.3, 0.4]));
-        assert_eq!((found[1].distance, found[1].quartiles), (8.0, [0.7, 0.8, 0.9]));
+        let bins = binned(pairs, 1);
+        assert_eq!(bins.len(), 2);
+        assert_eq!((bins[0].distance, bins[0].quartiles), (3.0, [0.2, 0.3, 0.4]));
+        assert_eq!((bins[1].distance, bins[1].quartiles), (8.0, [0.7, 0.8, 0.9]));
         assert!(binned(Vec::new(), 5).is_empty());
         assert_eq!(binned(vec![(1.0, 0.5)], 5).len(), 1);
         assert_eq!(binned(vec![(1.0, 0.5); 1000], 50).len(), MOST_BINS);

@@ -15,6 +15,7 @@ const MOST_NAMES: usize = 16;
 /// End of the axis over the last step that changes N, if trainings differ in length.
 const AFTER: f64 = 1.5;
 
+/// Returns the figure; `None` if there is nothing to draw.
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let (bands, (end, last)) = (shared_phases(setting), ends(setting));
     let by_method = VariantFamily::all(setting).len() > 1;
@@ -29,17 +30,17 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     Figure::chart("gaussians", setting, words, chart)
 }
 
-/// One line per variant up to step `end`, with the range over seeds. With several methods, the legend names the methods,
-/// and names at the ends of lines distinguish the variants of each.
+/// Returns one line per variant up to step `end`, with the range over seeds. With several methods, the legend names the
+/// methods, and names at the ends of lines distinguish the variants of each.
 pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
     let families = VariantFamily::all(setting);
     let by_method = families.len() > 1;
     let (mut lines, mut names) = (Vec::new(), Vec::new());
     let (mut shift, count) = (0.5, setting.variants.len() as f64);
-    for (m, way) in families.iter().enumerate() {
-        let variants = way.variants.iter().zip(&way.values).filter(|(v, _)| v.runs[0].facts.gaussians > 0);
+    for (m, family) in families.iter().enumerate() {
+        let variants = family.variants.iter().zip(&family.values).filter(|(v, _)| v.runs[0].facts.gaussians > 0);
         for (v, (variant, value)) in variants.enumerate() {
-            let style = if by_method { method_style(way, m) } else { Style::variant(v) };
+            let style = if by_method { method_style(family, m) } else { Style::variant(v) };
             let [low, middle, high] = curves(variant, end);
             let mut line = ChartLine::new(decimate_steps(&middle), style);
             line.marks = marks(&middle, end, shift / count);
@@ -47,10 +48,10 @@ pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
             if !by_method {
                 line = line.named(&variant.label);
             } else if v == 0 {
-                line = line.named(&way.title);
+                line = line.named(&family.title);
             }
             let is_whole = variant.runs[0].pipeline.training.steps as f64 >= end;
-            if let Some(last) = line.points.last().filter(|_| by_method && is_whole && way.variants.len() > 1) {
+            if let Some(last) = line.points.last().filter(|_| by_method && is_whole && family.variants.len() > 1) {
                 let invisible = Style { stroke: Stroke::None, ..style };
                 names.push(ChartLine::new(vec![*last], invisible).named_at_end(value));
             }
@@ -67,20 +68,21 @@ pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
     lines
 }
 
-/// End of the axis, and the last step. The axis ends soon after the last change of N if trainings differ in length.
+/// Returns the end of the axis, and the last step. The axis ends soon after the last change of N if trainings differ in
+/// length.
 fn ends(setting: &Setting) -> (f64, f64) {
     let steps = || setting.runs().map(|run| run.pipeline.training.steps);
     let (least, most) = (steps().min().unwrap_or(0), steps().max().unwrap_or(0) as f64);
     let changed = |curve: Vec<(f64, f64)>| {
-        let is_last = |place: &(f64, f64)| curve.last().is_some_and(|last| last.1 == place.1);
-        let before = curve.iter().rposition(|place| !is_last(place))?;
-        curve.get(before + 1).map(|place| place.0)
+        let is_last = |point: &(f64, f64)| curve.last().is_some_and(|last| last.1 == point.1);
+        let before = curve.iter().rposition(|point| !is_last(point))?;
+        curve.get(before + 1).map(|point| point.0)
     };
     let last = setting.runs().filter_map(|run| changed(run.curve_of(4))).fold(0.0, f64::max);
     (if least as f64 == most || last == 0.0 { most } else { most.min(AFTER * last) }, most)
 }
 
-/// Phases, if they are equal in all runs.
+/// Returns the phases, if they are equal in all runs.
 fn shared_phases(setting: &Setting) -> Vec<Band> {
     let schedule = |v: &StudyVariant| {
         let t = &v.runs[0].pipeline.training;
@@ -91,7 +93,7 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
     if same { phases(&first.runs[0].pipeline.training) } else { Vec::new() }
 }
 
-/// Minimum, mean and maximum N at each step up to `end` that all runs of the variant recorded.
+/// Returns the minimum, mean and maximum N at each step up to `end` that all runs of the variant recorded.
 fn curves(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (step, n) in variant.runs.iter().flat_map(|r| r.curve_of(4)) {
@@ -103,12 +105,12 @@ fn curves(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     [extreme(f64::min), fold(&|all| all.iter().sum::<f64>() / all.len() as f64), extreme(f64::max)]
 }
 
-/// Some points on the curve; `shift` in 0..1 moves them, so that the marks of two lines do not coincide.
+/// Returns some points on the curve. `shift` in 0..1 selects them, so that the marks of two lines do not coincide.
 fn marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
-    let place = |k: usize| end * (k as f64 + shift) / MARKS as f64;
+    let step = |k: usize| end * (k as f64 + shift) / MARKS as f64;
     (0..MARKS)
         .filter_map(|k| {
-            let next = points.partition_point(|p| p.0 < place(k));
+            let next = points.partition_point(|p| p.0 < step(k));
             points.get(next).copied()
         })
         .collect()

@@ -39,12 +39,13 @@ impl<'a> Bar<'a> {
         Some(Self { label: &variant.label, stages: stages?, total: variant.score(TOTAL)? })
     }
 
-    /// End of the bar.
+    /// Returns the end of the bar.
     fn length(&self) -> f64 {
         self.stages.iter().sum()
     }
 }
 
+/// Returns the figure; `None` without timed variants.
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let bars: Vec<Bar<'_>> = setting.variants.iter().filter_map(Bar::of).collect();
     let longest = bars.iter().map(Bar::length).fold(0.0, f64::max);
@@ -55,11 +56,12 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     Some(Figure::new("latency", setting, words, &draw(&bars, longest)))
 }
 
-/// Machines of the measurements.
+/// Returns the machines of the measurements.
 fn machines(setting: &Setting) -> Vec<String> {
     distinct(setting.runs().map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)))
 }
 
+/// Draws the bars with names, axis and legend.
 fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
     let labels: Vec<Vec<String>> = bars.iter().map(|b| wrapped(b.label, NAMES)).collect();
     let names = labels.iter().flatten().map(|line| text_width(line)).fold(0.0, f64::max);
@@ -69,18 +71,18 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
     let width = COLUMN - left - ends - 10.0;
     let bottom = top + row * bars.len() as f64;
     let key = |(k, (name, _)): (usize, &(&str, &str))| {
-        let mut picture = Canvas::new(13.0, SYMBOL);
-        boxed(&mut picture, [0.0, 2.0], [13.0, 10.0], SHADES[k]);
-        Symbol { picture, meaning: (*name).to_owned() }
+        let mut drawing = Canvas::new(13.0, SYMBOL);
+        draw_box(&mut drawing, [0.0, 2.0], [13.0, 10.0], SHADES[k]);
+        Symbol { drawing, meaning: (*name).to_owned() }
     };
     let legend = Legend::new(STAGES.iter().enumerate().map(key).collect(), COLUMN);
     let mut canvas = Canvas::new(COLUMN, bottom + 36.0 + legend.height());
     let thin = Paint::stroke(INK, 0.9);
     let x = |ms: f64| left + width * ms / longest;
-    let apart = |all: &[(f64, String)]| {
+    let fit = |all: &[(f64, String)]| {
         all.windows(2).all(|w| x(w[1].0) - x(w[0].0) > f64::midpoint(text_width(&w[0].1), text_width(&w[1].1)) + 8.0)
     };
-    for (ms, label) in ticks((0.0, longest), false, &apart) {
+    for (ms, label) in ticks((0.0, longest), false, &fit) {
         canvas.line(&[[x(ms), bottom], [x(ms), bottom + 4.0]], thin);
         canvas.text([x(ms), bottom + 16.0], Anchor::Middle, label);
     }
@@ -89,7 +91,7 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
         canvas.lines([left - 6.0, y], Anchor::End, &labels[k]);
         let mut begun = 0.0;
         for (stage, ms) in bar.stages.iter().enumerate() {
-            boxed(&mut canvas, [x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], SHADES[stage]);
+            draw_box(&mut canvas, [x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], SHADES[stage]);
             begun += ms;
         }
         canvas.text([x(begun) + 5.0, y + 4.0], Anchor::Start, bar.end());
@@ -100,15 +102,15 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
     canvas
 }
 
-/// Box with a thin dark border; nothing for a stage without time.
-fn boxed(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
+/// Draws a box with a thin dark border; nothing for a stage without time.
+fn draw_box(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
     if size[0] >= 0.005 {
         canvas.rect(at, size, Paint::fill(Colour::hex(shade)).outlined(INK, 0.6));
     }
 }
 
 impl Bar<'_> {
-    /// Text at the end of the bar.
+    /// Returns the text at the end of the bar.
     fn end(&self) -> String {
         match self.total.deviation {
             // Two digits of the deviation, and as many decimals of the mean.

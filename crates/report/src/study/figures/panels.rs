@@ -15,21 +15,21 @@ use std::collections::BTreeMap;
 /// Maximum number of shown methods.
 const MOST_ROOMS: usize = 6;
 
-/// One variant per method: that with the number of Gaussians that most methods reach, or the nearest. All variants of a
-/// single method.
+/// Returns one variant per method: that with the number of Gaussians that most methods reach, or the nearest. All
+/// variants of a single method.
 pub(super) fn methods(setting: &Setting) -> Vec<&StudyVariant> {
     let families = VariantFamily::all(setting);
     if families.len() == 1 {
         return setting.variants.iter().collect();
     }
     let count = |variant: &StudyVariant| variant.runs[0].facts.gaussians;
-    let reach = |n: usize| families.iter().filter(|way| way.variants.iter().any(|v| count(v) == n)).count();
+    let reach = |n: usize| families.iter().filter(|family| family.variants.iter().any(|v| count(v) == n)).count();
     let common = setting.variants.iter().map(count).max_by_key(|&n| (reach(n), Reverse(n))).unwrap_or(0);
     let far = |variant: &&StudyVariant| count(variant).abs_diff(common);
-    families.into_iter().filter_map(|way| way.variants.into_iter().min_by_key(far)).collect()
+    families.into_iter().filter_map(|family| family.variants.into_iter().min_by_key(far)).collect()
 }
 
-/// Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
+/// Returns the Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
 pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let methods = || methods(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
     let shown: Vec<&StudyVariant> = methods().take(MOST_ROOMS).collect();
@@ -71,9 +71,9 @@ fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     for (k, panel) in row.iter().enumerate() {
         let (left, middle) = (k as f64 * width, (k as f64 + 0.5) * width);
         canvas.lines([middle, top + head / 2.0], Anchor::Middle, &names[k]);
-        canvas.put([left, top + head], width / COLUMN, &panel.picture);
+        canvas.put([left, top + head], width / COLUMN, &panel.drawing);
         // Leaves room for the numbers of the axes.
-        let mut y = top + head + panel.picture.height * width / COLUMN - 8.0;
+        let mut y = top + head + panel.drawing.height * width / COLUMN - 8.0;
         let lines = std::iter::once(panel.numbers.as_str()).chain(panel.caption.split("; "));
         for line in lines.filter(|line| !line.is_empty()) {
             for line in wrapped(line, width - 6.0) {
@@ -114,7 +114,7 @@ pub(super) struct PredictionColumn<'a> {
     predict: Box<dyn Fn(Query<'_>) -> Image + 'a>,
 }
 
-/// Spectra as measured, and as predicted by the best baselines and each method: figure 4 of the paper.
+/// Returns the spectra as measured, and as predicted by the best baselines and each method: figure 4 of the paper.
 pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let methods = methods(setting);
     let shown = &methods[..methods.len().min(MOST_COLUMNS[1])];
@@ -139,7 +139,7 @@ pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
 
-/// Columns of the figure: baselines, then the methods.
+/// Returns the columns of the figure: baselines, then the methods.
 pub(super) fn spectra_columns<'a>(
     setting: &Setting,
     methods: &[&StudyVariant],
@@ -156,18 +156,20 @@ pub(super) fn spectra_columns<'a>(
     Ok(columns)
 }
 
-/// Best baselines by mean SSIM, without oracles and other programs, fitted again.
+/// Returns the best baselines by mean SSIM, without oracles and other programs, fitted again.
 fn baselines<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionColumn<'a>>> {
     let (task, score) = (setting.task(), |name: &str| setting.baseline(name, "ssim"));
-    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|own| own == name));
+    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
     let all = setting.baselines().into_iter().filter(|name| !is_oracle(name) && !setting.is_external(name));
     let mut ranked: Vec<(&str, f64)> = all.filter_map(|name| Some((name, score(name)?))).collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut columns = Vec::new();
     for (name, _) in ranked.into_iter().take(MOST_COLUMNS[0]) {
-        let found = setting.runs().find_map(|run| Some((run.scores.by_id(name, "ssim")?, run)));
-        let Some((scores, run)) = found else { continue };
-        let Some(baseline) = run.pipeline.baselines.iter().find(|own| own.name_for(task) == name) else { continue };
+        let scored_run = setting.runs().find_map(|run| Some((run.scores.by_id(name, "ssim")?, run)));
+        let Some((scores, run)) = scored_run else { continue };
+        let Some(baseline) = run.pipeline.baselines.iter().find(|baseline| baseline.name_for(task) == name) else {
+            continue;
+        };
         let fitted = baseline.fit(data, run.partition(data)?.known())?;
         let predict = Box::new(move |query: Query<'_>| fitted.predict(query));
         columns.push(PredictionColumn { label: name.to_owned(), scores, predict });
@@ -175,7 +177,7 @@ fn baselines<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionC
     Ok(columns)
 }
 
-/// Best, median and worst by the scores of the first method, among the common ids.
+/// Returns the best, median and worst by the scores of the first method, among the common ids.
 fn chosen(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     let Some(first) = scores.first() else { return Vec::new() };
     let mut common: Vec<(f64, u32)> =
@@ -187,6 +189,7 @@ fn chosen(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     chosen
 }
 
+/// Draws the spectra: a row per sample, and a column for the measurement and each predictor.
 fn draw_spectra(predictors: &[&str], rows: &[ComparisonRow], plane: &ImagePlane) -> Canvas {
     let columns = 1 + predictors.len();
     let mut canvas = Canvas::new(if columns == 2 { COLUMN } else { PAGE }, 0.0);

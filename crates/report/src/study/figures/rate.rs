@@ -15,6 +15,7 @@ const STEPS: usize = 20;
 /// Maximum number of predicted test spectra per run.
 const SAMPLES: usize = 200;
 
+/// Returns the figure; `None` if there is nothing to draw.
 pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let metric = |snr: f64| Plugin::parse(&format!("RateRatio(snr_db: {snr:.1})")).map_err(Error::Config);
     let metrics: Vec<Plugin<dyn Metric>> = snrs().map(metric).collect::<Result<_>>()?;
@@ -47,6 +48,7 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
     Ok(Figure::chart("eta-snr", setting, words, chart(lines)))
 }
 
+/// Returns the chart of rate losses.
 fn chart(lines: Vec<ChartLine>) -> Chart {
     let x =
         ChartAxis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
@@ -54,7 +56,7 @@ fn chart(lines: Vec<ChartLine>) -> Chart {
     Chart { x, y, lines, ..Chart::default() }
 }
 
-/// Baselines, fitted to training and validation sets, on the test set of the first run.
+/// Returns the baselines, fitted to training and validation sets, on the test set of the first run.
 fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<ChartLine>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
@@ -66,26 +68,27 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
         Ok(ChartLine::new(curve(&measured), row_style(setting, k, &name)).named_at_end(&name))
     };
     // The files of an external baseline may have been moved since the run.
-    let is_there = |baseline: &&Plugin<dyn pwrfgs_core::Baseline>| baseline.check_test(data, &partition.test).is_ok();
-    run.pipeline.baselines.iter().filter(is_there).enumerate().map(line).collect()
+    let is_readable =
+        |baseline: &&Plugin<dyn pwrfgs_core::Baseline>| baseline.check_test(data, &partition.test).is_ok();
+    run.pipeline.baselines.iter().filter(is_readable).enumerate().map(line).collect()
 }
 
-/// Signal-to-noise ratios at which η is computed, dB.
+/// Returns the signal-to-noise ratios at which η is computed, dB.
 fn snrs() -> impl Iterator<Item = f64> {
     (0..=STEPS).map(|k| LOW_DB + (HIGH_DB - LOW_DB) * k as f64 / STEPS as f64)
 }
 
-/// Mean loss 1 − η over samples of each measurement, at its signal-to-noise ratio. Good values of η are all near 1, so
-/// the axis of the loss is logarithmic.
+/// Returns the mean loss 1 − η over samples of each measurement, at its signal-to-noise ratio. Good values of η are all
+/// near 1, so the axis of the loss is logarithmic.
 fn curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
     snrs().zip(measured.iter().map(|m| 1.0 - m.values.mean())).collect()
 }
 
-/// Mean of curves over the same points.
+/// Returns the mean of curves over the same points.
 fn mean_of(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
     let height = |k: usize| curves.iter().map(|c| c[k].1).sum::<f64>() / curves.len() as f64;
     let first = curves.first().map_or(&[][..], Vec::as_slice);
-    first.iter().enumerate().map(|(k, place)| (place.0, height(k))).collect()
+    first.iter().enumerate().map(|(k, point)| (point.0, height(k))).collect()
 }
 
 #[cfg(test)]
@@ -95,7 +98,7 @@ mod tests {
     use pwrfgs_core::{Goal, Values};
 
     #[test]
-    fn ratios_near_one_are_told_apart() {
+    fn rate_ratios_near_one_are_distinguishable() {
         let line = |ratio: f64| {
             let at = |_| Measurement {
                 key: String::new(),

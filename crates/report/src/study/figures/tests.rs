@@ -56,16 +56,16 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
         assert_eq!((lines.len(), points), (curves, count), "one curve per strategy");
         if count == 6 {
             let setting = &study.settings[0];
-            let shown: Vec<&str> = methods(setting).into_iter().map(|own| own.label.as_str()).collect();
+            let shown: Vec<&str> = methods(setting).into_iter().map(|variant| variant.label.as_str()).collect();
             assert_eq!(shown, ["Grid 8", "a strategy with a long name 8", "mask", "none"], "each method once");
             let data = setting.variants[0].runs[0].load_data(&mut NoopObserver).unwrap();
             let columns = spectra_columns(setting, &methods(setting), &data).unwrap();
-            let names: Vec<&str> = columns.iter().map(|own| own.label.as_str()).collect();
+            let names: Vec<&str> = columns.iter().map(|column| column.label.as_str()).collect();
             assert!(names[..2].iter().all(|name| setting.baselines().contains(name)), "{names:?}");
             assert_eq!(names[2..], shown, "baselines first");
             let over_steps = gaussians::lines(setting, 6.0);
-            let named = |of: fn(&LineName) -> Option<&String>| -> Vec<&str> {
-                over_steps.iter().filter_map(|line| of(&line.name)).map(String::as_str).collect()
+            let named = |name_of: fn(&LineName) -> Option<&String>| -> Vec<&str> {
+                over_steps.iter().filter_map(|line| name_of(&line.name)).map(String::as_str).collect()
             };
             let legend = named(|name| if let LineName::Legend(name) = name { Some(name) } else { None });
             assert_eq!(legend, ["Grid", "a strategy with a long name", "mask", "none"], "each method once");

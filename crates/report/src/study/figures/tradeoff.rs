@@ -36,6 +36,7 @@ struct Score {
     published: &'static [Published],
 }
 
+/// Returns the figure of the first metric against N.
 pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
     let Headline { key, short, name, .. } = setting.headline();
     let published: &[_] = if key == "ssim" { &PUBLISHED_SSIM } else { &[] };
@@ -43,6 +44,7 @@ pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
     figure(setting, &Score { key, name: stem, axis: format!("mean {name}"), published })
 }
 
+/// Returns the figure of the rate ratio against N.
 pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
     figure(
         setting,
@@ -55,6 +57,7 @@ pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
     )
 }
 
+/// Returns the figure of a score against N; `None` without scores.
 fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if ParetoComparison::of(setting).is_some() {
         return None; // too many variants for marks with names: the figures of methods have one line per method
@@ -64,7 +67,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();
-    lines.extend(score.published.iter().filter(|_| published).map(|own| reference(score.key, own)));
+    lines.extend(score.published.iter().filter(|_| published).map(|published| reference(score.key, published)));
     lines.extend(baselines(setting, score.key));
     lines.extend(ceiling(setting, score.key));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
@@ -73,23 +76,24 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// One curve per strategy over N.
+/// Returns one curve per strategy over N.
 pub(super) fn strategies(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let families = VariantFamily::all(setting);
-    families.iter().enumerate().filter_map(|(k, way)| way_line(way, k, &COSTS[N], key, true)).collect()
+    families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &COSTS[N], key, true)).collect()
 }
 
-/// Height of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are all near 1.
+/// Returns the height of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are
+/// all near 1.
 fn height(key: &str, score: f64) -> f64 {
     if is_rate_ratio(key) { 1.0 - score } else { score }
 }
 
-/// Style of the `k`th row that is no variant.
+/// Returns the style of the `k`th row that is no variant.
 pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
     if setting.is_external(name) { Style::external(setting.variants.len() + k) } else { Style::baseline(k) }
 }
 
-/// Horizontal lines over the whole width, with names at the right.
+/// Returns the horizontal lines over the whole width, with names at the right.
 pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
         Some(
@@ -99,24 +103,24 @@ pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     setting.baselines().into_iter().enumerate().filter_map(line).collect()
 }
 
-/// Horizontal line of the noise ceiling, if it was estimated.
+/// Returns the horizontal line of the noise ceiling, if it was estimated.
 fn ceiling(setting: &Setting, key: &str) -> Option<ChartLine> {
     let line =
         ChartLine::level(height(key, setting.baseline(CEILING, key)?), Style::baseline(setting.baselines().len()));
     Some(line.named_at_end("ceiling"))
 }
 
-/// Whether these are the measured spectra of the published numbers, by the name of the data:
+/// Returns whether these are the measured spectra of the published numbers, by the name of the data:
 /// the name that NeRF2 uses.
 fn is_s23(setting: &Setting) -> bool {
     let names = |title: &str| title.split(|c: char| !c.is_alphanumeric()).any(|word| word.eq_ignore_ascii_case("s23"));
     !setting.simulated && setting.runs().all(|run| names(&run.facts.data))
 }
 
-/// Published values of a method: stars, hollow for the method of the paper.
+/// Returns the published values of a method: stars, hollow for the method of the paper.
 fn reference(key: &str, (name, published): &Published) -> ChartLine {
     let mut line = ChartLine::new(Vec::new(), Style::published(name.starts_with("P-WRFGS"))).named(name);
-    line.marks = published.iter().map(|(n, own)| (*n, height(key, *own))).collect();
+    line.marks = published.iter().map(|(n, score)| (*n, height(key, *score))).collect();
     line
 }
 
@@ -127,42 +131,42 @@ const SHOWN: usize = 7;
 struct CostAxis {
     name: &'static str,
     axis: &'static str,
-    of: fn(&Record) -> Option<f64>,
+    value: fn(&Record) -> Option<f64>,
 }
 
 /// Index of the number of Gaussians in [`COSTS`].
 const N: usize = 0;
 
 const COSTS: [CostAxis; 3] = [
-    CostAxis { name: "pareto-n", axis: "number of Gaussians N", of: |run| Some(run.facts.gaussians as f64) },
-    CostAxis { name: "pareto-bytes", axis: "model size [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
-    CostAxis { name: "pareto-ms", axis: "latency [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
+    CostAxis { name: "pareto-n", axis: "number of Gaussians N", value: |run| Some(run.facts.gaussians as f64) },
+    CostAxis { name: "pareto-bytes", axis: "model size [bytes]", value: |run| run.scores.value(MODEL, "model_bytes") },
+    CostAxis { name: "pareto-ms", axis: "latency [ms]", value: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
-/// First metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds.
+/// Returns the first metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds.
 pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     let cost = &COSTS[K];
     let mut pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
     // Methods that are always worse than all baselines would compress the axis.
     let worst = worst_baseline(setting);
-    let hopeless = |way: &VariantFamily<'_>| {
-        let scores: Vec<f64> = way.places.iter().flatten().map(|(score, _)| score.mean).collect();
+    let is_worst = |family: &VariantFamily<'_>| {
+        let scores: Vec<f64> = family.places.iter().flatten().map(|(score, _)| score.mean).collect();
         let below =
             |score: &f64| worst.is_some_and(|worst| if headline.higher { *score < worst } else { *score > worst });
         !scores.is_empty() && scores.iter().all(below)
     };
-    let (left_out, families): (Vec<_>, Vec<_>) = pareto.families.into_iter().partition(hopeless);
+    let (left_out, families): (Vec<_>, Vec<_>) = pareto.families.into_iter().partition(is_worst);
     pareto.families = families;
-    let left_out: Vec<String> = left_out.into_iter().map(|way| way.name).collect();
+    let left_out: Vec<String> = left_out.into_iter().map(|family| family.name).collect();
     if pareto.families.is_empty() {
         return None;
     }
     let last = pareto.families.len() - 1;
     let mut lines: Vec<ChartLine> = Vec::new();
     let (mut shown, mut others) = (Vec::new(), Vec::new());
-    for (k, way) in pareto.families.iter().enumerate() {
-        if let Some(line) = way_line(way, k.min(SHOWN), cost, headline.key, k < SHOWN || k == last) {
+    for (k, family) in pareto.families.iter().enumerate() {
+        if let Some(line) = family_line(family, k.min(SHOWN), cost, headline.key, k < SHOWN || k == last) {
             if k < SHOWN || k == last { shown.push(line) } else { others.push(line) }
         }
     }
@@ -172,7 +176,7 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     lines.append(&mut shown);
     lines.append(&mut others);
     let published = K == N && headline.key == "ssim" && is_s23(setting);
-    lines.extend(PUBLISHED_SSIM.iter().filter(|_| published).map(|own| reference(headline.key, own)));
+    lines.extend(PUBLISHED_SSIM.iter().filter(|_| published).map(|published| reference(headline.key, published)));
     lines.extend(baselines(setting, headline.key));
     lines.extend(ceiling(setting, headline.key));
     let axis = format!("mean {}", headline.name);
@@ -182,43 +186,44 @@ pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
     Figure::chart(cost.name, setting, context! { axis, families, shown, left_out, published, cost => cost.axis }, chart)
 }
 
-/// Mean score of the worst baseline.
+/// Returns the mean score of the worst baseline.
 fn worst_baseline(setting: &Setting) -> Option<f64> {
     let headline = setting.headline();
-    let of = |name: &str| setting.baseline(name, headline.key);
-    setting.baselines().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
+    let score = |name: &str| setting.baseline(name, headline.key);
+    setting.baselines().into_iter().filter_map(score).reduce(if headline.higher { f64::min } else { f64::max })
 }
 
-/// Style of strategy `k`.
-pub(super) fn method_style(way: &VariantFamily<'_>, k: usize) -> Style {
-    if way.variants.len() > 1 { Style::method(k) } else { Style::variant(k) }
+/// Returns the style of strategy `k`.
+pub(super) fn method_style(family: &VariantFamily<'_>, k: usize) -> Style {
+    if family.variants.len() > 1 { Style::method(k) } else { Style::variant(k) }
 }
 
-/// Line of a method through its variants, with bars over seeds.
-fn way_line(way: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown: bool) -> Option<ChartLine> {
-    let place = |variant: &&StudyVariant| {
-        let (paid, score) = (variant.spread(cost.of)?, variant.score(key)?);
-        (paid.mean > 0.0).then_some((paid, score))
+/// Returns the line of a method through its variants, with bars over seeds.
+fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown: bool) -> Option<ChartLine> {
+    let cost_and_score = |variant: &&StudyVariant| {
+        let (cost_spread, score) = (variant.spread(cost.value)?, variant.score(key)?);
+        (cost_spread.mean > 0.0).then_some((cost_spread, score))
     };
-    let mut places: Vec<(Spread, Spread)> = way.variants.iter().filter_map(place).collect();
-    places.sort_by(|a, b| a.0.mean.total_cmp(&b.0.mean));
-    let points: Vec<(f64, f64)> = places.iter().map(|(paid, score)| (paid.mean, height(key, score.mean))).collect();
+    let mut pairs: Vec<(Spread, Spread)> = family.variants.iter().filter_map(cost_and_score).collect();
+    pairs.sort_by(|a, b| a.0.mean.total_cmp(&b.0.mean));
+    let points: Vec<(f64, f64)> =
+        pairs.iter().map(|(cost_spread, score)| (cost_spread.mean, height(key, score.mean))).collect();
     if points.is_empty() {
         return None;
     }
     if !shown {
         return Some(ChartLine::new(points, Style::thread()));
     }
-    let mut line = ChartLine::new(points.clone(), method_style(way, k)).named(&way.title);
+    let mut line = ChartLine::new(points.clone(), method_style(family, k)).named(&family.title);
     line.marks = points;
-    let bars = |(paid, score): &(Spread, Spread)| {
-        let (x, y) = (paid.mean, height(key, score.mean));
+    let bars = |(cost_spread, score): &(Spread, Spread)| {
+        let (x, y) = (cost_spread.mean, height(key, score.mean));
         // Values near or below zero have no place on a logarithmic axis.
         let least = if is_rate_ratio(key) { 0.1 * y } else { f64::NEG_INFINITY };
-        let across = paid.deviation.map(|d| [((x - d).max(0.1 * x), y), (x + d, y)]);
+        let across = cost_spread.deviation.map(|d| [((x - d).max(0.1 * x), y), (x + d, y)]);
         let upright = score.deviation.map(|d| [(x, (y - d).max(least)), (x, y + d)]);
         across.into_iter().chain(upright).collect::<Vec<_>>()
     };
-    line.bars = places.iter().flat_map(bars).filter(|[a, b]| a != b).collect();
+    line.bars = pairs.iter().flat_map(bars).filter(|[a, b]| a != b).collect();
     Some(line)
 }

@@ -15,7 +15,7 @@ use pwrfgs_experiment::text::{fixed, grouped};
 /// Requested column.
 pub(super) type ScoreColumn<'a> = (&'a MetricRow, SummaryStatistic);
 
-/// Name of a metric and its unit.
+/// Returns the name of a metric and its unit.
 fn words(metric: &MetricRow) -> (String, String) {
     let key = metric.key.as_str();
     let words = match key {
@@ -37,7 +37,7 @@ fn words(metric: &MetricRow) -> (String, String) {
     (words, metric.unit.clone())
 }
 
-/// Printed unit and its factor, by the largest number.
+/// Returns the printed unit and its factor, by the largest number.
 fn scale(unit: &str, largest: f64) -> (&str, f64) {
     match unit {
         "B" => ("kB", 1e-3),
@@ -46,7 +46,7 @@ fn scale(unit: &str, largest: f64) -> (&str, f64) {
     }
 }
 
-/// Decimals of a column: three digits of its median, at most three decimals; none for numbers of Gaussians.
+/// Returns the decimals of a column: three digits of its median, at most three decimals; none for numbers of Gaussians.
 fn decimals(metric: &MetricRow, median: f64) -> usize {
     if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || median >= 100.0 {
         0
@@ -59,7 +59,7 @@ fn decimals(metric: &MetricRow, median: f64) -> usize {
     }
 }
 
-/// Column of all rows: its head and cells.
+/// Returns the column of all rows: its head and cells.
 fn column(
     rows: &[ComparisonRow<'_>],
     (metric, statistic): ScoreColumn<'_>,
@@ -75,10 +75,10 @@ fn column(
     let shown = |spread: &Option<Spread>| {
         let Some(Spread { mean, deviation, .. }) = *spread else { return FormattedValue::default() };
         let value = fixed(mean * factor, decimals);
-        let places = value.rsplit_once('.').map_or(0, |(_, places)| places.len());
-        let deviation = deviation.map(|d| d * factor).map_or_else(String::new, |d| match places {
+        let digits = value.rsplit_once('.').map_or(0, |(_, digits)| digits.len());
+        let deviation = deviation.map(|d| d * factor).map_or_else(String::new, |d| match digits {
             0 => grouped(d.round() as i64),
-            _ => format!("{d:.places$}"),
+            _ => format!("{d:.digits$}"),
         });
         FormattedValue { value, deviation, ..FormattedValue::default() }
     };
@@ -126,7 +126,7 @@ pub(super) fn mark(
     }
 }
 
-/// Columns with a number, and rows with a number in any of them.
+/// Returns the columns with a number, and rows with a number in any of them.
 pub(super) fn filled(
     comparison: &Comparison<'_>,
     specs: &[ScoreColumn<'_>],
@@ -146,7 +146,7 @@ pub(super) fn filled(
 /// Values of the whole model that are shown first.
 const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
-/// Whether a metric is shown next to the first metric of its task.
+/// Returns whether a metric is shown next to the first metric of its task.
 fn is_secondary_metric(metric: &MetricRow) -> bool {
     is_rate_ratio(&metric.key) || metric.key == "snr_all_db"
 }
@@ -160,7 +160,7 @@ const STAGES: [&str; 6] = [
     "latency_total_ms",
 ];
 
-/// Main table: the first metric of the task, such as SSIM, then η, N, size, latency and training time.
+/// Returns the main table: the first metric of the task, such as SSIM, then η, N, size, latency and training time.
 pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
@@ -171,16 +171,16 @@ pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) 
     table("scores", "Scores", comparison, &specs, same_machine)
 }
 
-/// Table of metrics that the main table omits.
+/// Returns the table of metrics that the main table omits.
 pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let first = comparison.setting.headline().key;
     let shown = |m: &&MetricRow| m.key == first || is_secondary_metric(m) || is_time(m) || WHOLE.contains(&&*m.key);
-    let left = comparison.metrics.iter().filter(|m| !shown(m));
-    let specs: Vec<ScoreColumn<'_>> = left.map(first_statistic).collect();
+    let further = comparison.metrics.iter().filter(|m| !shown(m));
+    let specs: Vec<ScoreColumn<'_>> = further.map(first_statistic).collect();
     table("further", "Further metrics", comparison, &specs, same_machine)
 }
 
-/// Table of latency by stage, milliseconds.
+/// Returns the table of latency by stage, milliseconds.
 pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let specs: Vec<ScoreColumn<'_>> =
         STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
@@ -193,15 +193,17 @@ pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool)
     Some(table)
 }
 
+/// Returns all statistics of a metric.
 fn all_statistics(metric: &MetricRow) -> impl Iterator<Item = ScoreColumn<'_>> {
     statistics(metric).iter().map(move |statistic| (metric, *statistic))
 }
 
-/// Mean over test samples, or the value of the whole model.
+/// Returns the mean over test samples, or the value of the whole model.
 fn first_statistic(metric: &MetricRow) -> ScoreColumn<'_> {
     (metric, statistics(metric)[0])
 }
 
+/// Creates a table with its legend; `None` without numbers.
 fn table(
     name: &'static str,
     words: &str,
@@ -234,7 +236,8 @@ fn table(
     Some(table)
 }
 
-/// Differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
+/// Returns the differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if it
+/// selects none.
 pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &ComparisonRow<'_>) -> Option<Table> {
     let shown = |m: &&MetricRow| m.is_per_sample() && is_compared(&m.key, comparison.setting.task());
     let mut metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(shown).collect();
@@ -244,10 +247,10 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Com
     let others = comparison.rows.iter().filter(|row| row.label != reference.label);
     let lines: Vec<(TableLine, usize)> = others
         .filter_map(|row| {
-            let found: Vec<Option<Difference>> =
-                metrics.iter().map(|m| row.less(reference, m, &comparison.blocks)).collect();
-            let seeds = found.iter().flatten().map(|d| d.seeds).max()?;
-            let cells = found.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, cell)).collect();
+            let differences: Vec<Option<Difference>> =
+                metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
+            let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
+            let cells = differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, cell)).collect();
             Some((TableLine::new(row, cells), seeds))
         })
         .collect();
@@ -281,6 +284,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Com
     Some(table)
 }
 
+/// Prints a paired difference with its interval.
 fn cell(difference: &Difference) -> FormattedValue {
     FormattedValue {
         value: signed(difference.mean),
@@ -294,7 +298,7 @@ fn cell(difference: &Difference) -> FormattedValue {
 mod tests {
     use super::*;
 
-    /// Marks of a column of printed numbers and means.
+    /// Returns the marks of a column of printed numbers and means.
     fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<RankMark> {
         let mut cells: Vec<FormattedValue> = column
             .iter()
