@@ -12,6 +12,7 @@ const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: 
 const ONCE: &str = "order: 1, room_order: 1, diffraction: false";
 const WAVELENGTH: f64 = 299_792_458.0 / 2e9;
 
+/// Returns a panel 1 cm thick.
 fn panel(name: &str, from: &str, to: &str, heights: &str, material: &str) -> String {
     format!(
         "Panel(name: \"{name}\", from: {from}, to: {to}, heights: {heights}, \
@@ -19,60 +20,66 @@ fn panel(name: &str, from: &str, to: &str, heights: &str, material: &str) -> Str
     )
 }
 
+/// Returns an opening called `door`.
 fn opening(from: &str, to: &str, heights: &str) -> String {
     format!("Opening(name: \"door\", from: {from}, to: {to}, heights: {heights}),")
 }
 
+/// Prepares the walls with these objects and a receiver at `rx`.
 fn simulator(objects: &str, rx: [f64; 3], propagation: &str) -> Simulator {
     Simulator::new(&scene(WALLS, objects, rx, propagation)).unwrap()
 }
 
+/// Returns the error of a scene with these objects.
 fn refused(objects: &str) -> String {
     let error = Simulator::new(&scene(WALLS, objects, [5.0, 0.0, 1.0], ONCE)).unwrap_err();
     assert!(error.is_input());
     error.to_string()
 }
 
-/// Returns the paths that are reflected once, at x = `x`.
-fn bounced(paths: &[PropagationPath], x: f64) -> Vec<&PropagationPath> {
-    let is_there = |p: &&PropagationPath| match p.interactions[..] {
+/// Returns the paths of a single reflection, at x = `x`.
+fn single_reflections(paths: &[PropagationPath], x: f64) -> Vec<&PropagationPath> {
+    let is_single_reflection = |p: &&PropagationPath| match p.interactions[..] {
         [Interaction::Reflection { point, .. }] => (point.x - x).abs() < 1e-3,
         _ => false,
     };
-    paths.iter().filter(is_there).collect()
+    paths.iter().filter(is_single_reflection).collect()
 }
 
-/// Returns the path from (4, -y) by the plane x = 10 to (4, y), at one height: TE, with this gain.
-fn expected(material: &str, thickness: Option<f64>, y: f64) -> Complex {
+/// Returns the TE gain of the path from (4, -y) by the plane x = 10 to (4, y), at one height.
+fn expected_gain(material: &str, thickness: Option<f64>, y: f64) -> Complex {
     let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
     let length = 2.0 * 6.0_f64.hypot(y);
     reflection(eta, thickness, 6.0 / 6.0_f64.hypot(y), WAVELENGTH).te * WAVELENGTH / (4.0 * PI * length)
 }
 
-/// Returns the gain of the only such path.
-fn gain(objects: &str, y: f64, z: f64) -> Complex {
+/// Returns the traced gain of that path, the only reflection there.
+fn traced_gain(objects: &str, y: f64, z: f64) -> Complex {
     let paths = simulator(objects, [4.0, y, z], ONCE).trace(DVec3::new(4.0, -y, z));
-    let [path] = bounced(&paths, 10.0)[..] else { panic!("one path, not {:?}", bounced(&paths, 10.0)) };
+    let [path] = single_reflections(&paths, 10.0)[..] else {
+        panic!("one path, not {:?}", single_reflections(&paths, 10.0))
+    };
     path.gain
 }
 
-fn assert_near(found: Complex, expected: Complex) {
-    assert!((found - expected).norm() < 1e-9 * expected.norm(), "{found} and {expected}");
+/// Asserts equal gains, to rounding.
+fn assert_near(gain: Complex, expected: Complex) {
+    assert!((gain - expected).norm() < 1e-9 * expected.norm(), "{gain} and {expected}");
 }
 
 #[test]
 fn panel_on_wall_replaces_reflection_of_wall() {
     for material in ["metal", "wood"] {
-        // Exactly there, and within the tenth of a millimetre that counts as there, on either side.
+        // In the plane of the wall, and within the contact tolerance of 0.1 mm on either side.
         for x in ["10", "9.99995", "10.00005"] {
             let board = panel("board", &format!("({x}, -2)"), &format!("({x}, 2)"), "(1, 3)", material);
-            let found = gain(&board, 3.0, 2.0);
-            let truth = expected(material, Some(0.01), 3.0);
-            assert!((found - truth).norm() < 1e-4 * truth.norm(), "{material} at {x}: {found} and {truth}");
+            let gain = traced_gain(&board, 3.0, 2.0);
+            let truth = expected_gain(material, Some(0.01), 3.0);
+            assert!((gain - truth).norm() < 1e-4 * truth.norm(), "{material} at {x}: {gain} and {truth}");
             if x == "10" {
-                assert_near(found, truth);
+                assert_near(gain, truth);
             }
-            assert_near(gain(&board, 3.0, 4.0), expected("concrete", None, 3.0)); // above it
+            assert_near(traced_gain(&board, 3.0, 4.0), expected_gain("concrete", None, 3.0)); // above it
         }
     }
 }
@@ -81,13 +88,13 @@ fn panel_on_wall_replaces_reflection_of_wall() {
 fn panel_on_box_and_box_in_wall_reflect() {
     // In either order of the file, and once where both are the same.
     let cupboard = "Box(name: \"cupboard\", low: (10, -3, 0), high: (10.5, 3, 3), finish: (material: \"marble\")),";
-    assert_near(gain(cupboard, 3.0, 2.0), expected("marble", None, 3.0));
+    assert_near(traced_gain(cupboard, 3.0, 2.0), expected_gain("marble", None, 3.0));
     let board = panel("board", "(10, -1)", "(10, 1)", "(1, 3)", "wood");
     for objects in [cupboard.to_owned() + &board, board.clone() + cupboard] {
-        assert_near(gain(&objects, 3.0, 2.0), expected("wood", Some(0.01), 3.0));
+        assert_near(traced_gain(&objects, 3.0, 2.0), expected_gain("wood", Some(0.01), 3.0));
     }
     let twice = board + &panel("board 2", "(10, -1)", "(10, 1)", "(1, 3)", "metal");
-    assert_near(gain(&twice, 3.0, 2.0), expected("wood", Some(0.01), 3.0));
+    assert_near(traced_gain(&twice, 3.0, 2.0), expected_gain("wood", Some(0.01), 3.0));
 }
 
 #[test]
@@ -98,9 +105,9 @@ fn waves_pass_both_of_two_coincident_sheets() {
         let paths = simulator(objects, [4.0, 0.0, 2.0], ONCE).trace(DVec3::new(-4.0, 0.0, 2.0));
         let is_straight =
             |p: &PropagationPath| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
-        let found: Vec<PropagationPath> = paths.into_iter().filter(is_straight).collect();
-        assert_eq!(found.len(), 1);
-        found[0].gain
+        let straight: Vec<PropagationPath> = paths.into_iter().filter(is_straight).collect();
+        assert_eq!(straight.len(), 1);
+        straight[0].gain
     };
     let t = |material: &str| {
         let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
@@ -119,7 +126,7 @@ fn back_of_wall_reflects_and_ignores_panel_in_front() {
         "(outline: Plan(corners: [{corners}], ceiling: 4), walls: (material: \"plasterboard\", thickness_m: 0.02), \
           floor: (material: \"concrete\"), ceiling: (material: \"concrete\"))"
     );
-    let gain = |objects: &str, x: f64| {
+    let traced_gain = |objects: &str, x: f64| {
         let simulator = Simulator::new(&scene(&room, objects, [x, -2.0, 2.0], ONCE)).unwrap();
         let is_there =
             |i: &Interaction| matches!(i, Interaction::Reflection { point, .. } if (point.x + 2.0).abs() < 1e-9);
@@ -130,8 +137,8 @@ fn back_of_wall_reflects_and_ignores_panel_in_front() {
         path.gain
     };
     let board = panel("board", "(-2, -5)", "(-2, -0.1)", "(0.5, 3.5)", "metal");
-    assert_near(gain(&board, 4.0), gain("", 4.0));
-    assert!(gain(&board, -4.0).norm() > 1.5 * gain("", -4.0).norm());
+    assert_near(traced_gain(&board, 4.0), traced_gain("", 4.0));
+    assert!(traced_gain(&board, -4.0).norm() > 1.5 * traced_gain("", -4.0).norm());
 }
 
 #[test]
@@ -145,18 +152,18 @@ fn opening_transmits_all_and_reflects_none() {
     assert!(straight(&paths(&wall, [4.0, 0.0, 2.0])).is_none());
     assert!(straight(&paths(&both, [4.0, 4.0, 2.0])).is_none());
     // Its middle reflects nothing, the partition beside it does.
-    assert_eq!(bounced(&paths(&both, [-3.0, 0.0, 2.0]), 0.0).len(), 0);
-    assert_eq!(bounced(&paths(&wall, [-3.0, 0.0, 2.0]), 0.0).len(), 1);
-    assert_eq!(bounced(&paths(&both, [-4.0, 4.0, 2.0]), 0.0).len(), 1);
+    assert_eq!(single_reflections(&paths(&both, [-3.0, 0.0, 2.0]), 0.0).len(), 0);
+    assert_eq!(single_reflections(&paths(&wall, [-3.0, 0.0, 2.0]), 0.0).len(), 1);
+    assert_eq!(single_reflections(&paths(&both, [-4.0, 4.0, 2.0]), 0.0).len(), 1);
     // The door is closed again by what comes after it.
     let closed = both + &panel("leaf", "(0, -1)", "(0, 1)", "(1, 3)", "wood");
     let met = paths(&closed, [-4.0, 0.5, 2.0]);
-    let [path] = bounced(&met, 0.0)[..] else { panic!("one path") };
-    assert!(path.gain.norm() < 0.5 * expected("metal", None, 0.25).norm());
+    let [path] = single_reflections(&met, 0.0)[..] else { panic!("one path") };
+    assert!(path.gain.norm() < 0.5 * expected_gain("metal", None, 0.25).norm());
     // In a wall of the room, with its floor to the ground.
     let out = simulator(&opening("(10, -1)", "(10, 1)", "(0, 3)"), [4.0, 3.0, 2.0], ONCE);
-    assert_eq!(bounced(&out.trace(DVec3::new(4.0, -3.0, 2.0)), 10.0).len(), 0);
-    assert_eq!(bounced(&out.trace(DVec3::new(4.0, 1.0, 2.0)), 10.0).len(), 1);
+    assert_eq!(single_reflections(&out.trace(DVec3::new(4.0, -3.0, 2.0)), 10.0).len(), 0);
+    assert_eq!(single_reflections(&out.trace(DVec3::new(4.0, 1.0, 2.0)), 10.0).len(), 1);
 }
 
 #[test]
@@ -200,11 +207,11 @@ fn opening_to_panel_end_equals_shorter_panel() {
         let cut = long.clone() + &opening("(0, 0)", "(0, 20)", "(-45, 45)");
         for y in [-3.0, 0.5, 1.4, 1.6, 3.0] {
             let tx = DVec3::new(-4.0, y, 0.0);
-            let (found, truth) = (field_behind(&cut, tx), field_behind(&short, tx));
-            assert!((found - truth).norm() < 1e-9 * truth.norm(), "{material} {y}: {found} and {truth}");
+            let (field, truth) = (field_behind(&cut, tx), field_behind(&short, tx));
+            assert!((field - truth).norm() < 1e-9 * truth.norm(), "{material} {y}: {field} and {truth}");
         }
     }
-    // The side of a box: where one face goes, the other has a rim.
+    // The side of a box: if one of two faces is removed, the other gets a rim.
     let closet =
         "Box(name: \"closet\", low: (0, -4, -3), high: (2, 0, 3), finish: (material: \"metal\", thickness_m: 0.01)),";
     let edges =

@@ -29,17 +29,20 @@ fn scene_text(more: &str) -> String {
     )
 }
 
+/// Writes a file, and returns its path.
 fn file(folder: &Path, name: &str, text: &str) -> PathBuf {
     let path = folder.join(name);
     fs::write(&path, text).unwrap();
     path
 }
 
+/// Returns the recipe of 12 samples of the small room with noise.
 fn recipe(folder: &Path) -> SimulationRecipe {
     let noise = "noise: (snr_db: 20, phase_error_deg: 3),";
     SimulationRecipe::read(&file(folder, "small.ron", &scene_text(noise)), 12, 7, 500).unwrap()
 }
 
+/// Writes the data set of a recipe.
 fn write(recipe: &SimulationRecipe, layout: OutputLayout, paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
     write_as(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
 }
@@ -64,14 +67,14 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
     assert!(orientations.windows(2).all(|pair| pair[0] != pair[1]) && data.is_simulated());
     for (i, [x, y, z, w]) in orientations.iter().enumerate() {
         let mut scene = SceneFile::parse(&scene_text(""), Path::new("fixed.ron")).unwrap();
-        let place = scene.receiver.position;
+        let tx = scene.receiver.position;
         scene.receiver.position = data.transmitters[i].position;
         scene.receiver.orientation = Orientation::Quaternion(*x, *y, *z, *w);
-        let there = Simulator::new(&scene).unwrap().receivers()[0].spectrum(place.into(), None).spectrum;
-        assert_eq!(*data.observations.raw(i), there.pixels, "pose {i}");
+        let reception = Simulator::new(&scene).unwrap().receivers()[0].spectrum(tx.into(), None).spectrum;
+        assert_eq!(*data.observations.raw(i), reception.pixels, "pose {i}");
         let upright =
             data.query(i).orientation.map(|turn| Pose { orientation: turn, ..Pose::IDENTITY }.turned([0.0, 1.0, 0.0]));
-        assert!(upright.unwrap()[2] > 0.999, "turned about the vertical alone");
+        assert!(upright.unwrap()[2] > 0.999, "turned about the vertical axis only");
     }
     let refused = |layout, paths| {
         let recipe = SimulationRecipe::read(&path, 6, 3, 20).unwrap();
@@ -89,12 +92,12 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
     refused(OutputLayout::Array, false).unwrap();
     let written = pwrfgs_data::read_poses(&folder.path().join("out/rx_pose.csv")).unwrap();
     assert_eq!(written.len(), 6);
-    for (wrong, what) in
+    for (wrong, expected) in
         [("(turn_deg: 181)", "give degrees from 0 to 180"), ("(turn_deg: 4, x: 1)", "Unexpected field named `x`")]
     {
         let text = scene_text(&format!("moving_receiver: {wrong},"));
-        let said = SceneFile::parse(&text, Path::new("wrong.ron")).unwrap_err().to_string();
-        assert!(said.contains(what) && said.contains("wrong.ron:13"), "{said}");
+        let message = SceneFile::parse(&text, Path::new("wrong.ron")).unwrap_err().to_string();
+        assert!(message.contains(expected) && message.contains("wrong.ron:13"), "{message}");
     }
 }
 

@@ -28,7 +28,7 @@ fn free_space_gain_matches_friis() {
 
 #[test]
 fn two_rays_over_ground_follow_the_closed_form() {
-    // One bounce, on the floor: the walls are of air.
+    // Only the floor reflects: the walls are of air.
     let air = "(outline: Box(low: (-200, -8, 0), high: (200, 8, 60)), walls: (material: \"vacuum\", thickness_m: 0.1), \
                floor: (material: \"medium_dry_ground\"), ceiling: (material: \"vacuum\", thickness_m: 0.1))";
     let simulator =
@@ -38,31 +38,33 @@ fn two_rays_over_ground_follow_the_closed_form() {
     for distance in [5.0, 11.0, 30.0, 70.0, 180.0] {
         let height = 1.5;
         let paths = simulator.trace(DVec3::new(-90.0 + distance, 0.0, height));
-        let found: Complex = paths.iter().map(|p| p.baseband(wavelength)).sum();
+        let field: Complex = paths.iter().map(|p| p.baseband(wavelength)).sum();
         let wave = |length: f64| Complex::cis(-TAU * length / wavelength) * wavelength / (4.0 * PI * length);
-        let (direct, bounced) = (distance.hypot(2.0 - height), distance.hypot(2.0 + height));
-        // Upright antennas send the ground a TM wave; E keeps its upright part where the magnetic field does.
-        let expected = wave(direct) + reflection(eta, None, (2.0 + height) / bounced, wavelength).tm * wave(bounced);
-        assert!((found - expected).norm() < 1e-12 * expected.norm().max(1e-9), "{distance} m: {found} and {expected}");
+        let (direct, reflected) = (distance.hypot(2.0 - height), distance.hypot(2.0 + height));
+        // Upright antennas radiate a TM wave towards the ground.
+        let expected =
+            wave(direct) + reflection(eta, None, (2.0 + height) / reflected, wavelength).tm * wave(reflected);
+        assert!((field - expected).norm() < 1e-12 * expected.norm().max(1e-9), "{distance} m: {field} and {expected}");
     }
 }
 
-/// A room with a bit of everything.
+/// Objects of every kind.
 const CLUTTER: &str = "
     Box(name: \"desk\", low: (-1, -2, 0.7), high: (1.5, -1, 0.75), yaw_deg: 20, finish: (material: \"wood\", thickness_m: 0.03)),
     Box(name: \"cupboard\", low: (2, 1, 0), high: (3, 2, 2), finish: (material: \"metal\")),
     Panel(name: \"glass\", from: (-3, -3), to: (-2, 3), heights: (0.2, 2.5), finish: (material: \"glass\", thickness_m: 0.01))";
 
+/// Prepares the room with all objects.
 fn cluttered(rx: [f64; 3], propagation: &str) -> Simulator {
     Simulator::new(&scene(WALLS, CLUTTER, rx, propagation)).unwrap()
 }
 
-/// Three pairs of places in the cluttered room.
+/// Three pairs of positions in the cluttered room.
 const PAIRS: [([f64; 3], [f64; 3]); 3] =
     [([-6.0, 1.0, 1.2], [5.0, -3.0, 2.2]), ([0.3, 4.0, 0.4], [-4.0, -5.0, 5.0]), ([2.5, 3.0, 1.0], [2.4, -0.5, 1.1])];
 
 /// Returns the paths from `a` to `b` and from `b` to `a`.
-fn both_ways((a, b): ([f64; 3], [f64; 3]), propagation: &str) -> [Vec<PropagationPath>; 2] {
+fn both_directions((a, b): ([f64; 3], [f64; 3]), propagation: &str) -> [Vec<PropagationPath>; 2] {
     [(a, b), (b, a)].map(|(from, to)| cluttered(to, propagation).trace(DVec3::from(from)))
 }
 
@@ -81,7 +83,7 @@ fn assert_same(there: &[PropagationPath], back: &[PropagationPath]) {
     }
 }
 
-/// Returns the field of all paths, of the carrier of [`scene`].
+/// Returns the field of all paths at the carrier of [`scene`].
 fn field(paths: &[PropagationPath]) -> Complex {
     paths.iter().map(|p| p.baseband(299_792_458.0 / 2e9)).sum()
 }
@@ -89,21 +91,21 @@ fn field(paths: &[PropagationPath]) -> Complex {
 #[test]
 fn paths_without_scattering_are_reciprocal() {
     for pair in PAIRS {
-        let [there, back] = both_ways(pair, "order: 2, room_order: 3");
+        let [there, back] = both_directions(pair, "order: 2, room_order: 3");
         assert_same(&there, &back);
         let (h, reversed) = (field(&there), field(&back));
         assert!((h - reversed).norm() < 1e-9 * h.norm(), "{pair:?}: {h} and {reversed}");
     }
 }
 
-/// Effective roughness takes |Γ| at the angle of incidence, and bends the polarisation as the wave leaves: neither is the
-/// same backwards. All other paths keep the law.
+/// Effective roughness takes |Γ| at the angle of incidence, and projects the polarisation for the outgoing direction:
+/// neither is the same backwards. All other paths are reciprocal.
 #[test]
 fn scattering_is_not_reciprocal() {
     let is_scattered = |p: &PropagationPath| p.interactions.iter().any(|i| matches!(i, Interaction::Scattering { .. }));
     let mut worst = [0.0_f64; 3];
     for pair in PAIRS {
-        let both = both_ways(pair, "order: 2, room_order: 3, roughness: 0.3, patch_m: 1.5");
+        let both = both_directions(pair, "order: 2, room_order: 3, roughness: 0.3, patch_m: 1.5");
         let [h, reversed] = both.each_ref().map(|paths| field(paths).norm_sqr());
         let [(rough, smooth), (rough_back, smooth_back)] =
             both.map(|paths| paths.into_iter().partition::<Vec<PropagationPath>, _>(is_scattered));
@@ -120,8 +122,8 @@ fn scattering_is_not_reciprocal() {
         worst = std::array::from_fn(|k| worst[k].max(differences[k]));
     }
     // One weak patch, all patches together, and the whole field; docs/lab/simulator.md has more pairs.
-    for (found, known) in worst.into_iter().zip([24.780, 0.463, 0.645]) {
-        assert!((found - known).abs() < 2e-3, "{worst:?} dB");
+    for (difference, expected) in worst.into_iter().zip([24.780, 0.463, 0.645]) {
+        assert!((difference - expected).abs() < 2e-3, "{worst:?} dB");
     }
 }
 
@@ -171,7 +173,7 @@ fn diffraction_makes_field_continuous_at_shadow_edge() {
 
 #[test]
 fn sheet_edge_diffracts_blocked_field() {
-    // Continuous where the way through the glass begins, and nothing at all at the edge of a sheet of air.
+    // Continuous at the edge of the glass, and without effect at the edge of a sheet of air.
     let at = |y: f64| behind_a_board("glass", DVec3::new(-4.0, y, 0.0));
     let jump = (at(1.5 + 1e-6) - at(1.5 - 1e-6)).norm();
     assert!(jump < 1e-3 * at(1.5 + 1e-6).norm(), "{jump:e}");
@@ -179,8 +181,8 @@ fn sheet_edge_diffracts_blocked_field() {
         let distance = DVec3::new(-4.0, y, 0.0).distance(DVec3::new(4.0, -1.5, 0.3));
         let wavelength = 299_792_458.0 / 2e9;
         let free = Complex::cis(-TAU * distance / wavelength) * wavelength / (4.0 * PI * distance);
-        let found = behind_a_board("vacuum", DVec3::new(-4.0, y, 0.0));
-        assert!((found - free).norm() < 1e-9 * free.norm(), "{y}: {found} and {free}");
+        let field = behind_a_board("vacuum", DVec3::new(-4.0, y, 0.0));
+        assert!((field - free).norm() < 1e-9 * free.norm(), "{y}: {field} and {free}");
     }
 }
 
@@ -191,8 +193,8 @@ fn coplanar_faces_reflect_once() {
     };
     let paths = |objects: &str| {
         let simulator = Simulator::new(&scene(WALLS, objects, [0.4, 0.3, 2.0], "order: 1, room_order: 0")).unwrap();
-        let found = simulator.trace(DVec3::new(-0.6, -0.7, 1.8));
-        found.iter().filter(|p| matches!(p.interactions[..], [Interaction::Reflection { .. }])).count()
+        let paths = simulator.trace(DVec3::new(-0.6, -0.7, 1.8));
+        paths.iter().filter(|p| matches!(p.interactions[..], [Interaction::Reflection { .. }])).count()
     };
     let one = paths(&bench("a", "(1, 1, 0.8)"));
     assert_eq!(paths(&(bench("a", "(1, 1, 0.8)") + &bench("b", "(1, 1, 0.8)"))), one);
@@ -206,10 +208,10 @@ fn finds_all_visible_image_sequences_in_cluttered_room() {
     for tx in [[-5.0, 2.0, 1.0], [4.0, -4.0, 3.0], [0.0, -1.5, 0.5]] {
         let tx = DVec3::from(tx);
         let rx = DVec3::new(0.5, 0.5, 1.4);
-        let found = simulator.trace(tx);
+        let paths = simulator.trace(tx);
         let mut count = 0;
         let faces = world.faces.len() as u32;
-        let mut met = Vec::new();
+        let mut sheets = Vec::new();
         let mut check = |sequence: &[u32]| {
             // Mirror the transmitter, then walk back from the receiver.
             let images: Vec<DVec3> = sequence
@@ -227,11 +229,12 @@ fn finds_all_visible_image_sequences_in_cluttered_room() {
                     return;
                 }
                 let point = from.lerp(images[k], h / (h - g));
-                open &=
-                    world.is_on(f, point) && world.collect_sheets(from, point, [&[], &[]], &mut met) && met.is_empty();
+                open &= world.is_on(f, point)
+                    && world.collect_sheets(from, point, [&[], &[]], &mut sheets)
+                    && sheets.is_empty();
                 from = point;
             }
-            open &= world.collect_sheets(from, tx, [&[], &[]], &mut met) && met.is_empty();
+            open &= world.collect_sheets(from, tx, [&[], &[]], &mut sheets) && sheets.is_empty();
             count += usize::from(open);
         };
         check(&[]);
@@ -239,7 +242,7 @@ fn finds_all_visible_image_sequences_in_cluttered_room() {
             check(&[a]);
             (0..faces).filter(|b| *b != a).for_each(|b| check(&[a, b]));
         }
-        assert_eq!(found.len(), count, "from {tx}");
+        assert_eq!(paths.len(), count, "from {tx}");
     }
 }
 

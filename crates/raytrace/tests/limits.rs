@@ -10,7 +10,7 @@ const ROOM: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (
                     floor: (material: \"concrete\"), ceiling: (material: \"concrete\"))";
 
 /// Returns the error for the scene with `from` replaced by `to`, within seconds.
-fn shown(text: &str, from: &str, to: &str) -> String {
+fn error_after(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     let begun = Instant::now();
     let scene = SceneFile::parse(&text.replacen(from, to, 1), Path::new("a.ron"));
@@ -21,7 +21,8 @@ fn shown(text: &str, from: &str, to: &str) -> String {
     message
 }
 
-fn plain() -> String {
+/// Returns the text of a valid scene.
+fn valid_scene() -> String {
     let object =
         "Box(name: \"crate\", low: (1, 1, 1), high: (2, 2, 2), finish: (material: \"wood\", thickness_m: 0.02)),";
     law_scene(ROOM, object, [0.0, 0.0, 2.0], "order: 1, room_order: 1").to_ron()
@@ -29,7 +30,7 @@ fn plain() -> String {
 
 #[test]
 fn reports_numbers_out_of_range() {
-    let text = plain();
+    let text = valid_scene();
     for (from, to, expected) in [
         ("position: (0.0, 0.0, 2.0)", "position: (1e308, 0, 0)", "receiver: `position`"),
         ("position: (0.0, 0.0, 2.0)", "position: (NaN, 0, 0)", "receiver: `position`"),
@@ -49,7 +50,7 @@ fn reports_numbers_out_of_range() {
         ),
         ("roughness: 0.0,\n", "roughness: 0.5, patch_m: 0.02, seed: 0, ) ,//", "a.ron:"),
     ] {
-        let message = shown(&text, from, to);
+        let message = error_after(&text, from, to);
         assert!(message.contains(expected), "{to}: {message}");
     }
 }
@@ -61,7 +62,7 @@ fn rejects_long_names_and_control_characters() {
         for (from, expected) in
             [("\"law\"", "`name`"), ("\"crate\"", "the name of object 1"), ("\"wood\"", "the name of a material")]
         {
-            let message = shown(&plain(), from, &format!("\"{name}\""));
+            let message = error_after(&valid_scene(), from, &format!("\"{name}\""));
             assert!(
                 message.contains(expected) && message.contains("holds control characters or more than 200 letters"),
                 "{message}"
@@ -72,8 +73,8 @@ fn rejects_long_names_and_control_characters() {
 
 #[test]
 fn rejects_oversized_scene_before_tracing() {
-    let text = plain();
-    let with = |objects: &str| shown(&text, "objects: [", &format!("objects: [{objects}"));
+    let text = valid_scene();
+    let with = |objects: &str| error_after(&text, "objects: [", &format!("objects: [{objects}"));
     let boxes: Vec<String> = (0..30_000)
         .map(|i| format!("Box(name: \"{i}\", low: (1, 1, 1), high: (2, 2, 2), finish: (material: \"wood\")),"))
         .collect();
@@ -87,16 +88,16 @@ fn rejects_oversized_scene_before_tracing() {
     let traced =
         text.replace("rows: 4", "rows: 32").replace("columns: 4", "columns: 32").replace("order: 1", "order: 7");
     let traced = traced.replace("position: (0.0, 0.0, 2.0)", "position: (-4, 0, 2)");
-    let message = shown(&traced, "wavefront: Spherical", "wavefront: Traced");
+    let message = error_after(&traced, "wavefront: Spherical", "wavefront: Traced");
     assert!(message.contains("tracing to each of 1024 antennas would take"), "{message}");
     let rough = text.replace("roughness: 0.0", "roughness: 0.5");
-    assert!(shown(&rough, "patch_m: 0.5", "patch_m: 0.02").contains("in patches of 0.02 m are too many"));
+    assert!(error_after(&rough, "patch_m: 0.5", "patch_m: 0.02").contains("in patches of 0.02 m are too many"));
     let corners: Vec<String> = (0..2000).map(|i| format!("({i}, {})", i % 2)).collect();
     let outline = "Box(\n            low: (-10.0, -8.0, 0.0),\n            high: (10.0, 8.0, 6.0),\n        )";
     let plan = |corners: &str| format!("Plan(corners: [{corners}], ceiling: 6)");
-    assert!(shown(&text, outline, &plan(&corners.join(","))).contains("has 2000 corners; give at most 1000"));
+    assert!(error_after(&text, outline, &plan(&corners.join(","))).contains("has 2000 corners; give at most 1000"));
     for flat in ["(0, 0), (4, 0), (8, 0)", "(-9, -9), (9, -9), (8, -9), (8, 9), (-9, 9)"] {
-        assert!(shown(&text, outline, &plan(flat)).contains("cross or touch"));
+        assert!(error_after(&text, outline, &plan(flat)).contains("cross or touch"));
     }
 }
 
@@ -105,7 +106,7 @@ fn deeply_nested_brackets_do_not_overflow_stack() {
     for (bracket, field) in
         [("(", "objects: ["), ("[", "objects: ["), ("Some(", "noise: "), ("{", "materials: {"), ("/*", "(")]
     {
-        shown(&plain(), field, &format!("{field}{}", bracket.repeat(100_000)));
+        error_after(&valid_scene(), field, &format!("{field}{}", bracket.repeat(100_000)));
     }
 }
 
@@ -115,7 +116,7 @@ fn reports_meshes_that_cannot_be_traced() {
     let mesh = |name: &str| {
         let file = folder.path().join(name);
         let object = format!("Mesh(name: \"m\", file: {file:?}, finish: (material: \"wood\", thickness_m: 0.01)),");
-        shown(&plain(), "objects: [", &format!("objects: [{object}"))
+        error_after(&valid_scene(), "objects: [", &format!("objects: [{object}"))
     };
     let vertices = "v 1 1 1\nv 2 1 1\n";
     let fan: Vec<String> = (0..100).map(|i| format!("v 1 {} {}\nf 1 2 {}\n", 2 + i, 1 + i * i, i + 3)).collect();

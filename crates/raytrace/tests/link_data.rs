@@ -9,6 +9,7 @@ use std::path::Path;
 
 const QUIET: &str = "noise: (snr_db: 20, phase_error_deg: 3),";
 
+/// Simulates 10 samples of the scene `s.ron` in `folder`; `observe` is a further setting.
 fn load(folder: &Path, observe: &str) -> pwrfgs_core::Result<Dataset> {
     let text = format!("Simulated(scene: \"s.ron\", samples: 10, points: 20, cache: false{observe})");
     Plugin::<dyn DataSource>::parse(&text).unwrap().load(folder, &|_, _| {})
@@ -31,8 +32,8 @@ fn data_set_has_one_link_per_transmitter_and_receiver() {
         assert_eq!(data.links[5], Link { transmitter: 2, receiver: 1 });
         let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| &*receiver.name).collect();
         assert_eq!(names, ["gateway1", "b"]);
-        for (of_data, receiver) in data.scene.receivers.iter().zip(scene.receivers()) {
-            assert!(of_data.pose == receiver.pose() && of_data.antennas.len() == 8);
+        for (loaded, receiver) in data.scene.receivers.iter().zip(scene.receivers()) {
+            assert!(loaded.pose == receiver.pose() && loaded.antennas.len() == 8);
         }
         assert!(data.is_simulated() && data.title == "small (simulated)" && data.scene.points.len() == 20);
         let split = Plugin::<dyn Split>::parse("Official(validation: 0)").unwrap();
@@ -47,12 +48,12 @@ fn data_set_has_one_link_per_transmitter_and_receiver() {
 #[test]
 fn unreceived_transmitters_have_no_link() {
     let folder = tempfile::tempdir().unwrap();
-    let sends = |dbm: f64| {
+    let data_at = |dbm: f64| {
         let text = small_room("").replace("transmitter: (", &format!("transmitter: (power_dbm: {dbm}, "));
         fs::write(folder.path().join("s.ron"), text).unwrap();
         load(folder.path(), ", observe: Power(noise_db: 2)")
     };
-    let (all, some) = (sends(0.0).unwrap(), sends(-50.0).unwrap());
+    let (all, some) = (data_at(0.0).unwrap(), data_at(-50.0).unwrap());
     assert!(all.len() == 20 && (1..20).contains(&some.len()), "{}", some.len());
     for i in 0..some.len() {
         let received = some.sample(i);
@@ -61,8 +62,8 @@ fn unreceived_transmitters_have_no_link() {
         let (loud, quiet) = (all.image(j).pixels[0], some.image(i).pixels[0]);
         assert!(quiet > -100.0 && (loud - quiet - 50.0).abs() < 0.01);
     }
-    let shown = sends(-190.0).unwrap_err().to_string();
-    assert!(shown.contains("no receiver receives any transmitter; raise `power_dbm`"), "{shown}");
+    let message = data_at(-190.0).unwrap_err().to_string();
+    assert!(message.contains("no receiver receives any transmitter; raise `power_dbm`"), "{message}");
 }
 
 #[test]

@@ -10,10 +10,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
+/// Parses a scene.
 fn parse(text: &str) -> SceneFile {
     SceneFile::parse(text, Path::new("links.ron")).unwrap()
 }
 
+/// Returns the recipe of 10 samples of a scene.
 fn recipe(folder: &Path, text: &str, observe: ObservationKind) -> SimulationRecipe {
     let path = folder.join("scene.ron");
     fs::write(&path, text).unwrap();
@@ -38,6 +40,7 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     all
 }
 
+/// Writes a data set with paths, and returns its files.
 fn written(recipe: &SimulationRecipe, layout: OutputLayout, out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     write_as(recipe, layout, true, out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
     contents(out)
@@ -56,12 +59,12 @@ fn every_layout_is_bit_identical_at_any_thread_count() {
     let folder = tempfile::tempdir().unwrap();
     for (layout, observe) in KINDS {
         let recipe = recipe(folder.path(), &small_room(CSI), observe);
-        let made = [1, 3].map(|threads| {
+        let written_files = [1, 3].map(|threads| {
             let out = folder.path().join(format!("{layout:?}{threads}"));
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| written(&recipe, layout, &out))
         });
-        assert!(made[0] == made[1], "{layout:?}");
+        assert!(written_files[0] == written_files[1], "{layout:?}");
     }
 }
 
@@ -77,19 +80,19 @@ fn receiver_observes_same_with_and_without_others() {
         let both = recipe(folder.path(), &text, observe);
         let all = written(&both, layout, &folder.path().join(format!("{layout:?}")));
         let recipe = recipe(folder.path(), &alone, observe);
-        let own = written(&recipe, layout, &folder.path().join(format!("{layout:?} alone")));
+        let files_alone = written(&recipe, layout, &folder.path().join(format!("{layout:?} alone")));
         if layout == OutputLayout::Rssi {
             let column = |files: &[(PathBuf, Vec<u8>)], k: usize| -> Vec<String> {
                 let table = files.iter().find(|(name, _)| name == Path::new("gateway_rssi.csv")).unwrap();
                 let text = String::from_utf8(table.1.clone()).unwrap();
                 text.lines().map(|line| line.split(',').nth(k).unwrap().into()).collect()
             };
-            assert_eq!(column(&all, 1), column(&own, 0));
+            assert_eq!(column(&all, 1), column(&files_alone, 0));
             continue;
         }
         let of_b =
             all.iter().filter_map(|(name, bytes)| Some((name.strip_prefix("b").ok()?.to_owned(), bytes.clone())));
-        assert!(of_b.eq(own.into_iter()), "{layout:?}");
+        assert!(of_b.eq(files_alone.into_iter()), "{layout:?}");
         assert!(all.iter().any(|(name, _)| name == Path::new("gateway1/manifest.json")));
     }
 }
@@ -139,15 +142,15 @@ fn files_hold_simulated_observations() {
             let bytes = fs::read(folder.path().join(&out).join(name).join(array)).unwrap();
             let header = String::from_utf8_lossy(&bytes[10..128]).into_owned();
             assert!(header.contains("'<c8'") && header.contains("(10, 8, 6)"), "{header}");
-            let own = links.chunks(2).map(|both| &both[r]).flat_map(|observed| match observed {
+            let gains = links.chunks(2).map(|both| &both[r]).flat_map(|observed| match observed {
                 SimulatedObservation::Channel(channel) => channel.clone(),
                 other => panic!("{other:?}"),
             });
-            let expected: Vec<u8> = own.flat_map(|h| [h.re as f32, h.im as f32]).flat_map(f32::to_le_bytes).collect();
+            let expected: Vec<u8> = gains.flat_map(|h| [h.re as f32, h.im as f32]).flat_map(f32::to_le_bytes).collect();
             assert!(bytes[128..] == expected);
             let facts = text_of(&format!("{out}/{name}"), facts);
-            let places = facts.matches('[').count();
-            assert_eq!(places, if layout == OutputLayout::Csi { 1 + 8 } else { 3 + 1 + 8 }, "{facts}");
+            let rows = facts.matches('[').count();
+            assert_eq!(rows, if layout == OutputLayout::Csi { 1 + 8 } else { 3 + 1 + 8 }, "{facts}");
         }
     }
     let facts = text_of("Channels/b", "receiver.yml");

@@ -27,14 +27,17 @@ fn large_room(floor: &str, more: &str) -> String {
 const ANYWHERE: &str = "transmitter: (positions: Uniform(low: (-20, -20, 1), high: (20, 20, 3)))";
 const BAND: &str = "subcarriers: (count: 16, bandwidth_hz: 40e6)";
 
+/// Parses a scene.
 fn parse(text: &str) -> SceneFile {
     SceneFile::parse(text, Path::new("links.ron")).unwrap()
 }
 
+/// Prepares a scene.
 fn simulator(text: &str) -> Simulator {
     Simulator::new(&parse(text)).unwrap()
 }
 
+/// Returns the observed channel.
 fn channel(receiver: &PreparedReceiver, tx: DVec3, snr_db: Option<f64>, sample: Option<u64>) -> Vec<Complex> {
     match receiver.observe(tx, &ObservationKind::Channel { snr_db }, sample).observed {
         SimulatedObservation::Channel(channel) => channel,
@@ -42,6 +45,7 @@ fn channel(receiver: &PreparedReceiver, tx: DVec3, snr_db: Option<f64>, sample: 
     }
 }
 
+/// Returns the observed power, dBm.
 fn power(receiver: &PreparedReceiver, tx: DVec3, noise_db: f64, sample: Option<u64>) -> f64 {
     match receiver.observe(tx, &ObservationKind::Power { noise_db }, sample).observed {
         SimulatedObservation::Power(dbm) => dbm,
@@ -49,7 +53,7 @@ fn power(receiver: &PreparedReceiver, tx: DVec3, noise_db: f64, sample: Option<u
     }
 }
 
-/// Returns λ/4πd and the phase of the way, at frequency `f`; the wavelength of the amplitude is that of the carrier.
+/// Returns λ/4πd and the phase of the path, at frequency `f`; the wavelength of the amplitude is that of the carrier.
 fn wave(distance: f64, f: f64) -> Complex {
     let wavelength = SPEED_OF_LIGHT / 2.4e9;
     wavelength / (4.0 * PI * distance) * Complex::cis(-TAU * f * distance / SPEED_OF_LIGHT)
@@ -79,7 +83,7 @@ fn free_space_channels_match_closed_form_at_two_receivers() {
             for (h, f) in h.iter().zip(&hz) {
                 assert!((h / wave(distance, *f) - 1.0).norm() < 1e-9);
             }
-            // The phase turns by -2πτ a hertz.
+            // The phase turns by -2πτ per hertz.
             let slope = (h[9] / h[8]).arg() / (hz[9] - hz[8]);
             assert!((slope / (-TAU * distance / SPEED_OF_LIGHT) - 1.0).abs() < 1e-6);
             let friis = 17.0 + 20.0 * wave(distance, 2.4e9).norm().log10();
@@ -94,8 +98,8 @@ fn two_ray_channel_over_mirror_matches_closed_form() {
     let tx = DVec3::new(2.0, -6.0, 1.3);
     let mirrored = DVec3::new(tx.x, tx.y, -tx.z);
     for receiver in simulator.receivers() {
-        let place = DVec3::from(receiver.pose().position);
-        let rays = |f: f64| wave(tx.distance(place), f) + wave(mirrored.distance(place), f);
+        let position = DVec3::from(receiver.pose().position);
+        let rays = |f: f64| wave(tx.distance(position), f) + wave(mirrored.distance(position), f);
         let h = channel(receiver, tx, None, None);
         for (h, f) in h.iter().zip(simulator.scene().frequencies()) {
             assert!((h / rays(f) - 1.0).norm() < 1e-9);
@@ -122,7 +126,7 @@ fn channel_at_carrier_equals_channel_of_spectrum() {
             let array = &scene.receiver.array;
             let center = DVec3::from(scene.receiver.position);
             assert!(alone == array.channel(&paths, center, receiver.world_from_receiver(), scene.wavelength()));
-            assert!(receiver.antennas().iter().all(|place| place.distance(center) < 0.2));
+            assert!(receiver.antennas().iter().all(|antenna| antenna.distance(center) < 0.2));
         }
         // Without subcarriers the power equals that of the spectra, including errors.
         let narrow = Simulator::new(&SceneFile { subcarriers: None, ..scene.clone() }).unwrap();

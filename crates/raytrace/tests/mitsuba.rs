@@ -46,6 +46,7 @@ fn scene(elements: &str, more: &str) -> SceneFile {
     scene
 }
 
+/// Returns the paths from [`TX`].
 fn traced(scene: &SceneFile) -> Vec<PropagationPath> {
     Simulator::new(scene).unwrap().trace(TX)
 }
@@ -62,8 +63,9 @@ fn open_scene_has_line_of_sight_reflection_and_four_rims() {
     assert!(simulator.world().check_free(DVec3::splat(500.0)).is_ok(), "no room has an outside");
 }
 
-fn is_diffraction(met: &Interaction) -> bool {
-    matches!(met, Interaction::Diffraction { .. })
+/// Returns whether an interaction is a diffraction.
+fn is_diffraction(interaction: &Interaction) -> bool {
+    matches!(interaction, Interaction::Diffraction { .. })
 }
 
 #[test]
@@ -106,8 +108,11 @@ fn objects_of_scene_file_may_have_materials_of_xml_file() {
     let foam = "<bsdf type=\"radio-material\" id=\"foam\"><float name=\"relative_permittivity\" value=\"1.1\"/></bsdf>";
     let shape = SHAPE.replace("\"wall\"", "\"foam\"");
     let panel = "objects: [Panel(name: \"w\", from: (5, 0), to: (5, 4), heights: (0, 3), finish: (material: \"foam\", thickness_m: 0.1))],";
-    let found = scene(&format!("{foam}{shape}"), panel);
-    assert_eq!(found.objects.iter().map(|object| &*object.finish().unwrap().material).collect::<Vec<_>>(), ["foam"; 2]);
+    let scene_with_foam = scene(&format!("{foam}{shape}"), panel);
+    assert_eq!(
+        scene_with_foam.objects.iter().map(|object| &*object.finish().unwrap().material).collect::<Vec<_>>(),
+        ["foam"; 2]
+    );
 }
 
 #[test]
@@ -119,13 +124,13 @@ fn material_without_thickness_has_ten_centimetres_as_in_sionna() {
 
 #[test]
 fn variables_and_transforms_place_a_mesh() {
-    let place =
+    let transformed =
         |inner: &str| SHAPE.replace("</shape>", &format!("<transform name=\"to_world\">{inner}</transform></shape>"));
     let defaults = "<default name=\"h\" value=\"-0.5\"/><default name=\"high\" value=\"90\"/>";
     let steps = "<scale value=\"0.5\"/><rotate x=\"1\" angle=\"$high\"/><translate z=\"$h\" x=\"1.5\"/>";
     let matrix = "<matrix value=\"0.5 0 0 1.5, 0 0 -0.5 0, 0 0.5 0 -0.5, 0 0 0 1\"/>";
     let corners = |inner: &str| {
-        let text = format!("{defaults}{GLASS}{}", place(inner));
+        let text = format!("{defaults}{GLASS}{}", transformed(inner));
         Simulator::new(&scene(&text, "")).unwrap().world().faces[0].hull.clone()
     };
     let expected = [(0.5, -1.5), (2.5, -1.5), (2.5, 0.5), (0.5, 0.5)].map(|(x, z)| DVec3::new(x, 0.0, z));
@@ -274,7 +279,7 @@ fn errors_name_line_column_and_next_step() {
 
 #[test]
 fn text_that_exhausts_memory_or_time_is_rejected_at_once() {
-    let list = |count: usize, of: fn(usize) -> String| (0..count).map(of).collect::<String>();
+    let list = |count: usize, element: fn(usize) -> String| (0..count).map(element).collect::<String>();
     let value = "A".repeat(1_000);
     let variable = |name: &str| format!("<default name=\"{name}\" value=\"{value}\"/>");
     let material = |id: &str| format!("<bsdf type=\"radio-material\" id=\"{id}\"/>");

@@ -20,6 +20,7 @@ struct Row {
     points: Vec<DVec3>,
 }
 
+/// Reads the rows of a reference file by transmitter; `None` if the file is missing.
 fn rows(file: &str) -> Option<BTreeMap<String, Vec<Row>>> {
     let mut reader = csv::Reader::from_path(shared("reference/paths/sceneA")?.join(file)).unwrap();
     let mut rows: BTreeMap<String, Vec<Row>> = BTreeMap::new();
@@ -56,17 +57,19 @@ fn name(simulator: &Simulator, face: u32) -> &'static str {
     walls.into_iter().find(|(normal, _)| normal.dot(n) > 0.999).unwrap().1
 }
 
+/// Returns the names of the reflecting faces, as in the reference.
 fn surfaces(simulator: &Simulator, path: &PropagationPath) -> String {
     if path.interactions.is_empty() {
         return "LOS".into();
     }
-    let met = path.interactions.iter().map(|i| match i {
+    let names = path.interactions.iter().map(|i| match i {
         Interaction::Reflection { face, .. } => name(simulator, *face),
         other => panic!("{other:?} in an empty room"),
     });
-    met.collect::<Vec<_>>().join(">")
+    names.collect::<Vec<_>>().join(">")
 }
 
+/// Returns the reflection points.
 fn points(path: &PropagationPath) -> Vec<DVec3> {
     let point = |i: &Interaction| match i {
         Interaction::Reflection { point, .. } => Some(*point),
@@ -83,10 +86,10 @@ fn finds_every_path_of_reference_room_with_its_gain() {
         let simulator = Simulator::new(&reference_room(f64::from(megahertz) * 1e6, model == "slab", 3)).unwrap();
         let wavelength = simulator.scene().wavelength();
         for (tx, position) in txs {
-            let found = simulator.trace(DVec3::from(position));
-            assert_eq!(found.len(), 63);
+            let paths = simulator.trace(DVec3::from(position));
+            assert_eq!(paths.len(), 63);
             let by_name: BTreeMap<String, &PropagationPath> =
-                found.iter().map(|p| (surfaces(&simulator, p), p)).collect();
+                paths.iter().map(|p| (surfaces(&simulator, p), p)).collect();
             let rows = &expected[tx];
             for row in rows {
                 let path = by_name.get(&row.surfaces).unwrap_or_else(|| panic!("{tx}: no path {}", row.surfaces));
@@ -95,12 +98,12 @@ fn finds_every_path_of_reference_room_with_its_gain() {
                 assert!((path.length - row.length).abs() < 1e-10, "{tx} {}", row.surfaces);
                 let error = (path.gain - row.gain).norm() / free_space;
                 assert!(error < 1e-9, "{tx} {} {megahertz} {model}: {error:e}", row.surfaces);
-                // The third party computes in single precision.
+                // The directions of the reference have single precision.
                 assert!(path.departure.distance(row.departure) < 1e-4 && path.arrival.distance(row.arrival) < 1e-4);
                 assert!(points(path).iter().zip(&row.points).all(|(a, b)| a.distance(*b) < 5e-4));
                 assert!(path.length_to(DVec3::new(1.7, -0.9, 1.3)) - path.length < 1e-12);
             }
-            let sum: Complex = found.iter().map(|p| p.baseband(wavelength)).sum();
+            let sum: Complex = paths.iter().map(|p| p.baseband(wavelength)).sum();
             let reference: Complex = rows.iter().map(|row| row.baseband).sum();
             assert!((sum - reference).norm() < 1e-8 * reference.norm(), "{tx}: {sum} against {reference}");
         }
@@ -132,12 +135,12 @@ fn separately_traced_antennas_match_reference_channel() {
         let tx = txs.iter().find(|(name, _)| *name == r["tx"]).unwrap().1;
         let paths = simulator.trace(DVec3::from(tx));
         assert_eq!(paths.len(), number("npaths_ref") as usize);
-        let found: Complex = paths.iter().map(|p| p.baseband(scene.wavelength())).sum();
+        let channel: Complex = paths.iter().map(|p| p.baseband(scene.wavelength())).sum();
         let expected = Complex::new(number("ref_real_re"), number("ref_real_im"));
-        // In a fade the sum is small: the line of sight is the measure.
+        // The error is relative to the line of sight, because the sum is small in a fade.
         assert!(
-            (found - expected).norm() < 1e-8 * paths[0].gain.norm(),
-            "{} {}: {found} {expected}",
+            (channel - expected).norm() < 1e-8 * paths[0].gain.norm(),
+            "{} {}: {channel} {expected}",
             r["tx"],
             r["elem"]
         );

@@ -1,4 +1,4 @@
-//! Sheets that a scene describes twice: each counts once, like the sheet alone.
+//! Sheets that a scene describes twice: each counts once.
 
 use crate::common::law_scene;
 use glam::DVec3;
@@ -14,7 +14,7 @@ const ROOM: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (
                     floor: (material: \"concrete\"), ceiling: (material: \"wood\", thickness_m: 0.02))";
 
 /// Returns the simulator of an open scene of these meshes in OBJ, each with a material.
-fn open(meshes: &[(&str, &str)]) -> Simulator {
+fn open_scene(meshes: &[(&str, &str)]) -> Simulator {
     let folder = tempfile::tempdir().unwrap();
     let mut xml = String::from("<scene version=\"2.1.0\">\n");
     for material in ["concrete", "glass"] {
@@ -46,32 +46,35 @@ fn traced(simulator: &Simulator, tx: DVec3) -> (Vec<PropagationPath>, usize) {
 }
 
 /// Asserts equal paths and areas.
-fn assert_equal(found: &Simulator, wanted: &Simulator, case: &str) {
-    assert_equal_to(1e-9, found, wanted, case);
+fn assert_equal(simulator: &Simulator, expected: &Simulator, case: &str) {
+    assert_equal_to(1e-9, simulator, expected, case);
 }
 
 /// Asserts equal paths and areas, gains of diffracted paths to a relative error: the diffraction at a rim depends on the
 /// corner order.
-fn assert_equal_to(rims: f64, found: &Simulator, wanted: &Simulator, case: &str) {
+fn assert_equal_to(rims: f64, simulator: &Simulator, expected: &Simulator, case: &str) {
     for tx in [TX, DVec3::new(-1.0, -2.0, 1.5), DVec3::new(0.7, 5.0, 0.3)] {
-        let ((found, rough), (wanted, roughs)) = (traced(found, tx), traced(wanted, tx));
-        assert_eq!(found.len(), wanted.len(), "{case}");
-        for (a, b) in found.iter().zip(&wanted) {
+        let ((paths, patches), (expected_paths, expected_patches)) = (traced(simulator, tx), traced(expected, tx));
+        assert_eq!(paths.len(), expected_paths.len(), "{case}");
+        for (a, b) in paths.iter().zip(&expected_paths) {
             assert_eq!(a.interactions.len(), b.interactions.len(), "{case}");
             assert!((a.length - b.length).abs() < 1e-9, "{case}: {} and {} m", a.length, b.length);
             let is_diffracted = a.interactions.iter().any(|i| matches!(i, Interaction::Diffraction { .. }));
             let error = if is_diffracted { rims } else { 1e-9 };
             assert!((a.gain - b.gain).norm() < error * b.gain.norm(), "{case}: {} and {}", a.gain, b.gain);
         }
-        assert!(rough.abs_diff(roughs) <= roughs / 4, "{case}: {rough} and {roughs} patches");
+        assert!(
+            patches.abs_diff(expected_patches) <= expected_patches / 4,
+            "{case}: {patches} and {expected_patches} patches"
+        );
     }
     let area = |s: &Simulator| s.world().triangles.iter().map(Triangle::area).sum::<f64>();
-    assert!((area(found) - area(wanted)).abs() < 1e-6 * area(wanted), "{case}: {} m²", area(found));
+    assert!((area(simulator) - area(expected)).abs() < 1e-6 * area(expected), "{case}: {} m²", area(simulator));
 }
 
 #[test]
 fn second_side_in_a_mesh_changes_nothing() {
-    let alone = open(&[(&(CORNERS.to_owned() + FRONT), "concrete")]);
+    let alone = open_scene(&[(&(CORNERS.to_owned() + FRONT), "concrete")]);
     let (paths, _) = traced(&alone, TX);
     assert!(matches!(paths[0].interactions[..], [Interaction::Transmission { .. }]) && paths.len() == 5);
     let middle = "v 0 0.5 -1\n";
@@ -84,26 +87,26 @@ fn second_side_in_a_mesh_changes_nothing() {
         ("own corners", "v 0 -4 -4\nv 0 4 -4\nv 0 4 4\nv 0 -4 4\nf 7 6 5\nf 8 7 5\n"),
         ("rounded corners", "v 1e-7 -4 -4\nv 0 4.0000001 -4\nv 0 4 4\nv 0 -4 4\nf 7 6 5\nf 8 7 5\n"),
     ] {
-        assert_equal(&open(&[(&format!("{CORNERS}{FRONT}{faces}"), "concrete")]), &alone, case);
+        assert_equal(&open_scene(&[(&format!("{CORNERS}{FRONT}{faces}"), "concrete")]), &alone, case);
     }
     let coarser = format!("{CORNERS}{middle}f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 3 2 1\nf 4 3 1\n");
-    assert_equal(&open(&[(&coarser, "concrete")]), &alone, "coarser");
+    assert_equal(&open_scene(&[(&coarser, "concrete")]), &alone, "coarser");
     // From -4 to 2 on one side, from -2 to 4 on the other.
     let halves = "v 0 -4 -4\nv 0 2 -4\nv 0 2 4\nv 0 -4 4\nv 0 -2 -4\nv 0 4 -4\nv 0 4 4\nv 0 -2 4\n\
                   f 1 2 3\nf 1 3 4\nf 7 6 5\nf 8 7 5\n";
-    assert_equal_to(3.0, &open(&[(halves, "concrete")]), &alone, "opposite overlap");
+    assert_equal_to(3.0, &open_scene(&[(halves, "concrete")]), &alone, "opposite overlap");
     let halves = halves.replace("f 7 6 5\nf 8 7 5", "f 5 6 7\nf 5 7 8");
-    assert_equal(&open(&[(&halves, "concrete")]), &alone, "overlap");
+    assert_equal(&open_scene(&[(&halves, "concrete")]), &alone, "overlap");
     // Halves that share no corner on their seam.
     let seam = "v 0 -4 -4\nv 0 0 -4\nv 0 0 4\nv 0 -4 4\nv 0 4 -4\nv 0 4 4\nv 0 1e-7 0\nv 0 1e-7 -4\nv 0 1e-7 4\n\
                 f 1 2 3\nf 1 3 4\nf 8 5 7\nf 5 6 7\nf 7 6 9\n";
-    assert_equal(&open(&[(seam, "concrete")]), &alone, "seam");
+    assert_equal(&open_scene(&[(seam, "concrete")]), &alone, "seam");
 }
 
 #[test]
 fn sheet_in_two_meshes_counts_once() {
     let front = CORNERS.to_owned() + FRONT;
-    let alone = open(&[(&front, "concrete")]);
+    let alone = open_scene(&[(&front, "concrete")]);
     for (case, back) in [
         ("opposite order", "f 3 2 1\nf 4 3 1\n"),
         ("same order", FRONT),
@@ -112,15 +115,15 @@ fn sheet_in_two_meshes_counts_once() {
         ("smaller", "v 0 -1 -1\nv 0 1 -1\nv 0 1 1\nf 5 6 7\n"),
     ] {
         let back = CORNERS.to_owned() + back;
-        assert_equal(&open(&[(&front, "concrete"), (&back, "concrete")]), &alone, case);
+        assert_equal(&open_scene(&[(&front, "concrete"), (&back, "concrete")]), &alone, case);
     }
     let one = "v 0 -4 -4\nv 0 2 -4\nv 0 2 4\nv 0 -4 4\nf 1 2 3\nf 1 3 4\n";
     let other = "v 0 -2 -4\nv 0 4 -4\nv 0 4 4\nv 0 -2 4\n";
-    let overlap = |faces: &str| open(&[(one, "concrete"), (&format!("{other}{faces}"), "concrete")]);
+    let overlap = |faces: &str| open_scene(&[(one, "concrete"), (&format!("{other}{faces}"), "concrete")]);
     assert_equal(&overlap(FRONT), &alone, "overlap");
     assert_equal_to(3.0, &overlap("f 3 2 1\nf 4 3 1\n"), &alone, "opposite overlap");
-    // Sheets of different materials are two, as before.
-    let (paths, _) = traced(&open(&[(&front, "concrete"), (&front, "glass")]), TX);
+    // Sheets of different materials are two sheets.
+    let (paths, _) = traced(&open_scene(&[(&front, "concrete"), (&front, "glass")]), TX);
     assert_eq!(paths[0].interactions.len(), 2);
 }
 
@@ -128,19 +131,19 @@ fn sheet_in_two_meshes_counts_once() {
 fn folded_and_closed_surfaces_count_once() {
     let fold = "v 0 -4 -4\nv 0 4 -4\nv 0 4 4\nv 0 -4 4\nv 3 4 -4\nv 3 4 4\nf 1 2 3\nf 1 3 4\nf 2 5 6\nf 2 6 3\n";
     let back = "f 3 2 1\nf 4 3 1\nf 6 5 2\nf 3 6 2\n";
-    let alone = open(&[(fold, "concrete")]);
-    assert_equal(&open(&[(&format!("{fold}{back}"), "concrete")]), &alone, "two-sided fold");
-    assert_equal(&open(&[(fold, "concrete"), (fold, "concrete")]), &alone, "two folds");
+    let alone = open_scene(&[(fold, "concrete")]);
+    assert_equal(&open_scene(&[(&format!("{fold}{back}"), "concrete")]), &alone, "two-sided fold");
+    assert_equal(&open_scene(&[(fold, "concrete"), (fold, "concrete")]), &alone, "two folds");
     // The second mesh repeats a wing, or the first does.
     let wing = "v 0 4 -4\nv 3 4 -4\nv 3 4 4\nv 0 4 4\nf 1 2 3\nf 1 3 4\n";
-    assert_equal(&open(&[(fold, "concrete"), (wing, "concrete")]), &alone, "fold and wing");
-    assert_equal(&open(&[(wing, "concrete"), (fold, "concrete")]), &alone, "wing and fold");
+    assert_equal(&open_scene(&[(fold, "concrete"), (wing, "concrete")]), &alone, "fold and wing");
+    assert_equal(&open_scene(&[(wing, "concrete"), (fold, "concrete")]), &alone, "wing and fold");
     let cube = "v 2 -1 -1\nv 4 -1 -1\nv 4 1 -1\nv 2 1 -1\nv 2 -1 1\nv 4 -1 1\nv 4 1 1\nv 2 1 1\n\
                 f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
     let inner = "f 1 2 3 4\nf 8 7 6 5\nf 5 6 2 1\nf 6 7 3 2\nf 7 8 4 3\nf 8 5 1 4\n";
-    let alone = open(&[(cube, "glass")]);
-    assert_equal(&open(&[(&format!("{cube}{inner}"), "glass")]), &alone, "two-sided cube");
-    assert_equal(&open(&[(cube, "glass"), (cube, "glass")]), &alone, "two cubes");
+    let alone = open_scene(&[(cube, "glass")]);
+    assert_equal(&open_scene(&[(&format!("{cube}{inner}"), "glass")]), &alone, "two-sided cube");
+    assert_equal(&open_scene(&[(cube, "glass"), (cube, "glass")]), &alone, "two cubes");
 }
 
 #[test]
@@ -161,9 +164,9 @@ fn two_sided_body_is_solid_and_two_sided_plate_is_open() {
             format!("{cube}{inner}"),
             format!("{}{inner}{}", &cube[..cube.find('f').unwrap()], &cube[cube.find('f').unwrap()..]),
         ] {
-            let found = simulator(&mesh, finish).unwrap();
-            assert_equal(&found, &alone, finish);
-            let error = found.world().check_free(DVec3::new(3.0, 0.0, 2.0)).unwrap_err();
+            let two_sided = simulator(&mesh, finish).unwrap();
+            assert_equal(&two_sided, &alone, finish);
+            let error = two_sided.world().check_free(DVec3::new(3.0, 0.0, 2.0)).unwrap_err();
             assert!(error.contains("inside `m`"), "{error}");
         }
     }
@@ -180,7 +183,7 @@ fn two_sided_body_is_solid_and_two_sided_plate_is_open() {
                  Box(name: \"b\", low: (4, -1, 1), high: (6, 1, 3), finish: (material: \"wood\", thickness_m: 0.02)),";
     let scene = law_scene(ROOM, boxes, [-3.0, 0.0, 2.0], "order: 2, room_order: 1");
     assert_eq!(through(&Simulator::new(&scene).unwrap()), 4);
-    // An opening before the second box leaves one.
+    // An opening before the second box leaves one of the two sheets.
     let opening = "Opening(name: \"o\", from: (4, -1), to: (4, 1), heights: (1, 3)), Box(name: \"b\"";
     let scene =
         law_scene(ROOM, &boxes.replace("Box(name: \"b\"", opening), [-3.0, 0.0, 2.0], "order: 2, room_order: 1");

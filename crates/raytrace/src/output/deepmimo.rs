@@ -97,7 +97,7 @@ fn write_paths(
     for (user, k) in (0..paths.len() * most).map(|at| (at / most, at % most)) {
         let mut interactions = paths[user].get(k).into_iter().flat_map(|path| path.interactions.iter().rev());
         (0..depth).for_each(|_| {
-            points.extend(interactions.next().map_or([f64::NAN; 3], |interaction| interaction.point().to_array()))
+            points.extend(interactions.next().map_or([f64::NAN; 3], |interaction| interaction.point().to_array()));
         });
     }
     put("inter_pos", &[paths.len(), most, depth, 3], &points)

@@ -76,6 +76,7 @@ pub struct MovingReceiver {
 }
 
 impl MovingReceiver {
+    /// Validates the settings; `has_others`: the scene has further receivers.
     pub(super) fn check(&self, has_others: bool) -> Result<(), String> {
         if has_others {
             return Err("`moving_receiver` needs the only receiver; remove `more_receivers`".into());
@@ -87,10 +88,12 @@ impl MovingReceiver {
     }
 }
 
+/// Returns the default name of a receiver.
 fn gateway() -> String {
     GATEWAY.into()
 }
 
+/// Returns whether a name is the default.
 fn is_gateway(name: &str) -> bool {
     name == GATEWAY
 }
@@ -99,6 +102,7 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+/// Returns the default polarisation axis of the transmitter.
 fn upright() -> [f64; 3] {
     [0.0, 0.0, 1.0]
 }
@@ -135,10 +139,12 @@ impl SceneReceiver {
         ))
     }
 
+    /// Validates position and orientation; the error names the receiver.
     pub(super) fn check(&self) -> Result<(), String> {
         self.check_pose().map_err(|problem| format!("{}: {problem}", self.describe("receiver")))
     }
 
+    /// Validates position and orientation.
     fn check_pose(&self) -> Result<(), String> {
         if !self.position.iter().all(|v| v.abs() <= FAR) {
             return Err(format!("`position` is {:?}; give finite metres", self.position));
@@ -162,6 +168,7 @@ impl SceneReceiver {
 }
 
 impl SceneTransmitter {
+    /// Validates polarisation, power and element.
     pub(super) fn check(&self) -> Result<(), String> {
         let axis = self.polarization;
         if DVec3::from(axis).try_normalize().is_none() {

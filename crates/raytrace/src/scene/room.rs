@@ -50,6 +50,7 @@ pub enum Outline {
 }
 
 impl Outline {
+    /// Validates the outline; returns the problem and the next step.
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Box { low, high } => check_box(*low, *high).map_err(|why| format!("room: {why}")),
@@ -190,7 +191,7 @@ pub enum Object {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         matrix: Option<[[f64; 4]; 3]>,
         /// Metres per unit of the file; default 1.
-        #[serde(default = "one")]
+        #[serde(default = "unit_scale")]
         scale: f64,
         /// Rotation after scaling, counter-clockwise as seen from above, degrees; default 0.
         #[serde(default)]
@@ -207,7 +208,8 @@ pub enum Object {
     },
 }
 
-fn one() -> f64 {
+/// Returns the default scale of a mesh.
+fn unit_scale() -> f64 {
     1.0
 }
 
@@ -230,6 +232,7 @@ impl Object {
         }
     }
 
+    /// Returns the finish for a change; `None` for an opening.
     pub(crate) fn finish_mut(&mut self) -> Option<&mut Finish> {
         match self {
             Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => Some(finish),
@@ -255,6 +258,7 @@ impl Object {
         Ok(mesh)
     }
 
+    /// Validates the object; returns the problem and the next step.
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Box { low, high, yaw_deg, .. } => {

@@ -42,10 +42,12 @@ pub struct Material {
     pub range_ghz: (f64, f64),
 }
 
+/// Returns the default range of validity.
 fn everywhere() -> (f64, f64) {
     EVERYWHERE
 }
 
+/// Returns whether a range is the default.
 fn is_everywhere(range: &(f64, f64)) -> bool {
     *range == EVERYWHERE
 }

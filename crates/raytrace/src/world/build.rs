@@ -95,7 +95,7 @@ impl WorldBuilder {
         if part.closed {
             let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
             let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
-            self.bodies.push(SolidBody { name: part.name.into(), bounds: [low, high], triangles: triangles });
+            self.bodies.push(SolidBody { name: part.name.into(), bounds: [low, high], triangles });
         }
     }
 
