@@ -352,7 +352,7 @@ pub(crate) mod outside {
         let is_inside = |p: &Point| (0..2).all(|k| (-0.05..=size[k] + 0.05).contains(&p[k]));
         texts.retain(|(_, points)| !points.iter().all(is_inside));
         LEAVING.with_borrow_mut(|leaving| {
-            leaving.extend(texts.into_iter().map(|(words, _)| format!("{words} in {size:?}")))
+            leaving.extend(texts.into_iter().map(|(words, _)| format!("{words} in {size:?}")));
         });
     }
 

@@ -177,51 +177,11 @@ impl<'a> Comparison<'a> {
             }
         };
         let mut rows: Vec<ComparisonRow<'a>> = setting.variants.iter().enumerate().map(variant).collect();
-        let variants = rows.len();
-        for run in setting.runs() {
-            for name in run.scores.table.baselines() {
-                // A baseline has the same numbers in all variants of a seed.
-                match rows[variants..].iter_mut().find(|row| row.label == name) {
-                    Some(row) if row.runs.iter().any(|r| r.facts.seed == run.facts.seed) => {}
-                    Some(row) => row.runs.push(run),
-                    None => {
-                        let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
-                        let external = setting.is_external(name);
-                        let ranked = if oracle { RowKind::Oracle } else { RowKind::Baseline };
-                        let kind = if external { RowKind::External } else { ranked };
-                        rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
-                    }
-                }
-            }
-        }
-        rows[variants..].sort_by_key(|row| row.kind as usize);
-        let mut ceiling: Vec<&Record> = Vec::new();
-        for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {
-            if !ceiling.iter().any(|other| other.facts.seed == run.facts.seed) {
-                ceiling.push(run);
-            }
-        }
-        if !ceiling.is_empty() {
-            rows.push(ComparisonRow {
-                label: CEILING,
-                kind: RowKind::Ceiling,
-                twin: None,
-                predictor: CEILING,
-                runs: ceiling,
-            });
-        }
-        let mut metrics: Vec<MetricRow> = Vec::new();
-        for metric in setting.runs().flat_map(|run| &run.scores.table.metrics) {
-            if !metrics.iter().any(|m| m.key == metric.key) {
-                metrics.push(metric.clone());
-            }
-        }
-        for (key, unit, higher_is_better) in [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false)] {
-            metrics.push(MetricRow { key: key.into(), unit: unit.into(), higher_is_better, cells: Vec::new() });
-        }
+        rows.extend(baseline_rows(setting));
+        rows.extend(ceiling_row(setting));
         let positions =
             setting.runs().flat_map(|run| run.test.positions.iter().map(|(id, position)| (*id, *position))).collect();
-        Self { setting, rows, metrics, blocks: Blocks::new(&positions) }
+        Self { setting, rows, metrics: all_metrics(setting), blocks: Blocks::new(&positions) }
     }
 
     /// Returns the row with a label.
@@ -286,6 +246,53 @@ impl<'a> Comparison<'a> {
         };
         distinct(self.setting.variants.iter().flat_map(variant_notes))
     }
+}
+
+/// Returns a row per baseline, sorted by type. A baseline has the same numbers in all variants of a seed.
+fn baseline_rows(setting: &Setting) -> Vec<ComparisonRow<'_>> {
+    let mut rows: Vec<ComparisonRow<'_>> = Vec::new();
+    for run in setting.runs() {
+        for name in run.scores.table.baselines() {
+            match rows.iter_mut().find(|row| row.label == name) {
+                Some(row) if row.runs.iter().any(|r| r.facts.seed == run.facts.seed) => {}
+                Some(row) => row.runs.push(run),
+                None => {
+                    let oracle = run.scores.table.oracles.iter().any(|oracle| oracle == name);
+                    let ranked = if oracle { RowKind::Oracle } else { RowKind::Baseline };
+                    let kind = if setting.is_external(name) { RowKind::External } else { ranked };
+                    rows.push(ComparisonRow { label: name, kind, twin: None, predictor: name, runs: vec![run] });
+                }
+            }
+        }
+    }
+    rows.sort_by_key(|row| row.kind as usize);
+    rows
+}
+
+/// Returns the row of the noise ceiling, if it was estimated.
+fn ceiling_row(setting: &Setting) -> Option<ComparisonRow<'_>> {
+    let mut runs: Vec<&Record> = Vec::new();
+    for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {
+        if !runs.iter().any(|other| other.facts.seed == run.facts.seed) {
+            runs.push(run);
+        }
+    }
+    let row = ComparisonRow { label: CEILING, kind: RowKind::Ceiling, twin: None, predictor: CEILING, runs };
+    (!row.runs.is_empty()).then_some(row)
+}
+
+/// Returns the metrics in the order of the runs, then training set and training time.
+fn all_metrics(setting: &Setting) -> Vec<MetricRow> {
+    let mut metrics: Vec<MetricRow> = Vec::new();
+    for metric in setting.runs().flat_map(|run| &run.scores.table.metrics) {
+        if !metrics.iter().any(|m| m.key == metric.key) {
+            metrics.push(metric.clone());
+        }
+    }
+    for (key, unit, higher_is_better) in [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false)] {
+        metrics.push(MetricRow { key: key.into(), unit: unit.into(), higher_is_better, cells: Vec::new() });
+    }
+    metrics
 }
 
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";

@@ -86,28 +86,7 @@ impl Section {
         let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
         let same_machine = runs.iter().all(|r| r.facts.machine == runs[0].facts.machine);
-        let samples = [0, 1, 2].map(|k| {
-            let counts = runs.iter().map(|r| r.facts.samples[k]);
-            vec![counts.clone().min(), counts.max()]
-        });
-        let mut message = sentences(
-            "lead.txt",
-            context! {
-                variants => setting.variants.len(),
-                runs => runs.len(),
-                baselines => comparison.rows.iter().filter(|row| [RowKind::Baseline, RowKind::Oracle].contains(&row.kind)).count(),
-                samples => Vec::from(samples),
-                simulated => setting.simulated,
-                observations => setting.task().counted[1],
-                machines_differ => !same_machine,
-                machines => distinct(setting.runs().map(machine)),
-                programs => distinct(setting.runs().map(program)),
-                precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
-                absent => reference.filter(|_| named.is_none()),
-                reference => compared.label,
-                twins => comparison.twins(),
-            },
-        );
+        let mut message = lead(comparison, reference, compared, same_machine);
         let mut warnings = message.split_off(1);
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.missing_score_warnings());
@@ -132,6 +111,39 @@ impl Section {
             notes: comparison.notes(),
         }
     }
+}
+
+/// Returns sentences about the data, runs and machines of a setting; all but the first are warnings.
+fn lead(
+    comparison: &Comparison<'_>,
+    reference: Option<&str>,
+    compared: &ComparisonRow<'_>,
+    same_machine: bool,
+) -> Vec<String> {
+    let setting = comparison.setting;
+    let runs: Vec<&Record> = setting.runs().collect();
+    let samples = [0, 1, 2].map(|k| {
+        let counts = runs.iter().map(|r| r.facts.samples[k]);
+        vec![counts.clone().min(), counts.max()]
+    });
+    sentences(
+        "lead.txt",
+        context! {
+            variants => setting.variants.len(),
+            runs => runs.len(),
+            baselines => comparison.rows.iter().filter(|row| [RowKind::Baseline, RowKind::Oracle].contains(&row.kind)).count(),
+            samples => Vec::from(samples),
+            simulated => setting.simulated,
+            observations => setting.task().counted[1],
+            machines_differ => !same_machine,
+            machines => distinct(setting.runs().map(machine)),
+            programs => distinct(setting.runs().map(program)),
+            precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
+            absent => reference.filter(|label| comparison.row(label).is_none()),
+            reference => compared.label,
+            twins => comparison.twins(),
+        },
+    )
 }
 
 /// Describes the machine of a run.
