@@ -55,35 +55,7 @@ impl<'a> Setting<'a> {
             let item = |tree| Self { name: path, tree, kind: kind.map(|k| item_kind(&k, step)) };
             return list_item(&here, &name, items, step).map(item);
         }
-        let names = || tree.fields().iter().map(|(field, _)| field.as_str());
-        let subject = match (plugin, &tree.name) {
-            (Some(_), Some(plugin)) => format!("{here} is {plugin}, which"),
-            _ => here,
-        };
-        if let Some(why) = tree.name.as_deref().and_then(|plugin| removed_field(plugin, step)) {
-            return Err(format!("{subject} {why}"));
-        }
-        if names().next().is_none() {
-            return Err(format!(
-                "{subject} has no fields, so `{step}` is unknown{}",
-                complete_plugin_hint(plugin, &name, step)
-            ));
-        }
-        let mut deeper = if name.is_empty() { paths_to(step, tree) } else { Vec::new() };
-        let depth = |path: &String| path.matches('.').count();
-        let least = deeper.iter().map(depth).min();
-        deeper.retain(|path| Some(depth(path)) == least);
-        deeper.truncate(3);
-        let hint = match &deeper[..] {
-            [] => did_you_mean(step, names()),
-            _ => format!("; did you mean `{}`?", deeper.join("` or `")),
-        };
-        let plugin_hint = complete_plugin_hint(plugin, &name, step);
-        Err(format!(
-            "{subject} has no field {}{hint} (fields: `{}`){plugin_hint}",
-            quoted(step),
-            names().collect::<Vec<_>>().join("`, `")
-        ))
+        Err(unknown_field(&name, tree, plugin, here, step))
     }
 
     /// Adds omitted quotes around text or a path, and parentheses after a plugin.
@@ -124,6 +96,36 @@ impl<'a> Setting<'a> {
         }
         Ok(())
     }
+}
+
+/// Returns the error for a field `step` that the value `tree`, `here` in messages, does not have.
+fn unknown_field(name: &str, tree: &RonTree, plugin: Option<&'static str>, here: String, step: &str) -> String {
+    let plugin_hint = complete_plugin_hint(plugin, name, step);
+    let names = || tree.fields().iter().map(|(field, _)| field.as_str());
+    let subject = match (plugin, &tree.name) {
+        (Some(_), Some(plugin)) => format!("{here} is {plugin}, which"),
+        _ => here,
+    };
+    if let Some(why) = tree.name.as_deref().and_then(|plugin| removed_field(plugin, step)) {
+        return format!("{subject} {why}");
+    }
+    if names().next().is_none() {
+        return format!("{subject} has no fields, so `{step}` is unknown{plugin_hint}");
+    }
+    let mut deeper = if name.is_empty() { paths_to(step, tree) } else { Vec::new() };
+    let depth = |path: &String| path.matches('.').count();
+    let least = deeper.iter().map(depth).min();
+    deeper.retain(|path| Some(depth(path)) == least);
+    deeper.truncate(3);
+    let hint = match &deeper[..] {
+        [] => did_you_mean(step, names()),
+        _ => format!("; did you mean `{}`?", deeper.join("` or `")),
+    };
+    format!(
+        "{subject} has no field {}{hint} (fields: `{}`){plugin_hint}",
+        quoted(step),
+        names().collect::<Vec<_>>().join("`, `")
+    )
 }
 
 /// Returns the positions of all paths in the value `tree` of `text`, according to its type.
