@@ -67,6 +67,7 @@ fn bfgs_update(inverse: [[f64; 3]; 3], step: [f64; 3], change: [f64; 3]) -> [[f6
     })
 }
 
+/// Returns the scalar product.
 fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

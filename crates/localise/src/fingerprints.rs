@@ -143,8 +143,8 @@ pub struct NearestFingerprints {
 impl NearestFingerprints {
     /// Fits to the training links; `floor` is the power of a receiver that did not receive a transmitter.
     pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
-        let of = |links: &[usize]| Fingerprints::measured(features, data, &data.transmitters_of(links), floor);
-        let (fingerprints, truths) = (of(links.train), of(links.validation));
+        let measured = |links: &[usize]| Fingerprints::measured(features, data, &data.transmitters_of(links), floor);
+        let (fingerprints, truths) = (measured(links.train), measured(links.validation));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {
             let error = |k: usize| {

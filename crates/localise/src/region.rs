@@ -27,6 +27,7 @@ pub(crate) struct Density {
 }
 
 impl Density {
+    /// Creates the density with the kernels of the largest weights, which then sum to 1.
     pub(crate) fn new(weights: &[f64], positions: &[[f64; 3]], bandwidth: f64) -> Self {
         let mut order: Vec<usize> = (0..weights.len()).collect();
         let by_weight = |a: &usize, b: &usize| weights[*b].total_cmp(&weights[*a]).then(a.cmp(b));

@@ -81,10 +81,10 @@ fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
     assert!(apart < 1.5, "three receivers are enough: {apart} m apart");
     let weak = |dbm: f32| locator.locate(&[whole[0], dbm, whole[2], whole[3]]).position;
     assert_eq!(weak(locator.floor()), weak(-200.0), "powers below the floor count as the floor");
-    let own = Locator::fit(&data, links, &PathLoss, &[0.0]).unwrap();
-    let (first, place) = (own.observations(&data, &[0]).remove(0), data.transmitters[0].position);
-    assert_eq!(own.locate(&first).misfit, 0.0, "a training sample has its own fingerprint");
-    assert!(own.locate_without(&first, Some(place)).misfit > 0.0);
+    let without_model = Locator::fit(&data, links, &PathLoss, &[0.0]).unwrap();
+    let (first, position) = (without_model.observations(&data, &[0]).remove(0), data.transmitters[0].position);
+    assert_eq!(without_model.locate(&first).misfit, 0.0, "a training sample has its own fingerprint");
+    assert!(without_model.locate_without(&first, Some(position)).misfit > 0.0);
     let nothing = locator.locate(&[f32::NAN; 4]);
     assert!(nothing.position.iter().all(|v| v.is_finite()) && nothing.misfit.is_infinite());
     assert!(locator.within(|_| false).is_err());

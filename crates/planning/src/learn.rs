@@ -33,9 +33,9 @@ pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
     if cases.len() < 2 {
         return None;
     }
-    let place = |i: usize| in_space(data.sample(i).tx);
+    let position = |i: usize| in_space(data.sample(i).tx);
     let values = |_: usize, i: usize| trends[data.links[i].receiver].values(i, VALUES);
-    let cases = HeldOutCases::new(&cases, Mean::Unknown, place, values);
+    let cases = HeldOutCases::new(&cases, Mean::Unknown, position, values);
     let reach = diagonal(&sorted.iter().map(|&t| data.transmitters[t].position).collect::<Vec<_>>());
     (reach > 0.0).then(|| most_likely(&cases, reach))
 }

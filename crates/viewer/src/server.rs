@@ -80,6 +80,7 @@ struct ConnectionSlot {
 }
 
 impl ConnectionSlot {
+    /// Returns whether a request with the token was received.
     fn is_admitted(&self) -> bool {
         self.permit.borrow().is_some()
     }
