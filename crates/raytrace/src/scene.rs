@@ -277,11 +277,11 @@ impl SceneFile {
     /// Checks all values.
     fn check(&self) -> Result<(), SceneFault> {
         if !(1e6..=1e12).contains(&self.carrier_hz) {
-            let problem = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
-            return Err(SceneFault::of(problem, "carrier_hz"));
+            let why = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
+            return Err(SceneFault::of(why, "carrier_hz"));
         }
         let is_fixed = self.more_receivers.is_empty() && self.moving_receiver.is_none();
-        check_carriers(&self.carriers_hz, is_fixed).map_err(|problem| SceneFault::of(problem, "carriers_hz"))?;
+        check_carriers(&self.carriers_hz, is_fixed).map_err(|why| SceneFault::of(why, "carriers_hz"))?;
         for (name, material) in &self.materials {
             material
                 .check()
@@ -291,7 +291,7 @@ impl SceneFile {
             self.finishes().try_for_each(|(owner, finish)| self.check_finish(owner, finish, hz))?;
         }
         if let Some(room) = &self.room {
-            room.outline.check().map_err(|problem| SceneFault::of(problem, "outline"))?;
+            room.outline.check().map_err(|why| SceneFault::of(why, "outline"))?;
         } else if self.objects.is_empty() && self.mitsuba.is_none() {
             return Err(SceneFault::of("the scene is empty; give it a `room`, `objects` or `mitsuba`", "receiver"));
         }
@@ -300,39 +300,37 @@ impl SceneFile {
             let quoted = format!("\"{}\"", object.name());
             object.check().map_err(|why| SceneFault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
             if !names.insert(object.name()) {
-                let problem = format!("two objects are called `{}`; give each a unique name", object.name());
-                return Err(SceneFault::of(problem, &quoted));
+                let why = format!("two objects are called `{}`; give each a unique name", object.name());
+                return Err(SceneFault::of(why, &quoted));
             }
         }
         self.check_receivers()?;
         if let Some(band) = &self.subcarriers {
-            band.check_around(self.carrier_hz).map_err(|problem| SceneFault::of(problem, "subcarriers"))?;
+            band.check_around(self.carrier_hz).map_err(|why| SceneFault::of(why, "subcarriers"))?;
         }
-        self.transmitter.check().map_err(|problem| SceneFault::of(problem, "transmitter"))?;
-        self.transmitter.positions.check().map_err(|problem| SceneFault::of(problem, "positions"))
+        self.transmitter.check().map_err(|why| SceneFault::of(why, "transmitter"))?;
+        self.transmitter.positions.check().map_err(|why| SceneFault::of(why, "positions"))
     }
 
     /// Checks the receivers, and that their names are unique.
     fn check_receivers(&self) -> Result<(), SceneFault> {
         if self.receivers().count() > MOST_RECEIVERS {
-            let problem = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
-            return Err(SceneFault::of(problem, "more_receivers"));
+            let why = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
+            return Err(SceneFault::of(why, "more_receivers"));
         }
-        self.receiver.check().map_err(|problem| SceneFault::of(problem, "receiver"))?;
+        self.receiver.check().map_err(|why| SceneFault::of(why, "receiver"))?;
         if let Some(moving) = &self.moving_receiver {
-            moving
-                .check(!self.more_receivers.is_empty())
-                .map_err(|problem| SceneFault::of(problem, "moving_receiver"))?;
+            moving.check(!self.more_receivers.is_empty()).map_err(|why| SceneFault::of(why, "moving_receiver"))?;
         }
         let mut names = BTreeSet::new();
         for receiver in self.receivers() {
             let quoted = format!("\"{}\"", receiver.name);
-            receiver.check_name().map_err(|problem| SceneFault::of(problem, &quoted))?;
-            receiver.check().map_err(|problem| SceneFault::of(problem, &quoted))?;
+            receiver.check_name().map_err(|why| SceneFault::of(why, &quoted))?;
+            receiver.check().map_err(|why| SceneFault::of(why, &quoted))?;
             // Folder names are not case-sensitive on some systems.
             if !names.insert(receiver.name.to_ascii_lowercase()) {
-                let problem = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
-                return Err(SceneFault::of(problem, "more_receivers"));
+                let why = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
+                return Err(SceneFault::of(why, "more_receivers"));
             }
         }
         Ok(())
@@ -347,25 +345,24 @@ impl SceneFile {
             names.extend(self.materials.keys().map(String::as_str));
             let hint = did_you_mean(name, names.iter().copied());
             names.truncate(material::names().len() + LISTED);
-            let problem = format!("unknown material `{name}`{hint}; known are {}", names.join(", "));
-            return Err(SceneFault::of(problem, &quoted));
+            let why = format!("unknown material `{name}`{hint}; known are {}", names.join(", "));
+            return Err(SceneFault::of(why, &quoted));
         };
         let eta = material.permittivity(carrier_hz);
         if !(eta.re >= LEAST_PERMITTIVITY && eta.norm() <= MOST_PERMITTIVITY) {
-            let problem = format!(
+            let why = format!(
                 "material `{name}` has a relative permittivity of {:e} and {:e} at {} GHz; correct its `a`, `b`, `c` and `d`",
                 eta.re,
                 eta.im,
                 carrier_hz / 1e9
             );
-            return Err(SceneFault::of(problem, &quoted));
+            return Err(SceneFault::of(why, &quoted));
         }
         if let Some(thickness) = finish.thickness_m
             && !(thickness > 0.0 && thickness <= 10.0)
         {
-            let problem =
-                format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
-            return Err(SceneFault::of(problem, &quoted));
+            let why = format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
+            return Err(SceneFault::of(why, &quoted));
         }
         match finish.roughness {
             Some(s) if !(0.0..=1.0).contains(&s) => {
