@@ -29,7 +29,7 @@ fn main() {
     let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
     let random = &mut rng::stream(2, "transmitters", 0);
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();
-    let links: Vec<Link> = (0..RAYS).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+    let links: Vec<Link> = (0..RAYS).map(|location| Link { location, receiver: 0 }).collect();
     let some = |count: usize| LinkInputs {
         values: conditions[..3 * count].to_vec(),
         pairs: links[..count].to_vec(),

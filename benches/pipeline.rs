@@ -62,7 +62,8 @@ fn links(criterion: &mut Criterion) {
             task: Task::Power,
             plane: ImagePlane::plain(1, 1),
             frequencies_hz: Vec::new(),
-            moves: false,
+            moving: End::Transmitter,
+            transmitter: None,
         };
         let stages = Stages::new(splatting, setup);
         let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));

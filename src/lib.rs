@@ -69,12 +69,12 @@ pub mod prelude {
     pub use pwrfgs_core::schemars;
     pub use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud};
     pub use pwrfgs_core::{
-        Baseline, Budget, CloudEdit, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Elevation,
-        Error, Evaluation, FittingSet, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, JsonSchema, Link,
-        Measurement, MeasurementSetup, Method, Metric, Needs, Observations, Origin, Partition, PassStatistics, Phase,
-        Plugin, Pose, Predict, Primitives, Progress, Projector, Pruner, PrunerTraits, Query, Rasterizer, Real,
-        Receiver, Render, Result, RowOrigin, Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split,
-        Statistic, StepContext, Task, Values, rng,
+        Baseline, Budget, CloudEdit, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Elevation, End,
+        Ends, Error, Evaluation, FittingSet, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, JsonSchema,
+        Link, Location, Measurement, MeasurementSetup, Method, Metric, Needs, Observations, Origin, Partition,
+        PassStatistics, Phase, Plugin, Pose, Predict, Primitives, Progress, Projector, Pruner, PrunerTraits, Query,
+        Rasterizer, Real, Receiver, Render, Result, RowOrigin, Sample, Sampling, Scene, Scope, Simulation, Spectra,
+        Splats, Split, Statistic, StepContext, Task, Values, rng,
     };
     pub use pwrfgs_experiment::{NoopObserver, Observer};
     pub use pwrfgs_methods::Readout;

@@ -38,7 +38,8 @@ fn truth() -> Model {
         readout: Readout::Magnitude,
     };
     let plane = splatting.projector.plane_of_camera(SIZE.0, SIZE.1, CAMERA).unwrap();
-    let setup = MeasurementSetup { moves: true, ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
+    let setup =
+        MeasurementSetup { moving: End::Receiver, ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
     let mut cloud = cloud(60, 4);
     cloud.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.6);
     cloud.log_scales.as_flattened_mut().iter_mut().for_each(|v| *v -= 0.6);
@@ -59,8 +60,7 @@ fn write_folder(root: &Path, model: &Model, poses: &[Pose]) {
         let ([x, y, z, w], [tx, ty, tz]) = (pose.orientation, pose.to_receiver([0.0; 3]));
         writeln!(images, "{k} {w} {} {} {} {tx} {ty} {tz} 1 {k:03}.png\n", -x, -y, -z).unwrap();
         writeln!(lists[usize::from(k % 4 == 3)], "{k:03}").unwrap();
-        let query = Query { orientation: Some(pose.orientation), ..Query::at(pose.position, 0) };
-        let bytes = model.predict(query).to_bytes();
+        let bytes = model.predict(*pose).to_bytes();
         image::GrayImage::from_raw(width as u32, height as u32, bytes)
             .unwrap()
             .save(root.join(format!("images/{k:03}.png")))
@@ -84,11 +84,11 @@ fn camera_images_train_and_held_out_poses_are_predicted() {
     let (truth, poses) = (truth(), poses());
     write_folder(folder.path(), &truth, &poses);
     let data = recognise(folder.path()).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
-    assert_eq!((data.camera, data.len(), data.scene.points.len()), (Some(CAMERA), POSES, 60));
+    assert_eq!((data.camera(), data.len(), data.scene.points.len()), (Some(CAMERA), POSES, 60));
     for (k, pose) in poses.iter().enumerate() {
-        let Query { tx, orientation, .. } = data.query(k);
+        let read = data.query(k).pose;
         let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
-        assert!(near(&tx, &pose.position) && near(&orientation.unwrap(), &pose.orientation), "{tx:?} is not {pose:?}");
+        assert!(near(&read.coordinates(), &pose.coordinates()), "{read:?} is not {pose:?}");
         let (shown, image) = (truth.predict(data.query(k)).clamped(), data.image(k));
         let error = shown.pixels.iter().zip(&image.pixels).fold(0.0, |most: Real, (a, b)| most.max((a - b).abs()));
         assert!(error < 0.003, "image {k} differs by {error}"); // half a grey level, and the rounding of the pose
@@ -144,13 +144,16 @@ fn projector_and_data_without_matching_camera_are_refused() {
     for fields in ["projector: Mercator()", "projector: WrfgsCompat()"] {
         assert!(refused(&data, fields).contains("the data are images of a camera; use projector: Pinhole()"));
     }
-    let without = Dataset { camera: None, ..data.clone() };
+    let mut without = data.clone();
+    without.scene.receivers[0].camera = None;
     assert!(refused(&without, "projector: Pinhole()").contains("the data have no camera; use projector: Mercator()"));
     // A model file whose camera is damaged, or missing.
     let path = folder.path().join("model");
     for camera in [None, Some(Camera { focal: [0.0; 2], ..CAMERA })] {
         let mut model = truth();
-        (model.stages.setup.plane.camera, model.stages.setup.moves) = (camera, camera.is_some());
+        model.stages.setup.plane.camera = camera;
+        // Without a camera, a plane of a moving receiver would have no directions.
+        model.stages.setup.moving = if camera.is_some() { End::Receiver } else { End::Transmitter };
         file::write(&path, &model).unwrap();
         let message = file::read(&path).unwrap_err();
         assert!(

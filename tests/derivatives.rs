@@ -24,8 +24,8 @@ fn splats(deformation: &str, rest: &str) -> String {
     format!("Splatting(deformation: {deformation}, {rest})")
 }
 
-/// An untrained model of spectra, powers or channels; the receiver of spectra may move.
-fn model(method: &str, moves: bool, seed: u64) -> Model {
+/// An untrained model of spectra, powers or channels, whose receiver may move about a transmitter.
+fn model(method: &str, moving: End, seed: u64) -> Model {
     let method: Plugin<dyn Method> = plugin(method);
     let task = method.traits().task.unwrap_or_default();
     let projector: Plugin<dyn Projector> = plugin("Mercator()");
@@ -38,9 +38,12 @@ fn model(method: &str, moves: bool, seed: u64) -> Model {
     let frequencies_hz = if task.is_complex { vec![9e7, 1e8, 1.1e8] } else { vec![] };
     let pose = Pose { position: [-1.0, 0.3, -2.0], orientation: [0.1, 0.2, 0.3, 0.927_361_849_549_570_4] };
     let receiver = Receiver { antennas: vec![[0.0; 3], [0.1, -0.2, 0.05]], ..Receiver::new("one", pose) };
-    let receivers = vec![receiver];
-    let spectra = MeasurementSetup::spectra(ORIGIN, pose, plane);
-    let stages = Stages { method, setup: MeasurementSetup { receivers, task, frequencies_hz, moves, ..spectra } };
+    let (receivers, transmitter) = match moving {
+        End::Transmitter => (vec![receiver], None),
+        End::Receiver => (vec![Receiver { pose: Pose::IDENTITY, ..receiver }], Some(pose.position)),
+    };
+    let setup = MeasurementSetup { origin: ORIGIN, moving, transmitter, receivers, task, plane, frequencies_hz };
+    let stages = Stages { method, setup };
     stages.check().unwrap();
     let mut weights = stages.layout().init(&mut rng::stream(seed, "network", 0));
     let random = &mut rng::stream(seed, "training", 0);
@@ -71,7 +74,7 @@ fn world(local: &[Real]) -> [f64; 3] {
 
 /// Compares with central differences; the derivative is that of the same prediction.
 fn check(name: &str, ready: &Prepared<'_>, more: Query<'_>) {
-    let query = |x: &[Real]| Query { tx: world(x), ..more };
+    let query = |x: &[Real]| Query { pose: Pose { position: world(x), ..more.pose }, ..more };
     let vjp = |x: &[Real], d: &[Real]| {
         let (image, d_tx, _) = ready.predict_vjp(query(x), |_| d.to_vec()).unwrap();
         assert_eq!(image, ready.predict_timed(query(x)).0, "{name}");
@@ -95,20 +98,29 @@ fn models_of_every_method_differentiate() {
         format!("SplattedChannel(deformation: {NETWORK})"),
         "Nerf2(depth: 3, width: 8, samples: 20, azimuths: 7, elevations: 3, unit_m: 30.0, carrier_hz: 1e8)".into(),
     ] {
-        check(&method, &model(&method, false, 3).prepare(), AT.map(f64::from).into());
+        check(&method, &model(&method, End::Transmitter, 3).prepare(), AT.map(f64::from).into());
     }
     for order in [0, 2] {
         let method = format!("VirtualTransmitters(order: {order})");
-        check(&method, &model(&method, false, 3).prepare(), AT.map(f64::from).into());
+        check(&method, &model(&method, End::Transmitter, 3).prepare(), AT.map(f64::from).into());
     }
-    let turned = Query { orientation: Some([0.2, -0.1, 0.3, 0.927_361_849_549_570_4]), ..AT.map(f64::from).into() };
-    for (network, rest) in [(NETWORK, spherical), (NETWORK, "readout: Magnitude"), (MLP, "readout: Magnitude")] {
-        let method = splats(network, rest);
-        let moving = model(&method, true, 3);
-        check(&format!("{method}, moving"), &moving.prepare(), turned);
+    let turned = Pose { position: AT.map(f64::from), orientation: [0.2, -0.1, 0.3, 0.927_361_849_549_570_4] };
+    for method in [
+        splats(NETWORK, spherical),
+        splats(NETWORK, "readout: Magnitude"),
+        splats(MLP, "readout: Magnitude"),
+        splats(NETWORK, &format!("readout: {POWER}")),
+        splats("Fixed()", &format!("readout: {POWER}")),
+        format!("SplattedChannel(deformation: {NETWORK})"),
+    ] {
+        let moving = model(&method, End::Receiver, 3);
+        check(&format!("{method}, moving"), &moving.prepare(), turned.into());
         check_pose(&method, &moving.prepare());
     }
-    let released = model(&splats(MLP, "readout: Magnitude, calibration: AsReleased"), true, 3);
+    let waves = model("VirtualTransmitters(order: 1)", End::Receiver, 3);
+    check("virtual transmitters, moving", &waves.prepare(), turned.into());
+    assert!(!waves.prepare().has_orientation_derivative());
+    let released = model(&splats(MLP, "readout: Magnitude, calibration: AsReleased"), End::Receiver, 3);
     assert!(!released.prepare().has_orientation_derivative());
 }
 
@@ -116,7 +128,7 @@ fn models_of_every_method_differentiate() {
 fn check_pose(name: &str, ready: &Prepared<'_>) {
     let query = |x: &[Real]| {
         let orientation = [3, 4, 5, 6].map(|k| f64::from(x[k]));
-        Query { orientation: Some(orientation), ..world(x).into() }
+        Query::from(Pose { position: world(x), orientation })
     };
     let vjp = |x: &[Real], d: &[Real]| {
         let (_, d_position, d_orientation) = ready.predict_vjp(query(x), |_| d.to_vec()).unwrap();
@@ -150,7 +162,8 @@ fn data(task: Task, base: &Ensemble) -> Dataset {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn ensembles_and_residual_processes_differentiate() {
     for (rest, task) in [("readout: Magnitude", Task::Spectrum), (&format!("readout: {POWER}"), Task::Power)] {
-        let mut members: Vec<Model> = (1..3).map(|seed| model(&splats(NETWORK, rest), false, seed)).collect();
+        let mut members: Vec<Model> =
+            (1..3).map(|seed| model(&splats(NETWORK, rest), End::Transmitter, seed)).collect();
         members[0].cloud.signals.as_flattened_mut().iter_mut().for_each(|s| *s *= 20.0);
         let pixels = members[0].predict(world(&AT)).pixels;
         assert!(!task.has_pixels || pixels.iter().any(|p| *p > 1.0), "some pixels are clamped");
@@ -173,7 +186,7 @@ fn ensembles_and_residual_processes_differentiate() {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn baselines_differentiate_except_nearest_neighbours() {
     for (rest, task) in [("readout: Magnitude", Task::Spectrum), (&format!("readout: {POWER}"), Task::Power)] {
-        let data = data(task, &Ensemble::of(model(&splats(NETWORK, rest), false, 1)));
+        let data = data(task, &Ensemble::of(model(&splats(NETWORK, rest), End::Transmitter, 1)));
         let links: Vec<usize> = (0..LINKS).collect();
         for name in ["Kriging()", "Kriging(neighbours: 7)", "MeanSpectrum()", "LogDistance()", "NearestNeighbours()"] {
             let baseline: Plugin<dyn Baseline> = plugin(name);
@@ -199,8 +212,8 @@ fn baselines_differentiate_except_nearest_neighbours() {
 #[test]
 fn model_of_features_has_no_derivative_by_position() {
     let network = "Factored(depth: 1, width: 8, tx_encoding: Features(width: 4), position_encoding: Octaves(1))";
-    let model = model(&format!("SplattedChannel(deformation: {network})"), false, 1);
-    let query = Query { features: &[0.1, 0.2, 0.3, 0.4], ..[0.0; 3].into() };
+    let model = model(&format!("SplattedChannel(deformation: {network})"), End::Transmitter, 1);
+    let query = Query { features: Some(&[0.1, 0.2, 0.3, 0.4]), ..[0.0; 3].into() };
     assert!(!model.prepare().has_derivative());
     assert!(model.prepare().predict_vjp(query, |image| image.pixels.clone()).is_none());
 }

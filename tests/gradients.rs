@@ -106,7 +106,7 @@ impl Step {
         let (cloud, weights) = (&self.cloud, &self.weights);
         let parameters = Parameters { cloud, gate: None, existence: None, weights };
         let mut links = LinkInputs { values: conditions.to_vec(), ..self.batch.inputs.clone() };
-        if setup.moves {
+        if setup.moving.is_receiver() {
             let poses = links.receivers.iter_mut().map(|state| &mut state.pose);
             poses.zip(conditions.as_chunks().0).for_each(|(pose, at)| pose.position = at.map(f64::from));
         }
@@ -212,8 +212,8 @@ fn receivers() -> Vec<Receiver> {
 /// Links of three transmitters with them, not all and not in the receivers' order: terms are copied to be drawn together.
 const LINKS: [Link; 5] = [link(0, 0), link(0, 1), link(1, 1), link(2, 0), link(2, 1)];
 
-const fn link(transmitter: usize, receiver: usize) -> Link {
-    Link { transmitter, receiver }
+const fn link(location: usize, receiver: usize) -> Link {
+    Link { location, receiver }
 }
 
 /// A step over these links: `size` is columns and rows of an observation.
@@ -282,13 +282,11 @@ fn spectra_at_moving_receiver_differentiate() {
     let mut step = links(&splats(NETWORK, "Magnitude"), (90, 24), Box::new(RenderingLoss::new(0.2)));
     let poses = receivers().into_iter().map(|receiver| receiver.pose).chain([Pose::IDENTITY]);
     let mut stages = (*step.stages).clone();
-    stages.setup = MeasurementSetup { receivers: receivers()[..1].to_vec(), moves: true, ..stages.setup };
+    stages.setup = MeasurementSetup { receivers: receivers()[..1].to_vec(), moving: End::Receiver, ..stages.setup };
     let mut inputs = LinkInputs::of(3, &stages.setup);
     for pose in poses {
-        let position = pose.position.map(|v| v as Real);
-        inputs.values.extend(position);
-        inputs.moved_to(&stages.setup, position, Some(pose.orientation));
-        inputs.link(&stages.setup, 0);
+        inputs.values.extend(pose.position.map(|v| v as Real));
+        inputs.link(&stages.setup, 0, pose);
     }
     step.batch.inputs = inputs;
     step.batch.truths.truncate(3 * stages.setup.numbers());
@@ -335,7 +333,7 @@ fn virtual_transmitters_differentiate() {
         stages.method = plugin(&format!("VirtualTransmitters(order: {order})"));
         stages.setup.receivers.truncate(1);
         step.weights = Vec::new();
-        step.batch.inputs.pairs = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+        step.batch.inputs.pairs = (0..3).map(|location| Link { location, receiver: 0 }).collect();
         step.batch.truths.truncate(3 * stages.setup.numbers());
         step.cloud.complete(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use pwrfgs::experiment::inspect::{Correction, DataSummary, PoseCheck, PoseVerdict};
 use pwrfgs::experiment::{Finding, NoopObserver, findings};
 use pwrfgs_core::testing::shared;
-use pwrfgs_core::{DataSource, Dataset, Plugin, Pose, Sample, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Location, Plugin, Pose, Sample, Spectra};
 use pwrfgs_data::Nerf2Spectrum;
 use std::path::Path;
 use std::sync::LazyLock;
@@ -69,9 +69,11 @@ fn recognises_quaternion_in_other_order() {
 fn recognises_wrong_orientations_of_a_moving_receiver() {
     let data = simulated("office-moving");
     let recorded_as = |change: &dyn Fn(DQuat) -> DQuat| {
-        let changed = |own: &[f64; 4]| change(DQuat::from_array(*own)).normalize().to_array();
-        let orientations = data.orientations.as_ref().map(|all| all.iter().map(changed).collect());
-        found(&Dataset { orientations, ..data.clone() })
+        let mut data = data.clone();
+        for Location { pose, .. } in &mut data.locations {
+            pose.orientation = change(DQuat::from_array(pose.orientation)).normalize().to_array();
+        }
+        found(&data)
     };
     let right = recorded_as(&|q| q);
     assert!(right.verdict == PoseVerdict::Right && right.recorded < 4.0, "{right:?}");

@@ -15,14 +15,15 @@ fn hall(observe: impl Fn(&[Sample]) -> Observations) -> Dataset {
     let mut samples = Vec::new();
     for id in 1..=40 {
         let tx = [(); 3].map(|()| 6.0 * f64::from(rng::uniform(random) as f32));
-        samples.extend((0..2).filter(|r| id != 7 || *r == 1).map(|receiver| Sample { id, tx, receiver }));
+        samples
+            .extend((0..2).filter(|r| id != 7 || *r == 1).map(|receiver| Sample { receiver, ..Sample::new(id, tx) }));
     }
     Dataset::of_links("hall", vec![at("north", -1.0), at("south", 8.0)], vec![], &samples, observe(&samples)).unwrap()
 }
 
 fn distance(sample: &Sample) -> f64 {
     let place = [[-1.0, 0.0, 2.5], [8.0, 0.0, 2.5]][sample.receiver];
-    sample.tx.iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    sample.position().iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 fn powers() -> Dataset {
@@ -46,12 +47,16 @@ fn channels() -> Dataset {
     Dataset::of_links("hall", vec![Receiver::new("north", place)], vec![], &samples, observed).unwrap()
 }
 
+fn moving_array() -> Ends {
+    Ends::of_moving_receivers(vec![Receiver::new("array", Pose::IDENTITY)], Some([0.4, -0.3, 2.5]))
+}
+
 /// Spectra at a receiver that moves and turns: one spot, towards a transmitter above.
 fn moving() -> Dataset {
     let random = &mut rng::stream(1, "moving", 0);
     let mut uniform = || 2.0 * f64::from(rng::uniform(random) as f32) - 1.0;
     let (width, height) = (36, 9);
-    let (mut samples, mut turns, mut pixels) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut samples, mut pixels) = (Vec::new(), Vec::new());
     for id in 1..=60 {
         let pose = Pose { position: [3.0 * uniform(), 3.0 * uniform(), 0.3 * uniform()], ..Pose::IDENTITY };
         let (sin, cos) = (1.5 * uniform()).sin_cos();
@@ -64,12 +69,10 @@ fn moving() -> Dataset {
             let cos: f64 = direction.iter().zip(sight).map(|(a, b)| a * b / norm).sum();
             pixels.push((255.0 * (20.0 * (cos - 1.0)).exp()) as u8);
         }
-        samples.push(Sample::new(id, pose.position));
-        turns.push(pose.orientation);
+        samples.push(Sample::new(id, pose));
     }
     let spectra = Spectra::grey((width, height), pixels).unwrap();
-    let transmitter = Pose { position: [0.4, -0.3, 2.5], ..Pose::IDENTITY };
-    Dataset::new("moving", transmitter, vec![], samples, spectra).unwrap().with_moving_receiver(turns).unwrap()
+    Dataset::of_links("moving", moving_array(), vec![], &samples, spectra.into()).unwrap()
 }
 
 /// Spectra at three carriers: a spot towards the transmitter, and one opposite that fades in with the frequency.
@@ -131,7 +134,7 @@ fn cases() -> Vec<(&'static str, Pipeline, Dataset, Partition)> {
     let values = (0..uplink.len()).flat_map(|i| uplink.image(i).pixels).collect();
     uplink.features = Some(Features { width: 4, values });
     let case = |name, fields, data: Dataset| {
-        let (test, train) = (0..data.len()).partition(|&i| data.links[i].transmitter % 5 == 4);
+        let (test, train) = (0..data.len()).partition(|&i| data.links[i].location % 5 == 4);
         (name, pipeline(fields), data, Partition { train, test, ..Partition::default() })
     };
     vec![
@@ -232,31 +235,126 @@ fn training_reduces_error_for_every_task() {
     }
 }
 
+/// Powers or channels of two antennas at the receiver of [`moving`].
+fn moving_links(observations: Observations) -> Dataset {
+    let mut ends = moving_array();
+    if let Observations::Channels(channels) = &observations {
+        ends.receivers[0].antennas = (0..channels.antennas).map(|k| [0.3 * k as f64, 0.0, 0.0]).collect();
+    }
+    let samples: Vec<Sample> = moving().samples().collect();
+    Dataset::of_links("walk", ends, vec![], &samples, observations).unwrap()
+}
+
+/// The settings of powers for so many steps, without pruning.
+fn unpruned(steps: usize) -> String {
+    POWERS
+        .replace("pruners: [OpacityThreshold(epsilon: 0.28)], ", "")
+        .replace("steps: 40", &format!("steps: {steps}"))
+        .replace("densify_until: 5, prune_until: 20, prune_every: 5", "densify_until: 0, prune_until: 0")
+}
+
+/// Models of a moving receiver, one per task and method, each with data.
+fn moving_models() -> Vec<(&'static str, Dataset, Model)> {
+    let random = &mut rng::stream(4, "walk", 0);
+    let dbm = moving().samples().map(|s| (-50.0 - s.position()[0]) as Real).collect::<Vec<Real>>();
+    let mut channels = |antennas| {
+        let frequencies_hz = vec![3e8, 3.1e8];
+        let gains = (0..60 * antennas * 2).map(|_| [(); 2].map(|()| rng::normal(random))).collect();
+        Observations::Channels(Channels { antennas, frequencies_hz, gains })
+    };
+    let splatted = UPLINK.replace("Features(width: 4)", "Octaves(1)").replace("Nerf2Csi", "Channels");
+    let short = unpruned(8);
+    let [one, two] = [1, 2].map(&mut channels);
+    let case = |name, fields: &str, observations| {
+        let data = moving_links(observations);
+        let partition = Partition { train: (0..50).collect(), test: (50..60).collect(), ..Partition::default() };
+        let model = trained(&mut pipeline(fields).trainer(&data, &partition).unwrap());
+        (name, data, model)
+    };
+    vec![
+        case("powers", &short, dbm.into()),
+        case("channels", &splatted, two),
+        case("waves", WAVES, one),
+        ("spectra", moving(), models()[3].clone()),
+    ]
+}
+
 #[test]
 fn moving_receiver_predicts_as_fixed_receiver_at_its_pose() {
-    let (data, model) = (moving(), &models()[3]);
-    assert!(model.stages.setup.moves);
-    for i in 0..10 {
-        let query = data.query(i);
-        let mut fixed = model.clone();
-        fixed.stages.setup.moves = false;
-        let pose = Pose { position: query.tx, orientation: query.orientation.unwrap() };
-        fixed.stages.setup.receivers[0].pose = pose;
-        assert_eq!(model.predict(query), fixed.predict(Query::at(query.tx, 0)), "pose {i}");
+    for (name, data, mut model) in moving_models() {
+        assert!(model.stages.setup.moving.is_receiver(), "{name}");
+        if name == "powers" {
+            // The fixed receiver here stands at its transmitter: without the path-loss exponent, distances have no effect.
+            *model.weights.last_mut().unwrap() = 0.0;
+        }
+        for i in 0..10 {
+            let Query { pose, .. } = data.query(i);
+            let mut fixed = model.clone();
+            let MeasurementSetup { moving, transmitter, receivers, .. } = &mut fixed.stages.setup;
+            (*moving, *transmitter, receivers[0].pose) = (End::Transmitter, None, pose);
+            fixed.stages.check().unwrap();
+            assert_eq!(model.predict(pose), fixed.predict(pose.position), "{name}, pose {i}");
+            let folder = tempfile::tempdir().unwrap();
+            file::write(&folder.path().join("m"), &model).unwrap();
+            let read = file::read(&folder.path().join("m")).unwrap();
+            assert_eq!(
+                (read.stages.setup == model.stages.setup, read.predict(pose)),
+                (true, model.predict(pose)),
+                "{name}"
+            );
+        }
+        if name == "spectra" || name == "channels" {
+            assert_ne!(
+                model.predict(data.query(0).pose),
+                model.predict(Pose::from(data.query(0).position())),
+                "{name}"
+            );
+        }
+        // A part keeps the poses of its links.
+        assert_eq!(data.subset(&[3, 8]).unwrap().query(1).pose, data.query(8).pose);
     }
-    // Without an orientation, it is that of the setup.
-    let level = Query { orientation: Some([0.0, 0.0, 0.0, 1.0]), ..data.query(0) };
-    assert_eq!(model.predict(level), model.predict(Query::at(level.tx, 0)));
-    assert_ne!(model.predict(level), model.predict(data.query(0)));
-    // A part keeps the poses of its links.
-    let part = data.subset(&[3, 8]).unwrap();
-    assert_eq!(part.query(1).orientation, data.query(8).orientation);
+}
+
+#[test]
+fn file_in_which_transmitter_was_stored_as_receiver_is_refused() {
+    let model = &models()[3];
+    // The note is JSON in JSON.
+    let (new, old) = (br#"version\":8"#, br#"version\":6"#);
+    let mut bytes = file::to_bytes(model);
+    let start = bytes.windows(new.len()).position(|part| part == new).unwrap();
+    bytes[start..start + old.len()].copy_from_slice(old);
+    let message = file::from_bytes(&bytes).unwrap_err();
+    assert_eq!(message, "a `pwrfgs-model` of version 6, expected `pwrfgs-model` of version 5, 7 or 8; train it again");
+}
+
+#[test]
+fn power_at_moving_receiver_falls_with_distance_from_transmitter() {
+    let network = unpruned(1).replace(
+        "deformation: Factored(depth: 2, width: 16, tx_encoding: Wavelengths(count: 2, longest_m: 12.0, \
+    shortest_m: 6.0))",
+        "deformation: Fixed()",
+    );
+    let data = moving_links(vec![-50.0; 60].into());
+    let partition = Partition { train: (0..50).collect(), test: (50..60).collect(), ..Partition::default() };
+    let mut model = trained(&mut pipeline(&network).trainer(&data, &partition).unwrap());
+    *model.weights.last_mut().unwrap() = 2.5;
+    let transmitter = model.stages.setup.transmitter.unwrap();
+    let mut fixed = model.clone();
+    fixed.stages.setup.moving = End::Transmitter;
+    for i in 0..10 {
+        let Query { pose, .. } = data.query(i);
+        fixed.stages.setup.receivers[0].pose = pose;
+        assert_eq!(model.predict(pose), fixed.predict(transmitter), "pose {i}");
+    }
+    let mut unknown = model.clone();
+    unknown.stages.setup.transmitter = None;
+    assert_ne!(unknown.predict(data.query(0)), model.predict(data.query(0)), "the distance has an effect");
 }
 
 #[test]
 fn left_out_carrier_is_predicted() {
     let data = carriers();
-    assert_eq!((data.transmitters.len(), data.len()), (40, 120));
+    assert_eq!((data.locations.len(), data.len()), (40, 120));
     let (test, train) = (0..data.len()).partition(|&i| data.links[i].receiver == 1);
     let partition = Partition { train, test, ..Partition::default() };
     let model = trained(&mut pipeline(CARRIERS).trainer(&data, &partition).unwrap());
@@ -298,11 +396,14 @@ fn network_without_carrier_is_reported() {
 
 #[test]
 fn invalid_use_of_a_moving_receiver_is_reported() {
-    let refused = |data: Dataset, turns: Vec<[f64; 4]>| data.with_moving_receiver(turns).unwrap_err().to_string();
-    let level = [0.0, 0.0, 0.0, 1.0];
-    assert!(refused(powers(), vec![level; 40]).contains("only spectra of one receiver"));
-    assert!(refused(moving(), vec![level; 3]).contains("3 orientations for 60 positions; give as many of each"));
-    assert!(refused(moving(), vec![[0.0; 4]; 60]).contains("pose 1: the quaternion is zero"));
+    let spectra = || moving().observations;
+    let refused = |poses: Vec<Pose>| {
+        let samples: Vec<Sample> = (1..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
+        Dataset::of_links("walk", moving_array(), vec![], &samples, spectra()).unwrap_err().to_string()
+    };
+    assert!(refused(vec![Pose::IDENTITY; 3]).contains("60 spectra for 3 receiver poses; give as many of each"));
+    let zero = Pose { orientation: [0.0; 4], ..Pose::IDENTITY };
+    assert!(refused(vec![zero; 60]).contains("the receiver of id 1 at [0.0, 0.0, 0.0]: the quaternion is zero"));
     let data = moving();
     let partition = Partition { train: (0..50).collect(), test: (50..60).collect(), ..Partition::default() };
     let told = |fields: &str| pipeline(fields).trainer(&data, &partition).unwrap_err().to_string();

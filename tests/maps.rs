@@ -24,7 +24,7 @@ fn data_of(pipeline: &Pipeline, shifted: bool) -> Dataset {
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let place = |p| if shifted { moved(exact(p)) } else { exact(p) };
     let points = data.scene.points.iter().map(|p| place(p.map(f64::from))).collect();
-    let samples = data.samples().map(|s| Sample { tx: place(s.tx), ..s }).collect();
+    let samples = data.samples().map(|s| Sample { pose: place(s.position()).into(), ..s }).collect();
     let receiver = Pose { position: place(data.scene.pose().position), ..data.scene.pose() };
     Dataset::new("shifted", receiver, points, samples, data.observations.pictures("this test").unwrap().clone())
         .unwrap()
@@ -60,7 +60,7 @@ fn training_and_predictions_are_shift_invariant() {
         let read = file::read(&path).unwrap();
         assert_eq!(read.stages.receiver(), Pose { position: moved([0.25, -0.375, 0.125]), ..near.scene.pose() });
         for sample in near.samples() {
-            assert_eq!(read.predict(moved(sample.tx)).pixels, here.predict(sample.tx).pixels);
+            assert_eq!(read.predict(moved(sample.position())).pixels, here.predict(sample.position()).pixels);
         }
         assert_eq!(read.means_from(near.scene.origin).len(), here.cloud.len());
     }

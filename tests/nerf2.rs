@@ -20,8 +20,8 @@ struct Room {
     conditions: Vec<Real>,
 }
 
-const fn link(transmitter: usize, receiver: usize) -> Link {
-    Link { transmitter, receiver }
+const fn link(location: usize, receiver: usize) -> Link {
+    Link { location, receiver }
 }
 
 /// Not all, and not in the receivers' order.

@@ -58,7 +58,7 @@ fn line(turns: u32, drift: impl Fn(u32) -> f32) -> Dataset {
     let place = |id: u32| f64::from(id % 200) * 0.004;
     let samples: Vec<Sample> = (0..200 * turns).map(|id| Sample::new(id, [place(id), 1.0, 1.0])).collect();
     let pixel = |sample: &Sample, k: usize| {
-        let smooth = 0.5 + 0.2 * (3.0 * sample.tx[0] + 0.7 * k as f64).sin() as f32;
+        let smooth = 0.5 + 0.2 * (3.0 * sample.position()[0] + 0.7 * k as f64).sin() as f32;
         smooth + drift(sample.id)
     };
     let pixels: Vec<f32> = samples.iter().flat_map(|sample| (0..64).map(move |k| pixel(sample, k))).collect();

@@ -58,7 +58,7 @@ fn on_setup<T>(
     run: impl FnOnce(&Call<'_>) -> T,
 ) -> T {
     let parameters = Parameters { cloud, gate: None, existence: None, weights };
-    let links = vec![Link { transmitter: 0, receiver: 0 }];
+    let links = vec![Link { location: 0, receiver: 0 }];
     let links = &LinkInputs { values: vec![0.1, 0.2, 0.3], pairs: links, ..LinkInputs::of(3, setup) };
     run(&Call { setup, parameters, links, pixels: &PixelSubset::All })
 }

@@ -26,15 +26,17 @@ from ._spectrum import spectrum
 from ._strategies import Baseline, Deformation, Initializer, Metric, Pruner, Split
 from ._sweep import SweepError, sweep
 from ._trainer import Trainer
-from ._types import Cloud, Column, Gaussians, Links, Partition, Pose, Receiver, Room, Sample, Splats, Stats, StepContext
+from ._types import (
+    Cloud, Column, Gaussians, Links, Partition, Pose, Receiver, ReceiverSample, Room, Sample, Splats, Stats, StepContext,
+)
 from ._values import Value
 from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
     "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Gaussians", "Initializer", "InputError", "Links",
-    "Metric", "Model", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Sample", "Splats", "Split",
-    "Stats", "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
+    "Metric", "Model", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "ReceiverSample", "Room", "Run", "Sample",
+    "Splats", "Split", "Stats", "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
     "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate",
     "spectrum", "sweep",
 ]

@@ -6,7 +6,7 @@ import base64
 import html
 import struct
 import zlib
-from typing import Any, List, Optional
+from typing import Any, Dict, List, Optional
 
 import numpy as np
 
@@ -57,8 +57,8 @@ def scatter(places: Array, values: Optional[Array], caption: str) -> str:
     return f'<figure style="margin: 4px"><svg width="200" height="200">{dots}</svg><figcaption>{text}</figcaption></figure>'
 
 
-def _place(tx: Array) -> str:
-    return "transmitter at " + ", ".join(f"{v:.2f}" for v in tx) + " m"
+def _place(moving: str, position: Array) -> str:
+    return f"{moving} at " + ", ".join(f"{v:.2f}" for v in position) + " m"
 
 
 def _thinned(count: int, most: int) -> Array:
@@ -71,15 +71,17 @@ def page(title: str, *parts: str) -> str:
 
 def dataset(data: "_pwrfgs.Dataset") -> str:
     """Some spectra, or a map of the transmitters, coloured by the strongest received power."""
+    moving = "transmitter" if data.rx_pose is None else "receiver"
     if data.kind == "spectrum":
-        shown = [data[int(i)] for i in _thinned(len(data), _SHOWN)]
-        return page(repr(data), *(figure(one.observation, _place(one.tx)) for one in shown))
+        shown = [int(i) for i in _thinned(len(data), _SHOWN)]
+        positions = data.positions
+        return page(repr(data), *(figure(data[i].observation, _place(moving, positions[i])) for i in shown))
     links = _thinned(len(data), 2000)
     strength = np.abs(np.asarray(data.observations(links))).reshape(len(links), -1).mean(axis=1)
     if data.kind == "power":
         strength = np.asarray(data.observations(links), float)
-    caption = "transmitters from above, bright: strong"
-    return page(repr(data), scatter(data.tx[links], _unit(strength), caption))
+    caption = f"{moving}s from above, bright: strong"
+    return page(repr(data), scatter(data.positions[links], _unit(strength), caption))
 
 
 def _unit(values: Array) -> Array:
@@ -93,7 +95,9 @@ def model(own: "_pwrfgs.Model") -> str:
     parts: List[str] = []
     places = own.training_positions
     if own.kind == "spectrum" and places is not None:
-        parts.append(figure(np.asarray(own.predict(places[0])), "prediction, " + _place(places[0])))
+        first = places[0]
+        ends: Dict[str, Any] = {"tx": first} if own.moving == "transmitter" else {"rx_pose": [*first, 0.0, 0.0, 0.0, 1.0]}
+        parts.append(figure(np.asarray(own.predict(**ends)), "prediction, " + _place(own.moving, first)))
     means, _, _, opacities, _ = own.gaussians()
     if len(means):
         rows = _thinned(len(means), 2000)

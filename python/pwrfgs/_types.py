@@ -89,13 +89,29 @@ class Partition(NamedTuple):
 class Sample(NamedTuple):
     """Link of a data set with its observation.
 
-    tx : [3], metres.
+    tx : Transmitter position [3], metres.
     observation : Spectrum [H, W], power in dBm, or channel [A, F].
     receiver : Index of the receiver.
-    id : Transmitter id in the data set.
+    id : Id of the transmitter position in the data set.
     """
 
     tx: Array
+    observation: Any
+    receiver: int
+    id: int
+
+
+@_told
+class ReceiverSample(NamedTuple):
+    """Link of a data set whose receiver moves, with its observation.
+
+    rx_pose : Pose of the receiver [7]: x, y, z in metres, quaternion qx, qy, qz, qw.
+    observation : Spectrum [H, W], power in dBm, or channel [A, F].
+    receiver : Index of the receiver.
+    id : Id of the pose in the data set.
+    """
+
+    rx_pose: Array
     observation: Any
     receiver: int
     id: int

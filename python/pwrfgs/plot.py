@@ -95,14 +95,15 @@ def room(dataset: Any, model: Any = None, split: Any = None, ax: Any = None) -> 
     """Plot the room from above, metres: surface points, receivers, transmitters (by set, if ``split`` is given) and the Gaussians
     of ``model``, with size by opacity."""
     ax = _axes(ax, figsize=(5.6, 4.8))
-    points, tx = dataset.points, dataset.tx
+    points, positions = dataset.points, dataset.positions
+    moving = "transmitters" if dataset.rx_pose is None else "receivers"
     if len(points):
         ax.scatter(*points[:, :2].T, s=1.5, color="0.75", linewidths=0, label="surfaces", rasterized=True)
     if split is None:
-        ax.scatter(*tx[:, :2].T, s=5, color=TRAINING, linewidths=0, label="transmitters")
+        ax.scatter(*positions[:, :2].T, s=5, color=TRAINING, linewidths=0, label=moving)
     else:
-        ax.scatter(*tx[split.train][:, :2].T, s=5, color=TRAINING, linewidths=0, label="training")
-        ax.scatter(*tx[split.test][:, :2].T, s=7, marker="D", color=TEST, linewidths=0, label="test")
+        ax.scatter(*positions[split.train][:, :2].T, s=5, color=TRAINING, linewidths=0, label="training")
+        ax.scatter(*positions[split.test][:, :2].T, s=7, marker="D", color=TEST, linewidths=0, label="test")
     if model is not None:
         gaussians = model.gaussians()
         ax.scatter(

@@ -109,30 +109,33 @@ def rasterize(
 
 class _Predict(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
     @staticmethod
-    def forward(ctx: Any, tx: Any, model: Any, receiver: Any) -> Any:
-        ctx.given, ctx.like = (model, receiver, _array(tx).copy()), tx.new_empty(0)
-        found = model.predict(ctx.given[2], receiver)
+    def forward(ctx: Any, ends: Any, model: Any, receiver: Any, name: str) -> Any:
+        ctx.given, ctx.like = (model, receiver, {name: _array(ends).copy()}), ends.new_empty(0)
+        found = model.predict(receiver=receiver, **ctx.given[2])
         kind: Dict[str, Any] = {} if isinstance(found, np.ndarray) else {"dtype": _REAL[-1]}  # one power is a float
-        return torch.as_tensor(found, device=tx.device, **kind)
+        return torch.as_tensor(found, device=ends.device, **kind)
 
     @staticmethod
     @once_differentiable  # type: ignore[untyped-decorator, unused-ignore]
     def backward(ctx: Any, d: Any) -> Any:
-        model, receiver, tx = ctx.given
-        return _like(model.predict(tx, receiver, vjp=_array(d))[1], ctx.like), None, None
+        model, receiver, ends = ctx.given
+        return _like(model.predict(receiver=receiver, vjp=_array(d), **ends)[1], ctx.like), None, None, None
 
 
-def predict(model: _pwrfgs.Model, tx: Any, receiver: Any = None) -> Any:
-    """Observations of a trained model as ``model.predict``, with first-order gradients in ``tx``: positions [3] or [B, 3] of
-    transmitters, metres, float32 or float64. For a moving receiver they are its positions, with the orientation of the model,
-    or its poses x, y, z, qx, qy, qz, qw, [7] or [B, 7]; the length of an orientation, 1 within 0.001, has no effect.
+def predict(model: _pwrfgs.Model, tx: Any = None, receiver: Any = None, *, rx_pose: Any = None) -> Any:
+    """Observations of a trained model as ``model.predict``, with first-order gradients in ``tx``, positions [3] or [B, 3] of
+    transmitters, or in ``rx_pose``, poses x, y, z, qx, qy, qz, qw of a moving receiver, [7] or [B, 7]; metres, float32 or
+    float64. The length of an orientation, 1 within 0.001, has no effect.
 
     The weights of the model have no gradient. A model of link features, or with a network in Python, has no gradient in
-    ``tx``, and the calibration ``AsReleased`` has none in orientations; the backward pass reports it. Computes on the CPU for tensors on any device."""
-    _check("tx", tx, (torch.float32, torch.float64))
-    if tx.dim() not in (1, 2) or tx.shape[-1] not in (3, 7):
-        raise InputError(f"tx has shape {list(tx.shape)}, expected [3] or [B, 3], or poses [7] or [B, 7]")
-    return _Predict.apply(tx, model, receiver)
+    positions, and the calibration ``AsReleased`` has none in orientations; the backward pass reports it. Computes on the CPU for tensors on any device."""
+    if (tx is None) == (rx_pose is None):
+        raise InputError("give tx, or rx_pose for a moving receiver")
+    name, ends, width = ("tx", tx, 3) if rx_pose is None else ("rx_pose", rx_pose, 7)
+    _check(name, ends, (torch.float32, torch.float64))
+    if ends.dim() not in (1, 2) or ends.shape[-1] != width:
+        raise InputError(f"{name} has shape {list(ends.shape)}, expected [{width}] or [B, {width}]")
+    return _Predict.apply(ends, model, receiver, name)
 
 
 def _shared(given: Dict[str, Any], settings: Dict[str, Any]) -> Any:

@@ -6,7 +6,7 @@ use numpy::{
     Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
 };
 use numpy::{PyArrayDescrMethods as _, dtype};
-use pwrfgs_core::{Dataset, Elevation, Real, Spectra, Task, check_stopped, gains_of, rows_of};
+use pwrfgs_core::{Dataset, Elevation, Pose, Real, Spectra, Task, check_stopped, gains_of, rows_of};
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -108,6 +108,19 @@ pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64;
     match places.iter().position(|place| !place.iter().all(|v| v.is_finite())) {
         Some(i) => Err(wrong(value.py(), &format!("{what}[{i}] is {:?}; give finite numbers", places[i]))),
         None => Ok(places),
+    }
+}
+
+/// Reads poses `[.., 7]` as x, y, z in metres and quaternions x, y, z, w; also returns whether there is a single one.
+pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
+    let one = axes(value)? == 1;
+    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
+    let values = numbers::<f64>(what, value, shape)?;
+    let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
+    let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
+    match poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
+        Some((i, (_, fault))) => Err(wrong(value.py(), &format!("{what}[{i}]: {fault}"))),
+        None => Ok((poses, one)),
     }
 }
 

@@ -8,8 +8,8 @@ use crate::border::{free, plugin, stoppable, stopping, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Real, Receiver, Sample, Simulation,
-    Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Partition, Plugin, Pose, Real, Receiver,
+    Sample, Simulation, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -86,23 +86,24 @@ impl Dataset {
     ///   F subcarriers of `frequencies_hz` [F].
     ///
     /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R,
-    /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. `orientations` [M, 4]
-    /// (quaternions x, y, z, w) are those of a moving receiver of spectra: `tx` are then its positions, and the receiver
-    /// is the fixed transmitter. `carriers_hz` [M] are the carriers of spectra or channels at one receiver: each carrier then
+    /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. If the receiver moves
+    /// instead, `rx_pose` [M, 7] are its poses (metres, and a quaternion: x, y, z, qx, qy, qz, qw), `transmitter` [3] is the
+    /// position of the fixed transmitter, if it is known, and the positions of `receivers` are ignored. `carriers_hz` [M] are the carriers of spectra or channels at one receiver: each carrier then
     /// is a receiver, with a name such as `2400MHz`. `points` [P, 3] are
     /// surface points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower
     /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured.
     #[staticmethod]
-    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, orientations=None, carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
+    #[pyo3(signature = (tx=None, spectra=None, rssi=None, csi=None, *, rx_pose=None, transmitter=None, receivers=None, carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
-        tx: &Bound<'_, PyAny>,
+        tx: Option<&Bound<'_, PyAny>>,
         spectra: Option<&Bound<'_, PyAny>>,
         rssi: Option<&Bound<'_, PyAny>>,
         csi: Option<&Bound<'_, PyAny>>,
+        rx_pose: Option<&Bound<'_, PyAny>>,
+        transmitter: Option<[f64; 3]>,
         receivers: Option<&Bound<'_, PyAny>>,
-        orientations: Option<&Bound<'_, PyAny>>,
         carriers_hz: Option<&Bound<'_, PyAny>>,
         frequencies_hz: Option<&Bound<'_, PyAny>>,
         points: Option<&Bound<'_, PyAny>>,
@@ -110,22 +111,22 @@ impl Dataset {
         title: &str,
         simulated: bool,
     ) -> PyResult<Self> {
-        let txs = places("tx", tx)?;
+        let poses = inputs::poses(py, tx, rx_pose, transmitter.is_some())?;
         let points = points.map_or(Ok(Vec::new()), |points| places("points", points))?;
-        let placed = receivers.is_some();
+        let placed = receivers.is_some() || rx_pose.is_some();
         let receivers = inputs::receivers_of(py, receivers)?;
         let first = u32::from(spectra.is_some());
-        let sample = |(i, tx): (usize, &[f64; 3])| Sample::new(i as u32 + first, *tx);
-        let alone: Vec<Sample> = txs.iter().enumerate().map(sample).collect();
+        let sample = |(i, pose): (usize, &Pose)| Sample::new(i as u32 + first, *pose);
+        let alone: Vec<Sample> = poses.iter().enumerate().map(sample).collect();
         let (samples, observations) = match (spectra, rssi, csi) {
             (Some(_), None, None) | (None, None, Some(_)) if receivers.len() != 1 => {
                 let what = format!("spectra and csi need one receiver, but there are {}", receivers.len());
                 return Err(wrong(py, &format!("{what}; create one data set per receiver")));
             }
-            (Some(spectra), None, None) => (alone, Observations::from(inputs::pictures(spectra, txs.len())?)),
+            (Some(spectra), None, None) => (alone, Observations::from(inputs::pictures(spectra, poses.len())?)),
             (None, Some(rssi), None) if !placed => return Err(inputs::receivers_missing(rssi)?),
-            (None, Some(rssi), None) => inputs::received_powers(rssi, &txs, receivers.len())?,
-            (None, None, Some(csi)) => (alone, inputs::gains(csi, txs.len(), frequencies_hz)?),
+            (None, Some(rssi), None) => inputs::received_powers(rssi, &poses, receivers.len())?,
+            (None, None, Some(csi)) => (alone, inputs::gains(csi, poses.len(), frequencies_hz)?),
             _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
         };
         for (name, is_given, is_used, kind) in [
@@ -143,24 +144,38 @@ impl Dataset {
                 return Err(wrong(py, &format!("a spectrum {fault}")));
             }
         }
-        let turns = orientations.map(|all| numbers::<f64>("orientations", all, &[None, Some(4)])).transpose()?;
         let carriers = carriers_hz.map(|all| numbers::<f64>("carriers_hz", all, &[None])).transpose()?;
         let simulation = simulated.then(Simulation::default);
+        let ends = match rx_pose {
+            None => Ends::from(receivers),
+            Some(_) => Ends::of_moving_receivers(receivers, transmitter),
+        };
         let data = free(py, || {
-            let made = Data::of_links(title, receivers, points, &samples, observations)?;
-            let data = inputs::turned(Data { elevation, simulation, ..made }, turns, carriers)?;
+            let made = Data::of_links(title, ends, points, &samples, observations)?;
+            let made = Data { elevation, simulation, ..made };
+            let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
             check(&data).map(|()| data)
         })?;
         inputs::warn(py, &data)?;
         Ok(Self::new(data, None))
     }
 
-    /// Orientations [M, 4] of a moving receiver, quaternions x, y, z, w; None for fixed receivers.
+    /// Pose of a moving receiver in each link [L, 7]: x, y, z in metres, quaternion qx, qy, qz, qw; None for fixed receivers.
     #[getter]
-    fn orientations<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
-        let Some(all) = &self.data.orientations else { return Ok(None) };
-        let flat: Vec<f64> = self.data.links.iter().flat_map(|link| all[link.transmitter]).collect();
-        array(py, flat, &[self.data.len(), 4]).map(Some)
+    fn rx_pose<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
+        if self.data.scene.moving == End::Transmitter {
+            return Ok(None);
+        }
+        let row = |Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] }| [x, y, z, qx, qy, qz, qw];
+        array(py, self.data.samples().flat_map(|sample| row(sample.pose)).collect(), &[self.data.len(), 7]).map(Some)
+    }
+
+    /// Position [3] of the fixed transmitter of a moving receiver, metres; None if it is unknown or moves.
+    #[getter]
+    fn transmitter<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
+        let scene = &self.data.scene;
+        let world = |position: [f64; 3]| scene.origin.world_pose(position.into()).position;
+        scene.transmitter.map(|position| array(py, world(position).to_vec(), &[3])).transpose()
     }
 
     /// Write a new folder for `Dataset.load` and the command line: spectra as arrays, powers and channels in the
@@ -220,12 +235,13 @@ impl Dataset {
     }
 
     fn __repr__(&self) -> String {
-        let several = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        let several = |n: usize, noun: &str| format!("{n} {noun}{}", if n == 1 { "" } else { "s" });
+        let moves = self.data.scene.moving.is_receiver();
         format!(
             "<Dataset {:?}: {}, {}, {}, {}>",
             self.data.title,
             pwrfgs::experiment::observed(&self.data),
-            several(self.data.transmitters.len(), "transmitter"),
+            several(self.data.locations.len(), if moves { "receiver pose" } else { "transmitter" }),
             several(self.data.scene.receivers.len(), "receiver"),
             if self.data.is_simulated() { "simulated" } else { "measured" }
         )
@@ -249,13 +265,22 @@ impl Dataset {
         self.data.is_simulated()
     }
 
-    /// Transmitter position of each link, [L, 3] float64, metres.
+    /// Transmitter position of each link, [L, 3] float64, metres. An error if the receiver moves, which `rx_pose` has.
     #[getter]
     fn tx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        array(py, self.data.samples().flat_map(|s| s.tx).collect(), &[self.data.len(), 3])
+        if self.data.scene.moving.is_receiver() {
+            return Err(wrong(py, "tx: the receiver of these data moves; use rx_pose [L, 7] or positions [L, 3]"));
+        }
+        self.positions(py)
     }
 
-    /// Transmitter id of each link, [L].
+    /// Position of the end that moves in each link, [L, 3] float64, metres: of the transmitter, or of the receiver.
+    #[getter]
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        array(py, self.data.samples().flat_map(|s| s.position()).collect(), &[self.data.len(), 3])
+    }
+
+    /// Id of the transmitter position, or of the pose of a moving receiver, of each link, [L].
     #[getter]
     fn ids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<u32>>> {
         vector(py, self.data.samples().map(|s| s.id).collect())

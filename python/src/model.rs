@@ -3,14 +3,14 @@
 pub(crate) mod made;
 mod observed;
 
-use crate::arrays::{Gain, array, axes, numbers, place, vector};
+use crate::arrays::{self, Gain, array, axes, numbers, place, places, vector};
 use crate::border::{free, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Activated, Error, Query, Real};
+use pwrfgs_core::{Activated, End, Error, Pose, Query, Real};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
 use self_cell::self_cell;
@@ -37,9 +37,8 @@ pub(crate) struct Model {
 
 /// Links of a call.
 struct Links {
-    txs: Vec<[f64; 3]>,
-    /// Orientations of a moving receiver, if given.
-    orientations: Vec<[f64; 4]>,
+    /// Poses of the moving end; zero for links with features.
+    poses: Vec<Pose>,
     features: Vec<Real>,
     receivers: Vec<usize>,
     /// Leading axes, before those of an observation.
@@ -49,9 +48,9 @@ struct Links {
 impl Links {
     fn query(&self, k: usize) -> Query<'_> {
         let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
-        let width = self.features.len() / self.txs.len().max(1);
-        let (features, orientation) = (&self.features[i * width..][..width], self.orientations.get(i).copied());
-        Query { features, orientation, ..Query::at(self.txs[i], receiver) }
+        let width = self.features.len() / self.poses.len().max(1);
+        let features = (width > 0).then(|| &self.features[i * width..][..width]);
+        Query { features, ..Query::at(self.poses[i], receiver) }
     }
 }
 
@@ -73,27 +72,44 @@ impl Model {
     fn links(
         &self,
         py: Python<'_>,
-        tx: Option<&Bound<'_, PyAny>>,
         receiver: Option<&Bound<'_, PyAny>>,
-        features: Option<&Bound<'_, PyAny>>,
+        [tx, rx_pose, features]: [Option<&Bound<'_, PyAny>>; 3],
     ) -> PyResult<Links> {
         let (stages, there) = (self.stages(), &self.stages().setup.receivers);
-        let inputs = stages.method.traits().inputs;
-        let (txs, orientations, features, one) = match (tx, features) {
-            (Some(tx), None) if inputs == 3 => {
-                let (txs, orientations, one) = made::poses(tx, stages.setup.moves)?;
-                (txs, orientations, Vec::new(), one)
+        let (inputs, moving) = (stages.method.traits().inputs, stages.setup.moving);
+        let (poses, features, one) = match (tx, rx_pose, features) {
+            (Some(tx), None, None) if inputs == 3 && moving == End::Transmitter => {
+                let one = axes(tx)? == 1;
+                let positions = if one { vec![place("tx", tx)?] } else { places("tx", tx)? };
+                (positions.into_iter().map(Pose::from).collect(), Vec::new(), one)
             }
-            (None, Some(features)) if inputs != 3 => {
+            (None, Some(rx_pose), None) if inputs == 3 && moving == End::Receiver => {
+                let (poses, one) = arrays::poses("rx_pose", rx_pose)?;
+                (poses, Vec::new(), one)
+            }
+            (None, None, Some(features)) if inputs != 3 => {
                 let one = axes(features)? == 1;
                 let shape: &[Option<usize>] = if one { &[Some(inputs)] } else { &[None, Some(inputs)] };
                 let all = numbers::<Real>("features", features, shape)?;
-                (vec![[0.0; 3]; all.len() / inputs], Vec::new(), all, one)
+                (vec![Pose::IDENTITY; all.len() / inputs], all, one)
             }
-            _ if inputs == 3 => return Err(wrong(py, "tx is missing; pass positions [B, 3] in metres")),
-            _ => return Err(wrong(py, &format!("this model uses link features; pass features=[B, {inputs}]"))),
+            _ if inputs != 3 => {
+                return Err(wrong(py, &format!("this model uses link features; pass features=[B, {inputs}]")));
+            }
+            _ if moving == End::Receiver => {
+                return Err(wrong(
+                    py,
+                    "the receiver of this model moves; pass rx_pose=[B, 7]: x, y, z, qx, qy, qz, qw",
+                ));
+            }
+            _ => {
+                return Err(wrong(
+                    py,
+                    "tx is missing; pass positions [B, 3] of the transmitter, which moves, in metres",
+                ));
+            }
         };
-        let mut lead = if one { vec![] } else { vec![txs.len()] };
+        let mut lead = if one { vec![] } else { vec![poses.len()] };
         let receivers = match receiver {
             Some(receiver) => vec![made::find(receiver, there)?],
             None if there.len() == 1 => vec![0],
@@ -102,7 +118,7 @@ impl Model {
                 (0..there.len()).collect()
             }
         };
-        Ok(Links { txs, orientations, features, receivers, lead })
+        Ok(Links { poses, features, receivers, lead })
     }
 }
 
@@ -192,16 +208,17 @@ impl Model {
     /// (observations, gradient in `tx`, in its shape). For a moving receiver this is the gradient in its positions or its poses;
     /// the length of an orientation has no effect. A model of link features, or with a network in Python, has none;
     /// the calibration `AsReleased` has none in orientations.
-    #[pyo3(signature = (tx=None, receiver=None, *, features=None, vjp=None))]
+    #[pyo3(signature = (tx=None, receiver=None, *, rx_pose=None, features=None, vjp=None))]
     fn predict<'py>(
         &self,
         py: Python<'py>,
         tx: Option<&Bound<'py, PyAny>>,
         receiver: Option<&Bound<'py, PyAny>>,
+        rx_pose: Option<&Bound<'py, PyAny>>,
         features: Option<&Bound<'py, PyAny>>,
         vjp: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let links = self.links(py, tx, receiver, features)?;
+        let links = self.links(py, receiver, [tx, rx_pose, features])?;
         if let Some(cotangents) = vjp {
             return self.differentiated(py, &links, cotangents);
         }
@@ -214,15 +231,16 @@ impl Model {
 
     /// Standard deviation between ensemble members, in the shape of `predict`; 0 for a single model. Large values mark
     /// unreliable predictions.
-    #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
+    #[pyo3(signature = (tx=None, receiver=None, *, rx_pose=None, features=None))]
     fn spread<'py>(
         &self,
         py: Python<'py>,
         tx: Option<&Bound<'py, PyAny>>,
         receiver: Option<&Bound<'py, PyAny>>,
+        rx_pose: Option<&Bound<'py, PyAny>>,
         features: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let links = self.links(py, tx, receiver, features)?;
+        let links = self.links(py, receiver, [tx, rx_pose, features])?;
         self.observed(py, &links, |queries, numbers| {
             let of_each = numbers.len() / queries.len();
             for (query, numbers) in queries.iter().zip(numbers.chunks_exact_mut(of_each)) {
@@ -287,6 +305,16 @@ impl Model {
     #[getter]
     fn kind(&self) -> &'static str {
         self.stages().task.name
+    }
+
+    /// End of the links that moves: "transmitter", whose positions `predict` takes as `tx`, or "receiver", whose poses it takes
+    /// as `rx_pose`.
+    #[getter]
+    fn moving(&self) -> &'static str {
+        match self.stages().setup.moving {
+            End::Transmitter => "transmitter",
+            End::Receiver => "receiver",
+        }
     }
 
     /// Number of Gaussians, of all members together.

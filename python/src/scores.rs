@@ -7,8 +7,8 @@ use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::append_measurements;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
-    Baseline, Elevation, Evaluation, FittingSet, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Plugin,
-    Pose, Query, Real, Receiver, Scene, Scope, Task, Values, check_stopped, rows_of,
+    Baseline, Elevation, End, Evaluation, FittingSet, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin,
+    Plugin, Pose, Query, Real, Receiver, Scene, Scope, Task, Values, check_stopped, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -102,6 +102,8 @@ fn evaluation<'a>(
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
     Scene {
         origin: Origin::ZERO,
+        moving: End::Transmitter,
+        transmitter: None,
         receivers: vec![Receiver::new("receiver", Pose::IDENTITY)],
         bounds: ([0.0; 3], [0.0; 3]),
         points,
@@ -166,7 +168,7 @@ pub(crate) fn predict_baseline<'py>(
     if data.features.is_some() {
         return Err(wrong(py, "these data use link features, but baselines here need positions"));
     }
-    if data.orientations.is_some() {
+    if data.scene.moving.is_receiver() {
         return Err(wrong(py, "the receiver of these data moves; score baselines with pwrfgs.evaluate or a pipeline"));
     }
     if receiver >= data.scene.receivers.len() {

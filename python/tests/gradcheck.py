@@ -247,6 +247,9 @@ def loader_gives_batches_by_workers():
         batches = list(torch.utils.data.DataLoader(data, batch_size=5, num_workers=workers))
         assert [tuple(batch.observation.shape) for batch in batches] == [(5, 9, 36), (5, 9, 36), (2, 9, 36)]
         assert np.array_equal(torch.cat([batch.observation for batch in batches]).numpy(), spectra)
+    poses = np.tile([0.0, 0, 1, 0, 0, 0, 1], (12, 1))
+    moving = pwrfgs.Dataset.from_arrays(spectra=spectra, rx_pose=poses)
+    assert [tuple(batch.rx_pose.shape) for batch in torch.utils.data.DataLoader(moving, batch_size=6)] == [(6, 7), (6, 7)]
 
 
 def poses_have_central_differences():

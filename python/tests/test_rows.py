@@ -24,8 +24,9 @@ def moving():
     values = np.random.default_rng(4).random((12, 9, 36)).astype(np.float32)
     turn = np.linspace(0, 3, 12)
     turns = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=1)
-    transmitter = pwrfgs.Receiver(position=(2, 1, 2.9))
-    return pwrfgs.Dataset.from_arrays(TX, values, orientations=turns, receivers=transmitter, simulated=True)
+    return pwrfgs.Dataset.from_arrays(
+        spectra=values, rx_pose=np.concatenate([TX, turns], axis=1), transmitter=(2, 1, 2.9), simulated=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def channels():
 
 def same(one, other):
     assert repr(one) == repr(other) and len(one) == len(other)
-    for name in ("tx", "orientations", "ids", "receiver", "points", "spectra", "rssi", "csi", "frequencies_hz"):
+    for name in ("positions", "rx_pose", "transmitter", "ids", "receiver", "points", "spectra", "rssi", "csi", "frequencies_hz"):
         a, b = getattr(one, name), getattr(other, name)
         assert (a is None and b is None) or np.array_equal(a, b), name
     assert one.receivers == other.receivers
@@ -63,13 +64,15 @@ def test_rows_subsets_and_pickles_hold_the_same_observations(kind, request):
     data = request.getfixturevalue(kind)
     everything = data.observations(np.arange(len(data)))
     rows = list(data)
-    assert len(rows) == len(data) and all(isinstance(row, pwrfgs.Sample) for row in rows)
+    assert len(rows) == len(data) and all(
+        isinstance(row, pwrfgs.Sample if data.rx_pose is None else pwrfgs.ReceiverSample) for row in rows
+    )
     for i, row in enumerate(rows):
-        assert np.array_equal(row.tx, data.tx[i]) and np.array_equal(row.observation, everything[i])
+        assert np.array_equal(row[0][:3], data.positions[i]) and np.array_equal(row.observation, everything[i])
         assert (row.id, row.receiver) == (data.ids[i], data.receiver[i])
     assert np.array_equal(data[-1].observation, everything[-1])
     part = data.subset([7, 2, 5])
-    assert np.array_equal(part.observations([0, 1, 2]), everything[[2, 5, 7]]) and np.array_equal(part.tx, data.tx[[2, 5, 7]])
+    assert np.array_equal(part.observations([0, 1, 2]), everything[[2, 5, 7]]) and np.array_equal(part.positions, data.positions[[2, 5, 7]])
     assert part.receivers == data.receivers and np.array_equal(part.points, data.points)
     same(data[np.arange(len(data)) % 2 == 0], data[::2])
     same(pickle.loads(pickle.dumps(data)), data)
@@ -90,26 +93,32 @@ def test_carriers_are_receivers(carriers, tmp_path):
 def test_a_model_of_a_moving_receiver_predicts_at_poses(moving, pipeline, tmp_path):
     moving.save(tmp_path / "walk")
     again = pwrfgs.Dataset.load(tmp_path / "walk")
-    assert all(np.array_equal(getattr(again, name), getattr(moving, name)) for name in ("tx", "orientations", "spectra"))
+    assert all(np.array_equal(getattr(again, name), getattr(moving, name)) for name in ("rx_pose", "transmitter", "spectra"))
     trainer = pwrfgs.Trainer(pipeline, moving)
     trainer.step()
     model = trainer.model()
-    poses = np.concatenate([moving.tx, moving.orientations], axis=1)
-    there = model.predict(poses)
-    assert there.shape == (12, 9, 36) and np.array_equal(model.predict(poses[3]), there[3])
-    level = np.concatenate([moving.tx, np.tile([0, 0, 0, 1.0], (12, 1))], axis=1)
-    assert np.array_equal(model.predict(moving.tx), model.predict(level)) and not np.array_equal(model.predict(level), there)
-    d = np.random.default_rng(0).normal(size=there.shape)
-    _, slopes = model.predict(poses, vjp=d)
-    assert slopes.shape == (12, 7) and np.allclose(model.predict(level, vjp=d)[1][:, :3], model.predict(moving.tx, vjp=d)[1])
-    lengthwise = (slopes[:, 3:] * moving.orientations).sum(axis=1)
+    poses = moving.rx_pose
+    there = model.predict(rx_pose=poses)
+    assert there.shape == (12, 9, 36) and np.array_equal(model.predict(rx_pose=poses[3]), there[3])
+    level = np.concatenate([moving.positions, np.tile([0, 0, 0, 1.0], (12, 1))], axis=1)
+    assert not np.array_equal(model.predict(rx_pose=level), there)
+    _, slopes = model.predict(rx_pose=poses, vjp=np.random.default_rng(0).normal(size=there.shape))
+    assert slopes.shape == (12, 7)
+    lengthwise = (slopes[:, 3:] * poses[:, 3:]).sum(axis=1)
     assert np.abs(slopes[:, 3:]).max() > 0 and np.abs(lengthwise).max() < 1e-6 * np.abs(slopes).max()
+    assert model.moving == "receiver" and "receiver at" in model._repr_html_() and "receiver at" in moving._repr_html_()
     model.save(tmp_path / "m.safetensors")
-    assert np.array_equal(pwrfgs.Model.load(tmp_path / "m.safetensors").predict(poses), there)
-    with pytest.raises(pwrfgs.InputError, match="orientations"):
-        pwrfgs.Dataset.from_arrays(TX, moving.spectra, orientations=np.zeros((12, 3)))
-    with pytest.raises(pwrfgs.InputError, match="pose 1: the quaternion is zero"):
-        pwrfgs.Dataset.from_arrays(TX, moving.spectra, orientations=np.zeros((12, 4)))
+    assert np.array_equal(pwrfgs.Model.load(tmp_path / "m.safetensors").predict(rx_pose=poses), there)
+    with pytest.raises(pwrfgs.InputError, match="the receiver of these data moves; use rx_pose"):
+        moving.tx
+    with pytest.raises(pwrfgs.InputError, match=r"the receiver of this model moves; pass rx_pose=\[B, 7\]"):
+        model.predict(moving.positions)
+    with pytest.raises(pwrfgs.InputError, match="rx_pose"):
+        pwrfgs.Dataset.from_arrays(spectra=moving.spectra, rx_pose=np.zeros((12, 3)))
+    with pytest.raises(pwrfgs.InputError, match=r"rx_pose\[0\]: the quaternion is zero"):
+        pwrfgs.Dataset.from_arrays(spectra=moving.spectra, rx_pose=np.zeros((12, 7)))
+    with pytest.raises(pwrfgs.InputError, match="give tx: positions"):
+        pwrfgs.Dataset.from_arrays(TX, moving.spectra, rx_pose=poses)
 
 
 def test_invalid_indices_are_reported(spectra):

@@ -89,7 +89,7 @@ pub(crate) fn batch(count: usize, stages: &Stages) -> Batch {
 
 /// Transmitters at `txs` that the first receiver receives.
 pub(crate) fn batch_at(txs: &[[Real; 3]], truths: Vec<Real>, stages: &Stages) -> Batch {
-    let links = (0..txs.len()).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+    let links = (0..txs.len()).map(|location| Link { location, receiver: 0 }).collect();
     let inputs = LinkInputs { values: txs.as_flattened().to_vec(), pairs: links, ..LinkInputs::of(3, &stages.setup) };
     Batch { inputs, truths, ..Batch::default() }
 }

@@ -6,8 +6,8 @@ use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Ensemble, Model, Stages, compress, file};
 use pwrfgs_core::{
-    GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Task, Vec3,
-    rng,
+    End, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Task,
+    Vec3, rng,
 };
 use regex::Regex;
 use std::path::Path;
@@ -148,7 +148,8 @@ fn virtual_transmitters(order: usize) -> Model {
         task: Task::Channel,
         plane,
         frequencies_hz,
-        moves: false,
+        moving: End::Transmitter,
+        transmitter: None,
     };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();
@@ -198,7 +199,7 @@ fn numpy_predicts_from_documented_format() {
         .enumerate()
     {
         let mut model = model(CASES[0]);
-        let at = |hz| Receiver::of_carrier(POSE, hz);
+        let at = |hz| Receiver::new("", POSE).at_carrier(hz);
         model.stages.setup.receivers = vec![at(2e9), at(2.4e9), at(3e9)];
         model.stages.method =
             Plugin::parse(&format!("Splatting(deformation: {network}, projector: Mercator(), readout: Magnitude)"))

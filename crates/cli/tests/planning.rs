@@ -114,7 +114,7 @@ fn powers(here: &Path) {
     let pairs: Vec<(usize, usize)> =
         (0..30).flat_map(|k| (0..3).map(move |r| (k, r))).filter(|p| *p != (0, 2)).collect();
     let samples: Vec<Sample> =
-        pairs.iter().map(|&(k, receiver)| Sample { id: k as u32, tx: at(k), receiver }).collect();
+        pairs.iter().map(|&(k, receiver)| Sample { receiver, ..Sample::new(k as u32, at(k)) }).collect();
     let power = |&(k, r): &(usize, usize)| (-40.0 - 5.0 * (at(k)[0] - receivers[r].1).abs()) as Real;
     let observations = Observations::Powers(pairs.iter().map(power).collect());
     let receivers = receivers.map(|(name, x)| receiver(name, x)).to_vec();

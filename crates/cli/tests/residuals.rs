@@ -235,11 +235,11 @@ fn hall(here: &Path, name: &str, from: usize, count: usize, change: &dyn Fn(f64)
             let squares: f64 = place(k).iter().zip(to).map(|(a, b)| (a - b).powi(2)).sum();
             // Fading that no model of positions explains.
             let fading = ((k * 31 + receiver * 17) % 23) as f64 / 6.0;
-            samples.push(Sample { id: k as u32, tx: place(k).map(|v| unit * v), receiver });
+            samples.push(Sample { receiver, ..Sample::new(k as u32, place(k).map(|v| unit * v)) });
             powers.push(change(-40.0 - 10.0 * squares.log10() - fading) as Real);
         }
     }
-    let data = Dataset::of_links(name, receivers.map(at).into(), vec![], &samples, powers.into()).unwrap();
+    let data = Dataset::of_links(name, receivers.map(at).to_vec(), vec![], &samples, powers.into()).unwrap();
     save(&data, &here.join(name)).unwrap();
 }
 

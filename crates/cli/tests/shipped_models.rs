@@ -79,7 +79,7 @@ fn predict_from_features(ensemble: &Ensemble, out: &Path) {
     let of_each = features.chunks_exact(width).enumerate();
     let rows = of_each.map(|(k, features)| {
         let receiver = k % prepared.receivers().len();
-        let found = prepared.predict_timed(Query { features, ..Query::at([0.0; 3], receiver) }).0;
+        let found = prepared.predict_timed(Query { features: Some(features), ..Query::at([0.0; 3], receiver) }).0;
         let header = npy_header_as("<c8", &[found.height / 2, found.width]);
         let gains = floats(gains_of(&found.pixels, found.width).as_flattened());
         write(&out.join(format!("{:05}.npy", k + 1)), [header, gains].concat());

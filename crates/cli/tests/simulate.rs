@@ -90,7 +90,7 @@ fn model_of_moving_receiver_predicts_at_poses() {
     let simulate = |scene: &'static str, out: &'static str| {
         vec!["simulate", scene, "--samples", "20", "--points", "50", "--npy", "--no-paths", "--out", out]
     };
-    refuse(&["simulate", "moving.ron", "--out", "walk"], "add --npy --no-paths");
+    refuse(&["simulate", "moving.ron", "--out", "walk"], "add --no-paths, and --npy for spectra");
     run(&simulate("moving.ron", "walk"));
     run(&simulate("closet.ron", "fixed"));
     let pipeline = r#"Pipeline(name: "walk", data: Arrays(root: "walk"), split: Random(test: 0.2, validation: 0.0),
@@ -102,12 +102,14 @@ fn model_of_moving_receiver_predicts_at_poses() {
     run(&["run", "walk.ron", "-q"]);
     let model = "runs/walk/model.safetensors";
     let predict = |more: &[&'static str], out: &'static str| [&["predict", model], more, &["--out", out]].concat();
-    run(&predict(&["--tx", "1,1,1,0,0,0.6,0.8"], "one"));
-    run(&predict(&["--tx-csv", "walk/rx_pose.csv", "--stacked"], "all"));
+    run(&predict(&["--rx-pose", "1,1,1,0,0,0.6,0.8"], "one"));
+    run(&predict(&["--rx-pose-csv", "walk/rx_pose.csv", "--stacked"], "all"));
     let rows = fs::read_to_string(folder.join("one/predictions.csv")).unwrap();
     assert!(rows.starts_with("row,x,y,z,qx,qy,qz,qw,azimuth_deg") && rows.contains("\n1,1,1,1,0,0,0.6,0.8,"), "{rows}");
-    refuse(&predict(&["--tx", "1,1,1,0,0,0.6,0.9"], "two"), "the quaternion has length");
-    refuse(&predict(&["--tx-csv", "fixed/tx_pos.csv"], "two"), "tx_pos.csv:1:1: no column `qx`");
+    refuse(&predict(&["--rx-pose", "1,1,1,0,0,0.6,0.9"], "two"), "the quaternion has length");
+    refuse(&predict(&["--rx-pose", "1,1,1"], "two"), "expected x,y,z,qx,qy,qz,qw, such as 3.5,2.2,1.2,0,0,0,1");
+    refuse(&predict(&["--tx", "1,1,1"], "two"), "the receiver of this model moves; give its poses with --rx-pose");
+    refuse(&predict(&["--rx-pose-csv", "fixed/tx_pos.csv"], "two"), "tx_pos.csv:1:1: no column `qx`");
     refuse(&["evaluate", model, "--set", "data.root=fixed"], "moves, and that of the other is fixed");
     let left_out = stderr(&succeed(folder, &["compare", "walk", "--split-csv", "walk.csv"]));
     assert!(
@@ -116,6 +118,34 @@ fn model_of_moving_receiver_predicts_at_poses() {
     );
     refuse(&["compare", "walk", "--methods", "NeRF2", "--split-csv", "other.csv"], "Nerf2");
     refuse(&["run", "walk.ron", "--set", "method=Nerf2()", "--out", "nerf"], "Nerf2");
+}
+
+#[test]
+fn powers_and_channels_at_a_moving_receiver_are_read_back_and_predicted() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let moving = SCENE.replace("transmitter:", "moving_receiver: (turn_deg: 60),\n    transmitter:");
+    fs::write(here.join("moving.ron"), moving).unwrap();
+    for (layout, noise, header) in
+        [("rssi", ["--noise-db", "3"], "receiver,dbm"), ("channels", ["--snr-db", "20"], "receiver,db")]
+    {
+        let data = ["simulate", "moving.ron", "--samples", "20", "--points", "50", "--no-paths", "--layout", layout];
+        succeed(here, &[&data[..], &noise, &["--out", layout]].concat());
+        let facts = if layout == "rssi" { "gateway_position.yml" } else { "receiver.yml" };
+        assert!(here.join(layout).join("rx_pose.csv").exists() && here.join(layout).join(facts).exists());
+        let poses = fs::read_to_string(here.join(layout).join("rx_pose.csv")).unwrap();
+        let told = succeed(here, &["inspect", layout]);
+        let text = String::from_utf8_lossy(&told.stdout).into_owned();
+        assert!(text.contains("receiver") && text.contains("transmitter"), "{text}");
+        succeed(here, &["init", layout, "--out", &format!("{layout}.ron")]);
+        succeed(here, &["run", &format!("{layout}.ron"), "--scale", "0.02", "--out", &format!("run-{layout}"), "-q"]);
+        let model = format!("run-{layout}/model.safetensors");
+        let table = format!("{layout}/rx_pose.csv");
+        succeed(here, &["predict", &model, "--rx-pose-csv", &table, "--out", &format!("at-{layout}")]);
+        let rows = fs::read_to_string(here.join(format!("at-{layout}/predictions.csv"))).unwrap();
+        assert!(rows.starts_with(&format!("row,x,y,z,qx,qy,qz,qw,{header}")), "{rows}");
+        assert_eq!(rows.lines().count(), poses.lines().count());
+    }
 }
 
 #[test]

@@ -24,7 +24,7 @@ fn value(k: usize, i: usize) -> f64 {
 fn folders(here: &Path) {
     let samples = |receivers: usize| -> Vec<Sample> {
         let pairs = (0..COUNT).flat_map(|k| (0..receivers).map(move |receiver| (k, receiver)));
-        pairs.map(|(k, receiver)| Sample { id: k as u32, tx: place(k), receiver }).collect()
+        pairs.map(|(k, receiver)| Sample { receiver, ..Sample::new(k as u32, place(k)) }).collect()
     };
     let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
     let numbers = |of_each: usize| (0..COUNT * of_each).map(move |i| value(i / of_each, i % of_each));
@@ -68,11 +68,11 @@ const COMMANDS: [(&str, &[(&str, &str)]); 18] = [
     ("evaluate run/KIND/model.safetensors --out scored/KIND", &[]),
     (
         "predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND",
-        &[NO_POSITION, ("images", "no column `qx`")],
+        &[NO_POSITION, ("images", "give its poses with --rx-pose")],
     ),
     (
         "predict run/KIND/model.safetensors --tx 1.5,1,1.2 --stacked --out stacked/KIND",
-        &[NO_POSITION, ("powers", "remove --stacked")],
+        &[NO_POSITION, ("powers", "remove --stacked"), ("images", "give its poses with --rx-pose")],
     ),
     ("map run/KIND/model.safetensors --plane z=1.2 --step 0.5 --bounds 1,3,0,2 --out map/KIND", &[NO_POSITION]),
     ("locate run/KIND/model.safetensors --out located/KIND", &[NO_POSITION, ("images", "the receiver moves")]),
@@ -166,7 +166,7 @@ fn every_command_accepts_or_rejects_every_data_kind() {
 fn three_nearest(data: &Dataset, known: &[usize], i: usize) -> Image {
     let place = |i: usize| -> Vec<f64> {
         let of = |features: &pwrfgs_core::Features| features.of(i).iter().map(|v| *v as f64).collect();
-        data.features.as_ref().map_or_else(|| data.sample(i).tx.to_vec(), of)
+        data.features.as_ref().map_or_else(|| data.sample(i).position().to_vec(), of)
     };
     let distance = |k: usize| place(k).iter().zip(place(i)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let own = known.iter().filter(|&&k| data.links[k].receiver == data.links[i].receiver);

@@ -51,7 +51,7 @@ pub trait Split: crate::plugin::PluginObject {
     /// Divides `links`, in ascending order, into the units that the split holds out together, in order; a fold of a
     /// cross-validation holds some of them.
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
-        links.chunk_by(|a, b| data.links[*a].transmitter == data.links[*b].transmitter).map(<[usize]>::to_vec).collect()
+        links.chunk_by(|a, b| data.links[*a].location == data.links[*b].location).map(<[usize]>::to_vec).collect()
     }
 
     /// Divides `links`, in ascending order, into the blocks that are assumed exchangeable in the calibration of prediction

@@ -4,12 +4,13 @@ mod carriers;
 
 use crate::messages::strip_control;
 use crate::{
-    Camera, Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver,
-    Result, Sample, Scene, Spectra, Task, Transmitter, Vec3, carrier_fault, place_fault,
+    Camera, Elevation, End, Ends, Error, Features, Image, ImagePlane, Link, Location, Observations, Origin, Pose,
+    Query, Real, Receiver, Result, Sample, Scene, Spectra, Task, Vec3, carrier_fault, place_fault,
 };
 use std::collections::BTreeSet;
 
-/// All data of a source, in columns: transmitters, receivers, links between them, and the observation of each link.
+/// All data of a source, in columns: locations of the moving end, receivers, links between them, and the observation of
+/// each link.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     /// Display name.
@@ -22,21 +23,15 @@ pub struct Dataset {
     pub height: usize,
     /// Elevations of the rows of spectra; columns cover the full circle.
     pub elevation: Elevation,
-    /// Transmitter positions, sorted by ID.
-    pub transmitters: Vec<Transmitter>,
-    /// Links, sorted by transmitter, then receiver.
+    /// Locations of the [moving end](Scene::moving), sorted by ID.
+    pub locations: Vec<Location>,
+    /// Links, sorted by location, then receiver.
     pub links: Vec<Link>,
     /// Observations of the links, in the same order.
     pub observations: Observations,
     /// Input features per link that replace the transmitter position (for example the uplink channel).
     pub features: Option<Features>,
-    /// Orientations `[T,4]` of a moving receiver, as in [`Pose`]. The receiver then stands at the position of each
-    /// "transmitter", and the one receiver of the scene is the fixed transmitter (channels are reciprocal). `None` for fixed
-    /// receivers.
-    pub orientations: Option<Vec<[f64; 4]>>,
-    /// Camera of the images, in the frame of the receiver; the elevations then do not apply. `None` for spectra over angles.
-    pub camera: Option<Camera>,
-    /// Whether the data contain transmitter positions. If not, positions are zero and must not be used.
+    /// Whether the data contain the positions of the locations. If not, positions are zero and must not be used.
     pub placed: bool,
     /// Official split of the data, if any: links for (training, test).
     pub official: Option<(Vec<usize>, Vec<usize>)>,
@@ -93,16 +88,16 @@ impl Dataset {
     }
 
     /// Creates a data set of any observations at any number of receivers, one per sample; samples are sorted by ID,
-    /// then receiver.
+    /// then receiver. The receivers are fixed, or move ([`Ends::of_moving_receivers`]): a sample then has their pose.
     ///
     /// ```
     /// # use pwrfgs_core::{Dataset, Observations, Pose, Receiver, Sample};
     /// let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
-    /// let tx = [1.0, 2.0, 1.5];
-    /// let samples = [Sample { id: 1, tx, receiver: 0 }, Sample { id: 1, tx, receiver: 1 }];
+    /// let first = Sample::new(1, [1.0, 2.0, 1.5]);
+    /// let samples = [first, Sample { receiver: 1, ..first }];
     /// let powers = vec![-61.0, -70.5].into();
     /// let data = Dataset::of_links("hall", vec![at("north", 0.0), at("south", 9.0)], vec![], &samples, powers)?;
-    /// assert_eq!((data.transmitters.len(), data.len()), (1, 2));
+    /// assert_eq!((data.locations.len(), data.len()), (1, 2));
     /// # Ok::<(), pwrfgs_core::Error>(())
     /// ```
     ///
@@ -112,67 +107,48 @@ impl Dataset {
     /// - IDs decrease, a link occurs twice, or one ID has two positions.
     /// - The numbers of observations and samples differ, or an observation is not finite.
     /// - Two receivers have one name, or a sample has an unknown receiver.
-    /// - A position is not finite or beyond 1e8 m.
+    /// - A position is not finite or beyond 1e8 m, or an orientation is not of length 1.
     pub fn of_links(
         title: impl Into<String>,
-        receivers: Vec<Receiver>,
+        ends: impl Into<Ends>,
         points: Vec<[f64; 3]>,
         samples: &[Sample],
         observations: Observations,
     ) -> Result<Self> {
-        let title = strip_control(&title.into());
-        let refuse = |what: String| Error::Config(format!("data set `{title}`: {what}"));
-        check_receivers(&receivers).map_err(refuse)?;
+        let (title, ends) = (strip_control(&title.into()), ends.into());
+        let refuse = |fault: String| Error::Config(format!("data set `{title}`: {fault}"));
+        check_receivers(&ends.receivers).map_err(refuse)?;
         if let Some(fault) = observations.fault() {
             return Err(refuse(fault));
         }
         if samples.len() != observations.len() {
-            let (have, need, what) = (observations.len(), samples.len(), observations.task().plural);
-            return Err(refuse(format!("{have} {what} for {need} transmitters; give as many of each")));
+            let (have, need, plural) = (observations.len(), samples.len(), observations.task().plural);
+            let locations = if ends.moving.is_receiver() { "receiver poses" } else { "transmitters" };
+            return Err(refuse(format!("{have} {plural} for {need} {locations}; give as many of each")));
         }
-        let (transmitters, links) = columns(samples, &receivers).map_err(refuse)?;
+        let (locations, links) = columns(samples, &ends).map_err(refuse)?;
         if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {
             return Err(refuse(format!("a point at {point:?} {fault}")));
+        }
+        if let Some(fault) = ends.transmitter.and_then(place_fault) {
+            return Err(refuse(format!("the transmitter {fault}")));
         }
         let (width, height) = observations.size();
         Ok(Self {
             title,
-            scene: scene(receivers, points, &transmitters),
+            scene: scene(ends, points, &locations),
             width,
             height,
             elevation: Elevation::UPPER,
-            transmitters,
+            locations,
             links,
             observations,
             features: None,
-            orientations: None,
-            camera: None,
             placed: true,
             official: None,
             simulation: None,
             unmatched: Unmatched::default(),
         })
-    }
-
-    /// Turns measured spectra at moving transmitters into those of a moving receiver with these orientations, one per
-    /// position.
-    ///
-    /// # Errors
-    /// Another task, several receivers, another number of orientations, or one that is not of length 1.
-    pub fn with_moving_receiver(self, orientations: Vec<[f64; 4]>) -> Result<Self> {
-        let refuse = |what: String| Err(Error::Config(format!("data set `{}`: {what}", self.title)));
-        if !self.task().has_pixels || self.scene.receivers.len() > 1 {
-            return refuse("only spectra of one receiver may have a moving receiver".into());
-        }
-        if orientations.len() != self.transmitters.len() {
-            let (have, need) = (orientations.len(), self.transmitters.len());
-            return refuse(format!("{have} orientations for {need} positions; give as many of each"));
-        }
-        let fault = |orientation: &[f64; 4]| Pose { orientation: *orientation, ..Pose::IDENTITY }.fault();
-        if let Some((i, (_, fault))) = orientations.iter().enumerate().find_map(|(i, own)| Some((i, fault(own)?))) {
-            return refuse(format!("pose {}: {fault}", i + 1));
-        }
-        Ok(Self { orientations: Some(orientations), ..self })
     }
 
     /// Returns the data set of these links, in ascending order without repetition. Scene and bounds are those of all
@@ -187,28 +163,25 @@ impl Dataset {
         }
         let samples: Vec<Sample> = links.iter().map(|&i| self.sample(i)).collect();
         let observations = self.observations.subset(links)?;
-        let receivers = self.scene.receivers.clone();
-        let features = self
-            .features
-            .as_ref()
-            .map(|own| Features { width: own.width, values: links.iter().flat_map(|&i| own.of(i)).copied().collect() });
-        let turned = |all: &Vec<_>| links.iter().map(|&i| all[self.links[i].transmitter]).collect();
-        let place = |all: &Vec<usize>| all.iter().filter_map(|i| links.binary_search(i).ok()).collect::<Vec<_>>();
-        let official = self.official.as_ref().map(|(train, test)| (place(train), place(test)));
+        let part = Self::of_links(self.title.clone(), self.scene.ends(), Vec::new(), &samples, observations)?;
+        let rows = |all: &Features| Features {
+            width: all.width,
+            values: links.iter().flat_map(|&i| all.of(i)).copied().collect(),
+        };
+        let selected = |list: &Vec<usize>| list.iter().filter_map(|i| links.binary_search(i).ok()).collect::<Vec<_>>();
+        let official = self.official.as_ref().map(|(train, test)| (selected(train), selected(test)));
         Ok(Self {
             scene: self.scene.clone(),
             elevation: self.elevation,
-            features,
-            orientations: self.orientations.as_ref().map(turned),
-            camera: self.camera,
+            features: self.features.as_ref().map(rows),
             placed: self.placed,
             official: official.filter(|(train, test)| !train.is_empty() && !test.is_empty()),
             simulation: self.simulation.clone(),
-            ..Self::of_links(self.title.clone(), receivers, vec![], &samples, observations)?
+            ..part
         })
     }
 
-    /// Returns the number of links L: one per transmitter for a single receiver.
+    /// Returns the number of links L: one per location for a single receiver.
     pub fn len(&self) -> usize {
         self.links.len()
     }
@@ -220,13 +193,12 @@ impl Dataset {
 
     /// Returns link `i` as a row.
     pub fn sample(&self, i: usize) -> Sample {
-        let Link { transmitter, receiver } = self.links[i];
-        let Transmitter { id, position } = self.transmitters[transmitter];
-        Sample { id, tx: position, receiver }
+        let Link { location, receiver } = self.links[i];
+        let Location { id, pose } = self.locations[location];
+        Sample { id, pose, receiver }
     }
 
-    /// Returns the label of link `i` in tables: the ID of its transmitter for a single receiver, otherwise its number
-    /// from 1.
+    /// Returns the label of link `i` in tables: the ID of its location for a single receiver, otherwise its number from 1.
     pub fn label(&self, i: usize) -> u32 {
         if self.scene.receivers.len() == 1 { self.sample(i).id } else { i as u32 + 1 }
     }
@@ -238,10 +210,9 @@ impl Dataset {
 
     /// Returns the query for a prediction of link `i`.
     pub fn query(&self, i: usize) -> Query<'_> {
-        let Sample { id, tx, receiver } = self.sample(i);
-        let orientation = self.orientations.as_ref().map(|all| all[self.links[i].transmitter]);
-        let features = self.features.as_ref().map_or(&[][..], |features| features.of(i));
-        Query { tx, receiver, features, id: Some(id), orientation }
+        let Sample { id, pose, receiver } = self.sample(i);
+        let features = self.features.as_ref().map(|features| features.of(i));
+        Query { pose, features, receiver, id: Some(id) }
     }
 
     /// Returns the measurement type.
@@ -249,18 +220,18 @@ impl Dataset {
         self.observations.task()
     }
 
-    /// Returns the transmitters of these links, each once, in ascending order.
-    pub fn transmitters_of(&self, links: &[usize]) -> Vec<usize> {
-        let mut all: Vec<usize> = links.iter().map(|i| self.links[*i].transmitter).collect();
+    /// Returns the locations of these links, each once, in ascending order.
+    pub fn locations_of(&self, links: &[usize]) -> Vec<usize> {
+        let mut all: Vec<usize> = links.iter().map(|i| self.links[*i].location).collect();
         all.sort_unstable();
         all.dedup();
         all
     }
 
-    /// Returns the links of these transmitters; both lists are in ascending order.
-    pub fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
-        let begin = |t: usize| self.links.partition_point(|link| link.transmitter < t);
-        transmitters.iter().flat_map(|&t| begin(t)..begin(t + 1)).collect()
+    /// Returns the links of these locations; both lists are in ascending order.
+    pub fn links_of(&self, locations: &[usize]) -> Vec<usize> {
+        let begin = |l: usize| self.links.partition_point(|link| link.location < l);
+        locations.iter().flat_map(|&l| begin(l)..begin(l + 1)).collect()
     }
 
     /// Returns these links by receiver.
@@ -275,11 +246,17 @@ impl Dataset {
         self.simulation.is_some()
     }
 
+    /// Returns the camera of the images, in the frame of the receiver; elevations do not apply to them. `None` for spectra
+    /// over angles.
+    pub fn camera(&self) -> Option<Camera> {
+        self.scene.receivers[0].camera
+    }
+
     /// Returns the image plane of the spectra: that of the camera, or columns cover the full circle and rows are
     /// [`Self::elevation`]. The values of a power or channel have no direction.
     pub fn plane(&self) -> ImagePlane {
-        if self.camera.is_some() {
-            return ImagePlane { camera: self.camera, ..ImagePlane::plain(self.width, self.height) };
+        if let Some(camera) = self.camera() {
+            return ImagePlane { camera: Some(camera), ..ImagePlane::plain(self.width, self.height) };
         }
         self.task().plane((self.width, self.height), self.elevation)
     }
@@ -299,14 +276,17 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
         return Err("no receiver; give at least one".into());
     }
     let mut names = BTreeSet::new();
-    for Receiver { name, pose, antennas, carrier_hz } in receivers {
+    for Receiver { name, pose, antennas, carrier_hz, camera } in receivers {
         let subject =
             if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", strip_control(name)) };
         if let Some((_, fault)) = pose.fault() {
             return Err(format!("{subject}: {fault}"));
         }
-        if let Some(fault) = antennas.iter().find_map(|place| place_fault(*place)) {
+        if let Some(fault) = antennas.iter().find_map(|antenna| place_fault(*antenna)) {
             return Err(format!("{subject}: an antenna {fault}"));
+        }
+        if let Some(fault) = camera.and_then(|camera| camera.fault()) {
+            return Err(format!("{subject} has {fault}"));
         }
         if antennas.is_empty() {
             return Err(format!(
@@ -323,53 +303,63 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     Ok(())
 }
 
-/// Converts rows to columns: every transmitter once, and the links.
-fn columns(samples: &[Sample], receivers: &[Receiver]) -> Result<(Vec<Transmitter>, Vec<Link>), String> {
-    let mut transmitters: Vec<Transmitter> = Vec::new();
+/// Converts rows to columns: every location once, and the links.
+fn columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>), String> {
+    let (moving, receivers) = (ends.moving, ends.receivers.len());
+    let end = if moving.is_receiver() { "receiver" } else { "transmitter" };
+    let mut locations: Vec<Location> = Vec::new();
     let mut links: Vec<Link> = Vec::with_capacity(samples.len());
-    for Sample { id, tx, receiver } in samples {
-        if *receiver >= receivers.len() {
-            return Err(format!("id {id} has receiver {receiver}, but there are {}", receivers.len()));
+    for Sample { id, pose, receiver } in samples {
+        let pose = if moving.is_receiver() { *pose } else { pose.position.into() };
+        if *receiver >= receivers {
+            return Err(format!("id {id} has receiver {receiver}, but there are {receivers}"));
         }
-        match transmitters.last() {
+        match locations.last() {
             Some(last) if last.id == *id => {
                 let earlier = links[links.len() - 1].receiver;
                 if earlier >= *receiver {
-                    let order = if receivers.len() == 1 { String::new() } else { " and receivers".into() };
+                    let order = if receivers == 1 { String::new() } else { " and receivers".into() };
                     return Err(format!("id {id} follows {id}; sort the samples by unique ids{order}"));
                 }
-                if last.position != *tx {
-                    return Err(format!(
-                        "the transmitter of id {id} has two positions, {:?} and {tx:?}",
-                        last.position
-                    ));
+                if last.pose != pose {
+                    let (first, second) = (last.pose.position, pose.position);
+                    return Err(format!("the {end} of id {id} has two positions, {first:?} and {second:?}"));
                 }
             }
             Some(last) if last.id > *id => {
                 return Err(format!("id {id} follows {}; sort the samples by unique ids", last.id));
             }
             _ => {
-                if let Some(fault) = place_fault(*tx) {
-                    return Err(format!("the transmitter of id {id} at {tx:?} {fault}"));
+                if let Some((_, fault)) = pose.fault() {
+                    return Err(format!("the {end} of id {id} at {:?}: {fault}", pose.position));
                 }
-                transmitters.push(Transmitter { id: *id, position: *tx });
+                locations.push(Location { id: *id, pose });
             }
         }
-        links.push(Link { transmitter: transmitters.len() - 1, receiver: *receiver });
+        links.push(Link { location: locations.len() - 1, receiver: *receiver });
     }
-    Ok((transmitters, links))
+    Ok((locations, links))
 }
 
-/// Creates a scene relative to one origin.
-fn scene(mut receivers: Vec<Receiver>, points: Vec<[f64; 3]>, transmitters: &[Transmitter]) -> Scene {
-    let txs = || transmitters.iter().map(|transmitter| transmitter.position);
-    let others: Vec<[f64; 3]> = receivers[1..].iter().map(|receiver| receiver.pose.position).collect();
-    let origin = Origin::of(receivers[0].pose.position, points.iter().copied().chain(txs()).chain(others));
-    receivers.iter_mut().for_each(|receiver| receiver.pose = origin.local_pose(receiver.pose));
+/// Creates a scene relative to one origin: near the first fixed end, or the first location if none is known.
+fn scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Scene {
+    let Ends { moving, transmitter, mut receivers } = ends;
+    let positions = || locations.iter().map(|location| location.pose.position);
+    let fixed: Vec<[f64; 3]> = match moving {
+        End::Transmitter => receivers.iter().map(|receiver| receiver.pose.position).collect(),
+        End::Receiver => transmitter.into_iter().collect(),
+    };
+    let first = fixed.first().copied().or_else(|| positions().next()).unwrap_or_default();
+    let origin = Origin::of(first, points.iter().copied().chain(positions()).chain(fixed.iter().skip(1).copied()));
+    if moving == End::Transmitter {
+        receivers.iter_mut().for_each(|receiver| receiver.pose = origin.local_pose(receiver.pose));
+    }
+    let transmitter = transmitter.map(|position| origin.local_pose(position.into()).position);
     let points: Vec<[Real; 3]> = points.into_iter().map(|point| origin.local(point)).collect();
-    let known = txs().map(|tx| origin.local(tx)).chain(points.iter().copied());
-    let bounds = bounds_of(known.chain(receivers.iter().map(|receiver| receiver.pose.origin().to_array())));
-    Scene { origin, receivers, bounds, points }
+    let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).origin().to_array());
+    let occupied = positions().map(|position| origin.local(position)).chain(points.iter().copied());
+    let bounds = bounds_of(occupied.chain(fixed));
+    Scene { origin, moving, transmitter, receivers, bounds, points }
 }
 
 /// Returns the smallest and largest corner of the given points.

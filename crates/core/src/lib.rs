@@ -63,7 +63,7 @@ pub use pruner::{Budget, ColumnSpec, Pruner, PrunerTraits, best};
 pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use scene::{
-    Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, carrier_fault,
+    End, Ends, Features, Link, Location, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, carrier_fault,
     coordinate_fault, place_fault,
 };
 pub use shipped::ShippedFile;

@@ -2,8 +2,9 @@
 //! pass.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs,
-    Origin, PassStatistics, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Task, plugin_kind,
+    Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, End, GaussianCloud, ImagePlane, Layout, Link,
+    Needs, Origin, PassStatistics, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, Scene, StageTimes, Task,
+    Vec3, plugin_kind,
 };
 use std::sync::Arc;
 
@@ -12,6 +13,10 @@ use std::sync::Arc;
 pub struct MeasurementSetup {
     /// Origin of all positions, in the user's frame.
     pub origin: Origin,
+    /// End of all links that moves.
+    pub moving: End,
+    /// Position of the fixed transmitter if the receivers move and it is known, metres from `origin`.
+    pub transmitter: Option<[f64; 3]>,
     /// Receivers, with poses relative to `origin`.
     pub receivers: Vec<Receiver>,
     /// Measurement type.
@@ -20,23 +25,21 @@ pub struct MeasurementSetup {
     pub plane: ImagePlane,
     /// Subcarrier frequencies of a channel, Hz; otherwise empty.
     pub frequencies_hz: Vec<f64>,
-    /// Whether the receiver moves ([`Dataset::orientations`]): its pose is that of each query, and that of `receivers` is
-    /// for queries without orientation.
-    pub moves: bool,
 }
 
 impl MeasurementSetup {
     /// Creates the setup for `data` on the image plane `plane`.
     pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
         let frequencies_hz = data.observations.frequencies_hz().to_vec();
-        let (origin, receivers) = (data.scene.origin, data.scene.receivers.clone());
-        Self { origin, receivers, task: data.task(), plane, frequencies_hz, moves: data.orientations.is_some() }
+        let Scene { origin, moving, transmitter, receivers, .. } = data.scene.clone();
+        Self { origin, moving, transmitter, receivers, task: data.task(), plane, frequencies_hz }
     }
 
     /// Creates the setup for spectra at one receiver.
     pub fn spectra(origin: Origin, pose: Pose, plane: ImagePlane) -> Self {
         let receivers = vec![Receiver::new("receiver", pose)];
-        Self { origin, receivers, task: Task::default(), plane, frequencies_hz: Vec::new(), moves: false }
+        let (moving, transmitter, task) = (End::Transmitter, None, Task::default());
+        Self { origin, moving, transmitter, receivers, task, plane, frequencies_hz: Vec::new() }
     }
 
     /// Returns the number of values per observation.
@@ -44,9 +47,27 @@ impl MeasurementSetup {
         self.plane.width * self.plane.height
     }
 
-    /// Returns the pose of the first receiver, relative to the origin.
+    /// Returns the pose of the first receiver, relative to the origin; world axes at the origin if it moves.
     pub fn pose(&self) -> Pose {
         self.receivers.first().map_or(Pose::IDENTITY, |receiver| receiver.pose)
+    }
+
+    /// Returns the position of the fixed end of links with a receiver, metres from the origin; `None` if it is a transmitter of
+    /// unknown position.
+    pub fn fixed_end(&self, receiver: usize) -> Option<Vec3> {
+        match self.moving {
+            End::Transmitter => Some(self.receivers[receiver].pose.origin()),
+            End::Receiver => self.transmitter.map(|position| Pose::from(position).origin()),
+        }
+    }
+
+    /// Returns the query for the moving end at a position in the user's frame; a receiver has its usual orientation.
+    pub fn query(&self, position: [f64; 3], receiver: usize) -> Query<'static> {
+        let orientation = match self.moving {
+            End::Transmitter => Pose::IDENTITY.orientation,
+            End::Receiver => self.receivers[receiver].pose.orientation,
+        };
+        Query::at(Pose { position, orientation }, receiver)
     }
 
     /// Returns the pose of the first receiver in the user's frame.
@@ -89,31 +110,30 @@ impl MeasurementSetup {
             let receiver = query.receiver;
             assert!(receiver < self.receivers.len(), "receiver {receiver} of {}", self.receivers.len());
             let carrier = carriers.get(receiver);
-            let input = (query.tx, query.features, query.orientation, carrier);
+            let input = (query.pose, query.features, carrier);
+            let pose = self.origin.local_pose(query.pose);
             if last != Some(input) {
-                let position = self.origin.local(query.tx);
                 all.carriers.extend(carrier);
-                all.values.extend_from_slice(if query.features.is_empty() { &position } else { query.features });
-                all.moved_to(self, position, query.orientation);
+                all.values.extend_from_slice(query.features.unwrap_or(&pose.origin().to_array()));
             }
-            all.link(self, receiver);
+            all.link(self, receiver, pose);
             last = Some(input);
         }
         all
     }
 }
 
-/// Links with the network inputs of their transmitters and the poses of their receivers, from
+/// Links with the network inputs of their locations and the poses of their receivers, from
 /// [`MeasurementSetup::inputs`].
 #[derive(Clone, Debug, Default)]
 pub struct LinkInputs {
-    /// Number of inputs per transmitter.
+    /// Number of network inputs per location.
     pub width: usize,
-    /// Network inputs `[T, width]`.
+    /// Network inputs `[T, width]`: the position of the moving end, metres from the origin, or features.
     pub values: Vec<Real>,
     /// Carriers `[T]` ([`MeasurementSetup::carriers`]); empty for one carrier.
     pub carriers: Vec<Real>,
-    /// Receivers: all of the setup, or a moving one at one pose after another.
+    /// Receivers: all of the setup, or moving ones at one pose after another.
     pub receivers: Vec<ReceiverState>,
     /// Links: pairs of a row of `values` and a row of `receivers`.
     pub pairs: Vec<Link>,
@@ -131,24 +151,23 @@ pub struct ReceiverState {
 impl LinkInputs {
     /// Creates the inputs of no links, at the fixed receivers of `setup`.
     pub fn of(width: usize, setup: &MeasurementSetup) -> Self {
-        let fixed = setup.receivers.iter().enumerate().filter(|_| !setup.moves);
-        let receivers = fixed.map(|(receiver, own)| ReceiverState { receiver, pose: own.pose }).collect();
+        let fixed = setup.receivers.iter().enumerate().filter(|_| setup.moving == End::Transmitter);
+        let receivers = fixed.map(|(receiver, state)| ReceiverState { receiver, pose: state.pose }).collect();
         Self { width, receivers, ..Self::default() }
     }
 
-    /// Moves the receiver of `setup`, if it moves, to `position` and `orientation`, for the next links.
-    pub fn moved_to(&mut self, setup: &MeasurementSetup, position: [Real; 3], orientation: Option<[f64; 4]>) {
-        if setup.moves {
-            let orientation = orientation.unwrap_or(setup.pose().orientation);
-            let pose = Pose { position: position.map(f64::from), orientation };
-            self.receivers.push(ReceiverState { receiver: 0, pose });
+    /// Adds the link of the last network inputs with a receiver of `setup`, which stands at `pose` if it moves (metres from
+    /// the origin).
+    pub fn link(&mut self, setup: &MeasurementSetup, receiver: usize, pose: Pose) {
+        let mut row = receiver;
+        if setup.moving.is_receiver() {
+            let state = ReceiverState { receiver, pose };
+            if self.receivers.last() != Some(&state) {
+                self.receivers.push(state);
+            }
+            row = self.receivers.len() - 1;
         }
-    }
-
-    /// Adds the link of the last transmitter with a receiver of `setup`, or with the last pose of a moving one.
-    pub fn link(&mut self, setup: &MeasurementSetup, receiver: usize) {
-        let receiver = if setup.moves { self.receivers.len() - 1 } else { receiver };
-        self.pairs.push(Link { transmitter: self.values.len() / self.width.max(1) - 1, receiver });
+        self.pairs.push(Link { location: self.values.len() / self.width.max(1) - 1, receiver: row });
     }
 
     /// Borrows the network inputs.
@@ -178,7 +197,7 @@ pub struct Call<'a> {
     pub setup: &'a MeasurementSetup,
     /// Gaussians and weights.
     pub parameters: Parameters<'a>,
-    /// Links with their network inputs, grouped by transmitter.
+    /// Links with their network inputs, grouped by location.
     pub links: &'a LinkInputs,
     /// Selected values of each observation; always all, if the method does not [support](MethodTraits::supports_pixel_subset)
     /// a selection.
@@ -459,12 +478,13 @@ mod tests {
     #[test]
     fn moving_receiver_has_a_pose_in_links_with_features_too() {
         let plane = ImagePlane::plain(1, 1);
-        let setup = MeasurementSetup { moves: true, ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
-        for features in [&[][..], &[0.5, 1.0, 2.0]] {
+        let fixed = MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane);
+        let setup = MeasurementSetup { moving: End::Receiver, ..fixed };
+        for features in [None, Some(&[0.5, 1.0, 2.0][..])] {
             let links = setup.inputs(3, std::iter::once(Query { features, ..Query::at([1.0; 3], 0) }));
             let pose = Pose { position: [1.0; 3], ..Pose::IDENTITY };
             assert_eq!(links.receivers, [ReceiverState { receiver: 0, pose }]);
-            assert_eq!(links.pairs, [Link { transmitter: 0, receiver: 0 }]);
+            assert_eq!(links.pairs, [Link { location: 0, receiver: 0 }]);
         }
     }
 }

@@ -1,6 +1,6 @@
-//! Geometry of a measurement: `Origin`, `Pose`, transmitters, receivers and links.
+//! Geometry of a measurement: `Origin`, `Pose`, receivers, locations of the moving end, and links.
 
-use crate::{JsonSchema, Mat3, Real, Vec3};
+use crate::{Camera, JsonSchema, Mat3, Real, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Maximum coordinate, metres. Double precision resolves 15 nm at this distance, and no map has larger coordinates.
@@ -13,6 +13,10 @@ const NEAR_M: f64 = 1e3;
 pub struct Scene {
     /// Origin of all other positions, in the user's frame; zero except for map coordinates.
     pub origin: Origin,
+    /// End of all links that moves.
+    pub moving: End,
+    /// Position of the fixed transmitter if the receivers move and it is known, metres from the origin.
+    pub transmitter: Option<[f64; 3]>,
     /// Receivers, one or more, relative to the origin.
     pub receivers: Vec<Receiver>,
     /// Smallest and largest corner of point cloud, receivers and transmitters; metres from the origin.
@@ -22,9 +26,75 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Returns the pose of the first receiver, usually the only one for spectra.
+    /// Returns the pose of the first of [`Self::fixed_ends`]: of the receiver, usually the only one for spectra.
     pub fn pose(&self) -> Pose {
-        self.receivers.first().map_or(Pose::IDENTITY, |receiver| receiver.pose)
+        self.fixed_ends()[0]
+    }
+
+    /// Returns the ends of the links, relative to the origin.
+    pub fn ends(&self) -> Ends {
+        Ends { moving: self.moving, transmitter: self.transmitter, receivers: self.receivers.clone() }
+    }
+
+    /// Returns whether the length of a link is known: its fixed end has a position.
+    pub fn has_distances(&self) -> bool {
+        self.moving == End::Transmitter || self.transmitter.is_some()
+    }
+
+    /// Returns the poses of the ends that do not move, one or more, relative to the origin: of all receivers, or of the
+    /// transmitter if the receivers move. It stands at the centre of the bounds if it is unknown, and has the usual orientation
+    /// of the first receiver.
+    pub fn fixed_ends(&self) -> Vec<Pose> {
+        if self.moving == End::Transmitter {
+            return self.receivers.iter().map(|receiver| receiver.pose).collect();
+        }
+        let (low, high) = self.bounds;
+        let center = || [0, 1, 2].map(|k| f64::midpoint(low[k] as f64, high[k] as f64));
+        vec![Pose { position: self.transmitter.unwrap_or_else(center), ..self.receivers[0].pose }]
+    }
+}
+
+/// End of a link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum End {
+    /// The sending end.
+    #[default]
+    Transmitter,
+    /// The receiving end. Its antennas turn with it.
+    Receiver,
+}
+
+impl End {
+    /// Returns whether this is the receiver.
+    pub fn is_receiver(self) -> bool {
+        self == Self::Receiver
+    }
+}
+
+/// Ends of the links of a scene: one of them moves. Positions are in the user's frame, unless stated otherwise.
+#[derive(Clone, Debug)]
+pub struct Ends {
+    /// End that moves.
+    pub moving: End,
+    /// Position of the fixed transmitter if the receivers move and it is known, metres.
+    pub transmitter: Option<[f64; 3]>,
+    /// Receivers, one or more. Receivers that move have one pose, that of each location; here they have their usual
+    /// orientation, at the origin.
+    pub receivers: Vec<Receiver>,
+}
+
+impl Ends {
+    /// Returns the ends of links with moving receivers, and a fixed transmitter at a position in metres if it is known.
+    pub fn of_moving_receivers(mut receivers: Vec<Receiver>, transmitter: Option<[f64; 3]>) -> Self {
+        receivers.iter_mut().for_each(|receiver| receiver.pose.position = [0.0; 3]);
+        Self { moving: End::Receiver, transmitter, receivers }
+    }
+}
+
+impl From<Vec<Receiver>> for Ends {
+    /// Returns the ends of links between fixed receivers and moving transmitters.
+    fn from(receivers: Vec<Receiver>) -> Self {
+        Self { moving: End::Transmitter, transmitter: None, receivers }
     }
 }
 
@@ -33,7 +103,7 @@ impl Scene {
 pub struct Receiver {
     /// Name in the data, unique among the receivers of a scene.
     pub name: String,
-    /// Position and orientation, metres from the origin of the scene.
+    /// Position and orientation, metres from the origin of the scene; the usual orientation, at the origin, if it moves.
     pub pose: Pose,
     /// Antenna positions in the receiver frame, metres; one at zero if not specified.
     pub antennas: Vec<[f64; 3]>,
@@ -41,24 +111,28 @@ pub struct Receiver {
     /// receiver per carrier, at the same position.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub carrier_hz: Option<f64>,
+    /// Camera of its images; `None` for spectra over angles and other observations.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<Camera>,
 }
 
 impl Receiver {
     /// Creates a receiver with one antenna at its position.
     pub fn new(name: impl Into<String>, pose: Pose) -> Self {
-        Self { name: name.into(), pose, antennas: vec![[0.0; 3]], carrier_hz: None }
+        Self { name: name.into(), pose, antennas: vec![[0.0; 3]], carrier_hz: None, camera: None }
     }
 
-    /// Creates the receiver of one of several carriers, Hz, with the name of the carrier, such as `2400MHz`.
-    pub fn of_carrier(pose: Pose, carrier_hz: f64) -> Self {
-        Self { carrier_hz: Some(carrier_hz), ..Self::new(format!("{}MHz", carrier_hz / 1e6), pose) }
+    /// Returns this receiver at one of several carriers, Hz, with the name of the carrier, such as `2400MHz`.
+    #[must_use]
+    pub fn at_carrier(&self, carrier_hz: f64) -> Self {
+        Self { name: format!("{}MHz", carrier_hz / 1e6), carrier_hz: Some(carrier_hz), ..self.clone() }
     }
 
     /// Returns whether `receivers` are the carriers of one array: one or more with a carrier, at one pose and with the same
     /// antennas.
     pub fn are_carriers(receivers: &[Self]) -> bool {
-        let same = |own: &Self| (own.pose, &own.antennas) == (receivers[0].pose, &receivers[0].antennas);
-        !receivers.is_empty() && receivers.iter().all(|own| own.carrier_hz.is_some() && same(own))
+        let is_same = |other: &Self| (other.pose, &other.antennas) == (receivers[0].pose, &receivers[0].antennas);
+        !receivers.is_empty() && receivers.iter().all(|receiver| receiver.carrier_hz.is_some() && is_same(receiver))
     }
 
     /// Returns antenna positions relative to the receiver position, along the world axes, metres.
@@ -67,72 +141,92 @@ impl Receiver {
     }
 }
 
-/// Pair of one transmitter and one receiver; indices into the columns of a data set.
+/// Pair of one location of the moving end and one receiver; indices into the columns of a data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Link {
-    /// Index into [`Dataset::transmitters`](crate::Dataset::transmitters).
-    pub transmitter: usize,
+    /// Index into [`Dataset::locations`](crate::Dataset::locations).
+    pub location: usize,
     /// Index into [`Scene::receivers`](crate::Scene::receivers).
     pub receiver: usize,
 }
 
-/// One transmitter position.
+/// One location of the [moving end](Scene::moving).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Transmitter {
+pub struct Location {
     /// ID in the data set.
     pub id: u32,
-    /// Position `p_tx` in the file, metres, user's frame.
-    pub position: [f64; 3],
+    /// Pose in the file, metres, user's frame; a transmitter has world axes.
+    pub pose: Pose,
 }
 
-/// One link as a row: transmitter, its position, and receiver. A data set stores columns and creates rows on request.
+impl Location {
+    /// Returns the position, metres, user's frame.
+    pub fn position(&self) -> [f64; 3] {
+        self.pose.position
+    }
+}
+
+/// One link as a row: location of the moving end, and receiver. A data set stores columns and creates rows on request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// ID of the transmitter in the data set.
+    /// ID of the location in the data set.
     pub id: u32,
-    /// Transmitter position `p_tx` in the file, metres, user's frame.
-    pub tx: [f64; 3],
+    /// Pose of the moving end in the file, metres, user's frame. The orientation of a transmitter has no effect.
+    pub pose: Pose,
     /// Index of the receiver; 0 for a single receiver.
     pub receiver: usize,
 }
 
 impl Sample {
-    /// Creates a sample at the only receiver.
-    pub fn new(id: u32, tx: [f64; 3]) -> Self {
-        Self { id, tx, receiver: 0 }
+    /// Creates a sample at the only receiver, from the pose of the moving end or the position of a transmitter.
+    pub fn new(id: u32, pose: impl Into<Pose>) -> Self {
+        Self { id, pose: pose.into(), receiver: 0 }
+    }
+
+    /// Returns the position of the moving end, metres, user's frame.
+    pub fn position(&self) -> [f64; 3] {
+        self.pose.position
     }
 }
 
 /// Input of a prediction: a link without its observation.
 #[derive(Clone, Copy, Debug)]
 pub struct Query<'a> {
-    /// Transmitter position, metres, user's frame; unused if there are features.
-    pub tx: [f64; 3],
-    /// Features that replace the position ([`Features`]); empty if the position is used.
-    pub features: &'a [Real],
+    /// Pose of the end that moves in the data, metres, user's frame. The orientation of a transmitter has no effect.
+    pub pose: Pose,
+    /// Features that replace the position as network input ([`Features`]).
+    pub features: Option<&'a [Real]>,
     /// Index of the receiver in the data.
     pub receiver: usize,
     /// Id of the sample in data, which follows time in a trajectory; `None` for other positions. Models do not use it.
     pub id: Option<u32>,
-    /// Orientation of a moving receiver, as in [`Pose`]: it stands at `tx`. `None` for a fixed receiver.
-    pub orientation: Option<[f64; 4]>,
 }
 
 impl Query<'static> {
-    /// Creates a query for a transmitter at `tx` and the receiver of that index.
-    pub fn at(tx: [f64; 3], receiver: usize) -> Self {
-        Self { tx, features: &[], receiver, id: None, orientation: None }
+    /// Creates a query for the moving end at a pose, or a transmitter at a position, and the receiver of that index.
+    pub fn at(pose: impl Into<Pose>, receiver: usize) -> Self {
+        Self { pose: pose.into(), features: None, receiver, id: None }
     }
 }
 
 impl Query<'_> {
-    /// Returns the position, followed by the x and z axes of a moving receiver, each 1 m long.
-    pub fn coordinates(&self) -> Vec<f64> {
-        let axes = self.orientation.map(|orientation| {
-            let pose = Pose { orientation, ..Pose::IDENTITY };
-            [pose.turned([1.0, 0.0, 0.0]), pose.turned([0.0, 0.0, 1.0])].concat()
-        });
-        [self.tx.to_vec(), axes.unwrap_or_default()].concat()
+    /// Returns the position of the moving end, metres, user's frame.
+    pub fn position(&self) -> [f64; 3] {
+        self.pose.position
+    }
+}
+
+impl From<[f64; 3]> for Query<'static> {
+    /// Creates a query for a transmitter position at the only, or the first, receiver.
+    fn from(position: [f64; 3]) -> Self {
+        Self::at(position, 0)
+    }
+}
+
+impl From<Pose> for Query<'static> {
+    /// Creates a query for the pose of the only, or the first, moving receiver.
+    fn from(pose: Pose) -> Self {
+        Self::at(pose, 0)
     }
 }
 
@@ -152,20 +246,20 @@ impl Features {
     }
 }
 
-impl From<[f64; 3]> for Query<'static> {
-    /// Creates a query for a transmitter position at the only, or the first, receiver.
-    fn from(tx: [f64; 3]) -> Self {
-        Self::at(tx, 0)
-    }
-}
-
-/// Position and orientation of the receiver.
+/// Position and orientation of one end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Pose {
     /// Position, metres, world frame.
     pub position: [f64; 3],
     /// Unit quaternion x, y, z, w (the order of the data set) that rotates receiver axes to world axes.
     pub orientation: [f64; 4],
+}
+
+impl From<[f64; 3]> for Pose {
+    /// Creates a pose with world axes.
+    fn from(position: [f64; 3]) -> Self {
+        Self { position, ..Self::IDENTITY }
+    }
 }
 
 impl Pose {
@@ -180,14 +274,27 @@ impl Pose {
     }
 
     /// Transforms a world position to the receiver frame, metres.
-    pub fn to_receiver(&self, place: [f64; 3]) -> [f64; 3] {
-        let way = glam::DVec3::from_array(place) - glam::DVec3::from_array(self.position);
-        (self.rotation().inverse() * way).to_array()
+    pub fn to_receiver(&self, position: [f64; 3]) -> [f64; 3] {
+        let offset = glam::DVec3::from_array(position) - glam::DVec3::from_array(self.position);
+        (self.rotation().inverse() * offset).to_array()
+    }
+
+    /// Returns the position followed by the x and z axes, each 1 m long: coordinates in which near poses are near.
+    pub fn coordinates(&self) -> [f64; 9] {
+        let axes = [self.position, self.turned([1.0, 0.0, 0.0]), self.turned([0.0, 0.0, 1.0])];
+        std::array::from_fn(|k| axes.as_flattened()[k])
     }
 
     /// Rotates a vector from the receiver frame to the world frame.
     pub fn turned(&self, vector: [f64; 3]) -> [f64; 3] {
         (self.rotation() * glam::DVec3::from_array(vector)).to_array()
+    }
+
+    /// Returns the derivative by the orientation, given the derivative by a small rotation about the world axes, radians.
+    pub fn rotation_vjp(&self, d_rotation: [f64; 3]) -> [f64; 4] {
+        let (d, q) = (glam::DVec3::from_array(d_rotation), glam::DQuat::from_array(self.orientation));
+        let d_axis = q.w * d + d.cross(q.xyz());
+        [d_axis.x, d_axis.y, d_axis.z, -d.dot(q.xyz())].map(|d| 2.0 * d / q.length_squared())
     }
 
     fn rotation(&self) -> glam::DQuat {

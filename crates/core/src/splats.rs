@@ -1,7 +1,7 @@
 //! Intermediate forms between a cloud and an image: `Primitives` in space, `Splats` on the image plane.
 
 use crate::{ImagePlane, Pose, Real, Sampling};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use std::borrow::Cow;
 
 /// Activated and gated Gaussians in space, ready for projection, for one transmitter or for a batch of transmitters
@@ -74,10 +74,7 @@ impl Primitives {
             let ((w, v), (d_w, d_v)) = (parts(*q), parts(*d));
             turn -= 0.5 * (w * d_v - d_w * v + v.cross(d_v));
         }
-        let q = DQuat::from_array(pose.orientation);
-        let d_axis = q.w * turn + turn.cross(q.xyz());
-        let d_orientation = [d_axis.x, d_axis.y, d_axis.z, -turn.dot(q.xyz())];
-        (position.into(), d_orientation.map(|d| 2.0 * d / q.length_squared()))
+        (position.into(), pose.rotation_vjp(turn.into()))
     }
 }
 

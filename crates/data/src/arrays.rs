@@ -4,20 +4,16 @@
 mod tests;
 
 use crate::checks::value_fault;
-use crate::folder::{
-    CARRIERS, carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title,
-};
-use crate::nerf2::{check_shape, index, read_poses, read_transmitters, receivers::Gateway};
+use crate::folder::{carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::nerf2::{LocationTable, POSES, check_shape, index, receivers::Gateway};
 use crate::npy;
-use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Elevation, End, Error, JsonSchema, Pose, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 const LAYOUT: &str = "a folder of arrays holds gateway_info.yml, tx.npy and spectra.npy; `pwrfgs import` writes one";
-/// Poses of a moving receiver.
-pub const POSES: &str = "rx_pose.csv";
 /// Largest spectra array that is read into memory, bytes. Later changes of its file do not affect a run.
 const IN_MEMORY: u64 = 1 << 29;
 
@@ -75,19 +71,16 @@ impl DataSource for Arrays {
         let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
         let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
-        let poses = root.join(POSES);
-        let (table, positions, orientations) = if poses.exists() {
-            let (positions, orientations) =
-                read_poses(&poses)?.into_iter().map(|pose| (pose.position, pose.orientation)).unzip();
-            (POSES, positions, Some(orientations))
-        } else if npy.exists() || !csv.exists() {
-            ("tx.npy", npy::read_positions(&npy)?, None)
+        let locations = if !root.join(POSES).exists() && (npy.exists() || !csv.exists()) {
+            let poses = npy::read_positions(&npy)?.into_iter().map(Pose::from).collect();
+            LocationTable { name: "tx.npy".into(), moving: End::Transmitter, poses }
         } else {
-            ("tx_pos.csv", read_transmitters(&csv)?, None)
+            LocationTable::read(&root, &csv)?
         };
+        let table = locations.name.rsplit(['/', '\\']).next().unwrap_or_default();
         let path = root.join("spectra.npy");
         let spectra = npy::open_spectra(&path)?;
-        let ids: Vec<u32> = (1..=positions.len() as u32).collect();
+        let ids: Vec<u32> = (1..=locations.poses.len() as u32).collect();
         if spectra.len() != ids.len() {
             let what = format!("holds {} spectra, but {table} {} positions", spectra.len(), ids.len());
             return Err(Error::input(&path, format!("{what}; give as many of each")));
@@ -100,20 +93,16 @@ impl DataSource for Arrays {
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
-        let samples: Vec<Sample> = ids.iter().zip(positions).map(|(&id, tx)| Sample::new(id, tx)).collect();
+        let samples: Vec<Sample> = ids.iter().zip(&locations.poses).map(|(&id, pose)| Sample::new(id, *pose)).collect();
         let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
         let simulation = simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "arrays");
-        let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
+        let ends = locations.ends(vec![gateway.receiver()], Some(gateway.pose.position));
+        let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
-        match (orientations, carriers_of(&root, table, data.len())?) {
-            (Some(_), Some(_)) => {
-                let what = "the receiver moves, which only one carrier supports; remove this file";
-                Err(Error::input(&root.join(CARRIERS), what))
-            }
-            (Some(orientations), None) => data.with_moving_receiver(orientations),
-            (None, Some(carriers)) => data.with_carriers(&carriers),
-            (None, None) => Ok(data),
+        match carriers_of(&root, table, data.len())? {
+            Some(carriers) => data.with_carriers(&carriers),
+            None => Ok(data),
         }
     }
 

@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::{check_frequencies, name_fault, subcarriers};
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::nerf2::{index, read_transmitters};
+use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexArray, read_complex};
 use crate::text::{at, read_yaml};
 use pwrfgs_core::{
@@ -25,6 +25,8 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 /// root/file         [M, A, F], complex64 or complex128: M places of the transmitter, A antennas of the receiver, F
 ///                   subcarriers
 /// root/positions    header naming x, y, z among others; row k is place k of the array; metres
+/// root/rx_pose.csv  instead of positions, if the receiver moves: columns x, y, z, qx, qy, qz, qw of its pose; antennas in
+///                   receiver.yml are then in its frame, and `transmitter: [x, y, z]` there may state the fixed transmitter
 /// ```
 ///
 /// The id of a transmitter is its row, counted from 0 as in NumPy. Values are not scaled. Subcarriers are evenly spaced
@@ -134,12 +136,13 @@ impl DataSource for Channels {
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
-        let positions = read_transmitters(&table)?;
+        let locations = LocationTable::read(&root, &table)?;
         let array = read_complex(&path, SHAPE)?;
         array.check_size(&path)?;
         let [count, antennas, width] = array.shape;
-        if count != positions.len() {
-            let what = format!("holds channels of {count} transmitters, but {} {}", table.display(), positions.len());
+        if count != locations.poses.len() {
+            let (table, rows) = (&locations.name, locations.poses.len());
+            let what = format!("holds channels of {count} transmitters, but {table} {rows}");
             return Err(Error::input(&path, format!("{what}; give as many of each")));
         }
         let message = ChannelMetadata::of(self, &root)?;
@@ -153,22 +156,23 @@ impl DataSource for Channels {
         };
         let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
         let receiver = message.receiver(&path, antennas)?;
-        let rows = index::read(&root, &|word| index::row(word, &table.display().to_string(), count))?;
+        let rows = index::read(&root, &|word| index::row(word, &locations.name, count))?;
         let carriers = 1 + self.more_carriers.len();
         // Arrays of further carriers follow the first, with the same positions and sets.
         let repeated =
             |list: Vec<usize>| (0..carriers).flat_map(|c| list.iter().map(move |row| c * count + row)).collect();
         let rows = rows.map(|(train, test)| (repeated(train), repeated(test)));
-        let positions = positions.repeat(carriers);
+        let poses = locations.poses.repeat(carriers);
         let array = self.with_more_carriers(&root, array)?;
-        let samples: Vec<Sample> = (0..).zip(positions).map(|(id, tx)| Sample::new(id, tx)).collect();
+        let samples: Vec<Sample> = (0..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = title(&name, simulation.as_ref(), "channels");
         let points = points_of(base, self.points.as_deref())?;
-        let data = Dataset::of_links(title, vec![receiver], points, &samples, channels.into())?;
+        let ends = locations.ends(vec![receiver], message.transmitter);
+        let data = Dataset::of_links(title, ends, points, &samples, channels.into())?;
         progress(data.len(), data.len());
         let data = Dataset { simulation, official: rows, ..data };
         if carriers == 1 {
@@ -242,9 +246,11 @@ struct ChannelMetadata {
     frequencies_hz: Option<Vec<f64>>,
     name: String,
     place: ReceiverPlace,
+    /// Position of the fixed transmitter if the receiver moves, metres.
+    transmitter: Option<[f64; 3]>,
 }
 
-/// Content of `receiver.yml`; antenna positions are in the world frame.
+/// Content of `receiver.yml`; antenna positions are in the world frame, or in the frame of a moving receiver.
 #[derive(Deserialize)]
 struct ReceiverFile {
     name: Spanned<String>,
@@ -255,6 +261,8 @@ struct ReceiverFile {
     spacing_hz: f64,
     /// Frequencies of all subcarriers, Hz; need not be evenly spaced.
     frequencies_hz: Option<Vec<f64>>,
+    /// Position of the fixed transmitter if the receiver moves, metres.
+    transmitter: Option<[f64; 3]>,
 }
 
 impl ChannelMetadata {
@@ -266,7 +274,14 @@ impl ChannelMetadata {
             // A missing spacing matters only with several subcarriers.
             let spacing_hz = spacing_hz.unwrap_or(f64::NAN);
             let (name, place) = ("receiver".into(), place.clone());
-            return Ok(Self { carrier_hz: *carrier_hz, spacing_hz, frequencies_hz: None, name, place });
+            return Ok(Self {
+                carrier_hz: *carrier_hz,
+                spacing_hz,
+                frequencies_hz: None,
+                name,
+                place,
+                transmitter: None,
+            });
         }
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
@@ -298,6 +313,7 @@ impl ChannelMetadata {
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
             name: if source.receiver.is_some() { "receiver".into() } else { file.name.value },
             place: source.receiver.clone().unwrap_or(place),
+            transmitter: file.transmitter,
         })
     }
 

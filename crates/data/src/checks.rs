@@ -25,13 +25,13 @@ pub fn check(data: &Dataset) -> Result<()> {
 
 fn fault(data: &Dataset) -> Option<String> {
     let receivers = &data.scene.receivers;
-    let links = data.links.iter().map(|link| (link.transmitter, link.receiver));
+    let links = data.links.iter().map(|link| (link.location, link.receiver));
     let spectra = data.observations.spectra();
     let of_spectra = spectra.and_then(|spectra| elevation_fault(data).or_else(|| first_value_fault(spectra)));
     let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
     let of_powers = || data.observations.powers()?.iter().enumerate().find_map(fault);
     let name = receivers.iter().find_map(|receiver| name_fault(&receiver.name));
-    let silent = || Some(unlinked_node(data.transmitters.len(), receivers.len(), links)?.words(receivers));
+    let silent = || Some(unlinked_node(data.locations.len(), receivers.len(), links)?.words(receivers));
     of_spectra.or_else(of_powers).or(name).or_else(|| antennas_fault(data)).or_else(silent)
 }
 
@@ -94,7 +94,7 @@ pub fn shape_fault(elevation: Elevation, stated: bool, (width, height): (usize, 
 }
 
 fn elevation_fault(data: &Dataset) -> Option<String> {
-    if data.camera.is_some() {
+    if data.camera().is_some() {
         return None;
     }
     let size = (data.width, data.height);

@@ -9,7 +9,7 @@ use crate::text::{TextField, XyzColumns, coordinate, lines, number, place, read_
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{
-    Camera, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Task, place_fault,
+    Camera, DataSource, Dataset, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Task, place_fault,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -66,7 +66,6 @@ pub struct Colmap {
     #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
     /// Position of the fixed transmitter, metres, world frame, for `inspect` and figures. Predictions do not depend on it.
-    /// Without it: the mean position of the camera, rounded to 1 mm.
     pub transmitter: Option<[f64; 3]>,
 }
 
@@ -108,16 +107,14 @@ impl DataSource for Colmap {
                 format!("{what}; use the images that COLMAP read, or correct cameras.txt"),
             ));
         }
-        let samples: Vec<Sample> = (1..).zip(&views).map(|(id, view)| Sample::new(id, view.pose.position)).collect();
-        let mean = |k: usize| views.iter().map(|view| view.pose.position[k]).sum::<f64>() / views.len() as f64;
-        let position = self.transmitter.unwrap_or_else(|| [0, 1, 2].map(|k| (mean(k) * 1e3).round() / 1e3 + 0.0));
-        let transmitter = Receiver::new("transmitter", Pose { position, ..views[0].pose });
+        let samples: Vec<Sample> = (1..).zip(&views).map(|(id, view)| Sample::new(id, view.pose)).collect();
+        let receiver = Receiver { camera: Some(shared.camera), ..Receiver::new("camera", views[0].pose) };
+        let ends = Ends::of_moving_receivers(vec![receiver], self.transmitter);
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "COLMAP");
-        let data = Dataset::of_links(title, vec![transmitter], points, &samples, spectra.into())?;
-        Dataset { camera: Some(shared.camera), official, simulation, ..data }
-            .with_moving_receiver(views.iter().map(|view| view.pose.orientation).collect())
+        let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
+        Ok(Dataset { official, simulation, ..data })
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

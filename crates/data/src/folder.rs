@@ -138,12 +138,17 @@ pub fn receiver_yaml(
 ) -> String {
     format!(
         "name: {name}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
-         spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # in the world, metres\n",
+         spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # metres; in the world, or in the frame of a moving receiver\n",
         list(&pose.position),
         list(&pose.orientation),
         list(frequencies_hz),
         places(antennas)
     )
+}
+
+/// Line of `receiver.yml` for the fixed transmitter of a moving receiver, metres; empty if it is unknown.
+pub fn transmitter_yaml(position: Option<[f64; 3]>) -> String {
+    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", list(&position)))
 }
 
 fn list(v: &[f64]) -> String {

@@ -30,7 +30,7 @@ mod splits;
 mod teacher;
 mod text;
 
-pub use arrays::{Arrays, POSES};
+pub use arrays::Arrays;
 pub use baselines::{
     Kriging, LogDistance, MeanSpectrum, NearestCarrier, NearestNeighbours, Neighbours, Predictions, Ridge, Trend, Zero,
     preceding,
@@ -38,9 +38,11 @@ pub use baselines::{
 pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check, is_linear, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
-pub use folder::{CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml};
+pub use folder::{
+    CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml, transmitter_yaml,
+};
 pub use geometry::{read_mesh, read_points};
-pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_image, read_poses, read_powers, read_transmitters};
+pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, POSES, read_image, read_poses, read_powers, read_transmitters};
 pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};

@@ -16,8 +16,8 @@ use crate::checks::shape_fault;
 use crate::folder::{carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::text::{TextField, coordinate, place, read_text, table};
 use pwrfgs_core::{
-    DataSource, Dataset, Elevation, Error, JsonSchema, Pose, Progress, Result, Sample, Unmatched, files,
-    messages::strip_control,
+    DataSource, Dataset, Elevation, End, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Unmatched,
+    files, messages::strip_control,
 };
 use receivers::Gateway;
 use serde::{Deserialize, Serialize};
@@ -156,6 +156,39 @@ pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
         return Err(Error::input(path, "has a header but no row; write one row per position, in metres"));
     }
     rows.into_iter().map(|(line, fields)| place(path, line, fields, advice)).collect()
+}
+
+/// Poses of moving receivers, instead of the table of transmitter positions.
+pub const POSES: &str = "rx_pose.csv";
+
+/// Locations of the moving end in a folder.
+pub(crate) struct LocationTable {
+    /// File name.
+    pub(crate) name: String,
+    /// End that moves.
+    pub(crate) moving: End,
+    /// Poses in file order; transmitters have world axes.
+    pub(crate) poses: Vec<Pose>,
+}
+
+impl LocationTable {
+    /// Reads [`POSES`] in the folder `root` if it exists, else the positions of `transmitters`, such as `tx_pos.csv`.
+    pub(crate) fn read(root: &Path, transmitters: &Path) -> Result<Self> {
+        let poses = root.join(POSES);
+        if poses.exists() {
+            return Ok(Self { name: POSES.into(), moving: End::Receiver, poses: read_poses(&poses)? });
+        }
+        let poses = read_transmitters(transmitters)?.into_iter().map(Pose::from).collect();
+        Ok(Self { name: transmitters.display().to_string(), moving: End::Transmitter, poses })
+    }
+
+    /// Returns the ends of the links; `transmitter` is the position of the fixed one if these are poses of receivers.
+    pub(crate) fn ends(&self, receivers: Vec<Receiver>, transmitter: Option<[f64; 3]>) -> Ends {
+        match self.moving {
+            End::Transmitter => receivers.into(),
+            End::Receiver => Ends::of_moving_receivers(receivers, transmitter),
+        }
+    }
 }
 
 /// Reads the poses of a moving receiver: a table with the columns x, y, z in metres and the quaternion qx, qy, qz, qw from

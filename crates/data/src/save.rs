@@ -3,16 +3,18 @@
 #[cfg(test)]
 mod tests;
 
-use crate::arrays::POSES;
 use crate::checks::{NOT_RECEIVED, check};
-use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
+use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, transmitter_yaml, yaml};
+use crate::nerf2::POSES;
 use crate::npy::{MAX_BYTES, MOST_POSITIONS};
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
-use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Receiver, Result, Spectra};
+use pwrfgs_core::{
+    DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Spectra,
+};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -25,7 +27,7 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     if data.features.is_some() || !data.placed {
         return refuse("no layout holds transmitters without positions; keep the original files");
     }
-    if data.camera.is_some() {
+    if data.camera().is_some() {
         return refuse("no layout holds images of a camera; keep the original files");
     }
     check(data)?;
@@ -63,13 +65,13 @@ fn field(name: &str) -> String {
     if is_plain { name.into_owned() } else { format!("\"{name}\"") }
 }
 
-/// Table of positions and orientations of a moving receiver.
-pub fn poses_csv(poses: impl Iterator<Item = ([f64; 3], [f64; 4])>) -> String {
-    std::iter::once("x,y,z,qx,qy,qz,qw\n".into()).chain(poses.map(|(place, turn)| pose_row(place, turn))).collect()
+/// Table of the poses of a moving receiver.
+pub fn poses_csv(poses: impl Iterator<Item = Pose>) -> String {
+    std::iter::once("x,y,z,qx,qy,qz,qw\n".into()).chain(poses.map(pose_row)).collect()
 }
 
 /// Row of [`poses_csv`].
-pub fn pose_row([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> String {
+pub fn pose_row(Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] }: Pose) -> String {
     format!("{x:?},{y:?},{z:?},{qx:?},{qy:?},{qz:?},{qw:?}\n")
 }
 
@@ -103,8 +105,18 @@ impl Folder<'_> {
         self.put(name, text)
     }
 
-    fn transmitters(&self) -> Result<()> {
-        self.table("tx_pos.csv", self.data.transmitters.iter().map(|tx| tx.position))
+    fn locations(&self) -> Result<()> {
+        let locations = self.data.locations.iter();
+        match self.data.scene.moving {
+            End::Transmitter => self.table("tx_pos.csv", locations.map(pwrfgs_core::Location::position)),
+            End::Receiver => self.put(POSES, poses_csv(locations.map(|location| location.pose))),
+        }
+    }
+
+    /// Returns the poses of the fixed ends in the user's frame: of each receiver, or that of the transmitter for each one.
+    fn fixed_poses(&self) -> impl Iterator<Item = Pose> + '_ {
+        let (scene, ends) = (&self.data.scene, self.data.scene.fixed_ends());
+        (0..scene.receivers.len()).map(move |r| scene.origin.world_pose(*ends.get(r).unwrap_or(&ends[0])))
     }
 
     /// Writes the point cloud; returns `None` if there are no points.
@@ -133,11 +145,10 @@ impl Folder<'_> {
     /// of ascending carriers if there are several.
     fn carriers(&self) -> Option<Vec<f64>> {
         let receivers = &self.data.scene.receivers;
-        let is_named =
-            |own: &Receiver| own.carrier_hz.is_some_and(|hz| Receiver::of_carrier(own.pose, hz).name == own.name);
+        let is_named = |own: &Receiver| own.carrier_hz.is_some_and(|hz| own.at_carrier(hz).name == own.name);
         let is_read_back = receivers.len() == 1
             || (receivers.iter().all(is_named) && receivers.is_sorted_by(|a, b| a.carrier_hz < b.carrier_hz));
-        if self.data.orientations.is_some() || !Receiver::are_carriers(receivers) || !is_read_back {
+        if !Receiver::are_carriers(receivers) || !is_read_back {
             return None;
         }
         self.data.links.iter().map(|link| receivers[link.receiver].carrier_hz).collect()
@@ -148,13 +159,13 @@ impl Folder<'_> {
             Some(all) => self.put(CARRIERS, all.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?,
             None if self.has_carriers() => {
                 return refuse(
-                    "these carriers have no layout on disk; save those of one fixed receiver, named such as 2400MHz",
+                    "these carriers have no layout on disk; save those of one receiver, named such as 2400MHz",
                 );
             }
             None => self.alone()?,
         }
         let scene = &self.data.scene;
-        let pose = scene.origin.world_pose(scene.pose());
+        let pose = self.fixed_poses().next().unwrap_or(Pose::IDENTITY);
         let Elevation { first, last } = self.data.elevation;
         let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
         let name = match &scene.receivers[..] {
@@ -162,10 +173,10 @@ impl Folder<'_> {
             _ => String::new(), // the names of carriers follow from their frequencies
         };
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
-        let positions = || self.data.samples().map(|sample| sample.tx);
-        if let Some(orientations) = &self.data.orientations {
-            self.put(POSES, poses_csv(positions().zip(orientations.iter().copied())))?;
+        if scene.moving.is_receiver() {
+            self.put(POSES, poses_csv(self.data.samples().map(|sample| sample.pose)))?;
         } else {
+            let positions = self.data.samples().map(|sample| sample.position());
             if self.data.len() > MOST_POSITIONS {
                 let what = format!("more than the {MOST_POSITIONS} that can be read; save parts");
                 return refuse(&format!("tx.npy would have {} positions, {what}", self.data.len()));
@@ -173,7 +184,7 @@ impl Folder<'_> {
             let header = npy_header(Number::F64, &[self.data.len(), 3]);
             self.put(
                 "tx.npy",
-                header.into_iter().chain(positions().flatten().flat_map(f64::to_le_bytes)).collect::<Vec<u8>>(),
+                header.into_iter().chain(positions.flatten().flat_map(f64::to_le_bytes)).collect::<Vec<u8>>(),
             )?;
         }
         let header = npy_header(spectra.number(), &[spectra.len(), spectra.height(), spectra.width()]);
@@ -188,13 +199,12 @@ impl Folder<'_> {
             return refuse("received powers at stated carriers have no layout on disk; keep the original files");
         }
         let receivers = &self.data.scene.receivers;
-        let origin = self.data.scene.origin;
-        let all = receivers.iter().map(|receiver| (receiver.name.as_str(), origin.world_pose(receiver.pose)));
+        let all = receivers.iter().map(|receiver| receiver.name.as_str()).zip(self.fixed_poses());
         self.put("gateway_position.yml", gateway_positions_yaml(all))?;
-        self.transmitters()?;
-        let mut cells = vec![NOT_RECEIVED; self.data.transmitters.len() * receivers.len()];
+        self.locations()?;
+        let mut cells = vec![NOT_RECEIVED; self.data.locations.len() * receivers.len()];
         for (link, dbm) in self.data.links.iter().zip(dbm) {
-            cells[link.transmitter * receivers.len() + link.receiver] = dbm;
+            cells[link.location * receivers.len() + link.receiver] = dbm;
         }
         let names: Vec<String> = receivers.iter().map(|receiver| field(&receiver.name)).collect();
         let mut text = names.join(",") + "\n";
@@ -209,13 +219,18 @@ impl Folder<'_> {
         self.alone()?;
         let (scene, hz) = (&self.data.scene, &channels.frequencies_hz);
         let receiver = &scene.receivers[0];
-        let pose = scene.origin.world_pose(receiver.pose);
+        let pose = match scene.moving {
+            End::Transmitter => scene.origin.world_pose(receiver.pose),
+            End::Receiver => Pose::IDENTITY,
+        };
         let [first, last] = [hz[0], hz[hz.len() - 1]];
         let band = [0.5 * (first + last), (last - first) / (hz.len() - 1).max(1) as f64];
         let about = |place: [f64; 3]| [0, 1, 2].map(|k| pose.position[k] + place[k]);
         let antennas: Vec<[f64; 3]> = receiver.array().into_iter().map(about).collect();
-        self.put("receiver.yml", receiver_yaml(&yaml(&receiver.name), &pose, band, hz, &antennas))?;
-        self.transmitters()?;
+        let transmitter = scene.transmitter.map(|position| scene.origin.world_pose(position.into()).position);
+        let text = receiver_yaml(&yaml(&receiver.name), &pose, band, hz, &antennas) + &transmitter_yaml(transmitter);
+        self.put("receiver.yml", text)?;
+        self.locations()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };
         let header = npy_header_as(descr, &[self.data.len(), channels.antennas, hz.len()]);
         let bytes = channels.gains.iter().flatten().flat_map(|part| part.to_le_bytes());
@@ -235,7 +250,7 @@ impl Folder<'_> {
     fn official(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
         let row = |link: &usize| {
-            if self.data.task().has_pixels { link + 1 } else { self.data.links[*link].transmitter }
+            if self.data.task().has_pixels { link + 1 } else { self.data.links[*link].location }
         };
         for (name, links) in [("train_index.txt", train), ("test_index.txt", test)] {
             let mut rows: Vec<usize> = links.iter().map(row).collect();

@@ -44,9 +44,9 @@ fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Ve
 /// Moves all links of a random `share` of the transmitters of `links` to a separate list: (training, validation).
 fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     let mut seen = BTreeSet::new();
-    let transmitters = links.iter().map(|i| data.links[*i].transmitter).filter(|t| seen.insert(*t)).collect();
+    let transmitters = links.iter().map(|i| data.links[*i].location).filter(|t| seen.insert(*t)).collect();
     let held: BTreeSet<usize> = hold_out(transmitters, share, rng).1.into_iter().collect();
-    links.into_iter().partition(|i| !held.contains(&data.links[*i].transmitter))
+    links.into_iter().partition(|i| !held.contains(&data.links[*i].location))
 }
 
 /// Random lists of 0..n: `test` elements, and the others as training and validation.
@@ -169,7 +169,7 @@ impl Default for Random {
 #[typetag::serde]
 impl Split for Random {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let count = data.transmitters.len();
+        let count = data.locations.len();
         finish(data, random_lists(count, part(self.test, count), self.validation, rng))
     }
 
@@ -206,7 +206,7 @@ impl Default for Sparse {
 #[typetag::serde]
 impl Split for Sparse {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let count = data.transmitters.len();
+        let count = data.locations.len();
         if self.train >= count {
             return Err(Error::Config(format!(
                 "Sparse(train: {}) leaves no test sample: there are {count} samples; lower `train`",
@@ -365,7 +365,7 @@ mod tests {
         let data = line_of_samples(200);
         for fold in folds("Voxel(size_m: 5.0, test: 0.2)", &data) {
             let cells = |links: &[usize]| {
-                links.iter().map(|&i| (data.sample(i).tx[0] / 5.0).floor() as i64).collect::<Vec<_>>()
+                links.iter().map(|&i| (data.sample(i).position()[0] / 5.0).floor() as i64).collect::<Vec<_>>()
             };
             let held = cells(&fold.validation);
             assert!(cells(&fold.train).iter().all(|cell| !held.contains(cell)));

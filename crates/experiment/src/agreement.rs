@@ -67,7 +67,7 @@ impl Agreement {
             scores,
             intervals: calibration.map(|(level, _)| (level, outside)),
             positions: distances(model, data),
-            transmitters: data.transmitters.len(),
+            transmitters: data.locations.len(),
         })
     }
 
@@ -84,7 +84,7 @@ impl Agreement {
 
 /// Numbers of transmitters beyond the limit of extrapolations and beyond the length of the site, with these limits.
 fn distances(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> {
-    let positions: Vec<[f64; 3]> = data.transmitters.iter().map(|transmitter| transmitter.position).collect();
+    let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let found = model.training_distances(&positions)?;
     let site = extent(model.training_positions()).map(side).filter(|site| *site > 0.0)?;
     Some([found.limit, site].map(|limit| (found.metres.iter().filter(|metres| **metres > limit).count(), limit)))

@@ -113,7 +113,7 @@ pub fn evaluate(
     let mut scores = Scores { intervals: columns, ..Scores::new(ids, predictors, known) };
     let summaries: Vec<_> = ceiling.of.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
     scores.table.add_ceiling(&summaries);
-    let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
+    let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).position()));
     scores.table.paired = scores.paired(&partition.test.iter().map(position).collect());
     Ok(EvaluationResult { scores, confidence })
 }
@@ -169,7 +169,7 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     if model.task() != task {
         return refuse(format!("the model predicts {}, but the data are {}", model.task().plural, task.plural));
     }
-    if model.moves() != data.orientations.is_some() {
+    if model.moving() != data.scene.moving {
         return refuse("the receiver of the model or of the data moves, and that of the other is fixed".into());
     }
     let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
@@ -178,7 +178,7 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
         let what = format!("the model predicts {} of {}, but the data have {}", task.plural, size(drawn), size(have));
         return refuse(what);
     }
-    if plane.camera != data.camera {
+    if plane.camera != data.camera() {
         return refuse("the cameras of the model and of the data differ".into());
     }
     let (known, listening) = (model.receivers().len(), data.scene.receivers.len());

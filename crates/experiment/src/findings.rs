@@ -35,12 +35,12 @@ pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Fin
     if data.placed {
         all.extend(of_positions(data));
         // The cloud of a camera is of the same reconstruction, without a unit, and cameras may stand around it.
-        all.extend(cloud::finding(data).filter(|_| data.camera.is_none()));
+        all.extend(cloud::finding(data).filter(|_| data.camera().is_none()));
     }
     all.extend(data.observations.powers().and_then(of_powers));
     all.extend(partition.and_then(|partition| of_split(data, partition)));
     all.extend(of_equal_observations(data));
-    if data.task().has_pixels && data.camera.is_none() {
+    if data.task().has_pixels && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
         all.extend(of_constant_spectra(&summaries));
         all.extend(pose::check_pose(data, &summaries).and_then(|pose| pose.finding(data)));
@@ -50,7 +50,7 @@ pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Fin
 
 /// Positions that are not in metres, or all equal.
 fn of_positions(data: &Dataset) -> Option<Finding> {
-    let positions: Vec<[f64; 3]> = data.transmitters.iter().map(|transmitter| transmitter.position).collect();
+    let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let (first, count) = (*positions.first()?, positions.len());
     if count > 1 && positions.iter().all(|position| *position == first) {
         let problem = format!("all {count} transmitters are at {first:?}");
@@ -65,7 +65,7 @@ fn of_positions(data: &Dataset) -> Option<Finding> {
         Some(Finding::new("position-unit", count, problem, format!("if these are {units}, convert them to metres")))
     };
     // The model of a camera has no unit.
-    if count > 1 && site < SMALL_SITE_M && data.camera.is_none() {
+    if count > 1 && site < SMALL_SITE_M && data.camera().is_none() {
         return unit(format!("the site is only {:.3} mm long", 1e3 * site), "kilometres or degrees");
     }
     if site <= SITE_M {

@@ -126,8 +126,7 @@ impl DataSummary {
         if data.placed {
             summary.facts.extend(positions(data));
         }
-        let fixed = if data.orientations.is_some() { "transmitter" } else { "receiver" };
-        summary.facts.push((fixed, receivers(data)));
+        summary.facts.push(fixed_ends(data));
         summary.facts.push(("point cloud", points(data)));
         if !data.task().has_pixels {
             summary.facts.push(levels(data));
@@ -156,7 +155,7 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
     let summary = DataSummary::of(data, INSPECTED, observer)?;
     let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");
     let mut text = format!("{}{}\n\n", data.title, if is_marked { "" } else { " (simulated)" });
-    let ids = [data.transmitters.first(), data.transmitters.last()].map(|t| t.map_or(0, |t| t.id));
+    let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
     text += &entry("samples", &format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
     summary.facts.iter().for_each(|(name, words)| text += &entry(name, words));
     if let Some(pose) = &summary.pose {
@@ -168,7 +167,7 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
 
 /// Extent, step length between consecutive ids, and positions that occur twice.
 fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
-    let places: Vec<[f64; 3]> = data.transmitters.iter().map(|t| t.position).collect();
+    let places: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let mut ordered = places.clone();
     ordered.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     let shared: usize = ordered.chunk_by(|a, b| a == b).map(<[_]>::len).filter(|count| *count > 1).sum();
@@ -176,9 +175,9 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     if shared > 0 {
         _ = write!(text, "; {} at the position of another", grouped(shared as i64));
     }
-    let next = data.transmitters.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
-    let steps = sorted(next.map(|pair| distance(pair[0].position, pair[1].position)));
-    let moving = if data.orientations.is_some() { "receiver" } else { "transmitters" };
+    let next = data.locations.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
+    let steps = sorted(next.map(|pair| distance(pair[0].position(), pair[1].position())));
+    let moving = if data.scene.moving.is_receiver() { "receiver" } else { "transmitters" };
     if steps.is_empty() {
         return vec![(moving, text)];
     }
@@ -192,15 +191,22 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     vec![(moving, text), ("steps", steps)]
 }
 
-fn receivers(data: &Dataset) -> String {
-    let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
-    if let [first, second, rest @ ..] = &names[..] {
-        return format!("{}: {first}, {second}{}", names.len(), if rest.is_empty() { "" } else { ", .." });
-    }
+/// Name and description of the ends that do not move.
+fn fixed_ends(data: &Dataset) -> (&'static str, String) {
     let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", ");
     let pose = data.scene.origin.world_pose(data.scene.pose());
+    if data.scene.moving.is_receiver() {
+        let known = data.scene.has_distances();
+        let position = if known { format!("at ({}) m", list(pose.position)) } else { "at an unknown position".into() };
+        return ("transmitter", position);
+    }
+    let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
+    if let [first, second, rest @ ..] = &names[..] {
+        let more = if rest.is_empty() { "" } else { ", .." };
+        return ("receiver", format!("{}: {first}, {second}{more}", names.len()));
+    }
     let boresight = pose.world_from_receiver().z_axis.to_array().map(|v| (f64::from(v) * 1e3).round() / 1e3);
-    format!("at ({}) m, boresight ({})", list(pose.position), list(boresight))
+    ("receiver", format!("at ({}) m, boresight ({})", list(pose.position), list(boresight)))
 }
 
 /// Number and extent of the points of the room.

@@ -38,7 +38,7 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
     let of_test: BTreeMap<usize, &Vec<f64>> = partition.test.iter().copied().zip(intervals).collect();
     for (i, ((sample, split), nearest)) in data.samples().zip(split).zip(nearest).enumerate() {
         let distance = if nearest.is_finite() && data.placed { nearest.to_string() } else { String::new() };
-        let place = if data.placed { sample.tx.map(|v| v.to_string()) } else { Default::default() };
+        let place = if data.placed { sample.position().map(|v| v.to_string()) } else { Default::default() };
         if many {
             let receiver = &data.scene.receivers[sample.receiver].name;
             _ = write!(out, "{},{},{},", data.label(i), sample.id, field(receiver));
@@ -57,8 +57,8 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
 /// Distance from the transmitter of each link to the nearest other transmitter with a training link, metres; infinity
 /// if there is none. Zero if the link is not a training link but another link of its transmitter is.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let all: Vec<[Real; 3]> = data.transmitters.iter().map(|t| data.scene.origin.local(t.position)).collect();
-    let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].transmitter).collect();
+    let all: Vec<[Real; 3]> = data.locations.iter().map(|t| data.scene.origin.local(t.position())).collect();
+    let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].location).collect();
     trained.sort_unstable();
     trained.dedup();
     let train: Vec<[Real; 3]> = trained.iter().map(|&t| all[t]).collect();
@@ -70,7 +70,7 @@ pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     let mut own = vec![false; data.len()];
     partition.train.iter().for_each(|&i| own[i] = true);
     let of = |(link, own): (&pwrfgs_core::Link, bool)| {
-        if own { others[link.transmitter] } else { nearest[link.transmitter] }
+        if own { others[link.location] } else { nearest[link.location] }
     };
     data.links.iter().zip(own).map(of).map(Real::sqrt).collect()
 }

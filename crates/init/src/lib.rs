@@ -42,13 +42,15 @@ impl Initializer for NoGaussians {
 
 #[cfg(test)]
 mod tests {
-    use pwrfgs_core::{AngleAxis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Scene};
+    use pwrfgs_core::{AngleAxis, End, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Scene};
 
     /// Scene with the measured receiver and three points.
     pub(crate) fn scene() -> Scene {
         let orientation = [0.512_916_02, -0.486_741_36, -0.486_741_36, 0.512_916_02];
         Scene {
             origin: Origin::ZERO,
+            moving: End::Transmitter,
+            transmitter: None,
             receivers: vec![Receiver::new("gateway1", Pose { position: [5.0, 0.26, 0.0], orientation })],
             bounds: ([-1.0, -1.0, 0.0], [5.0, 1.0, 2.0]),
             points: vec![[0.0; 3], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 4.5, 0.0]],

@@ -110,15 +110,13 @@ impl Initializer for AroundReceivers {
     fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let near = (self.near * self.count as Real).round() as usize;
         let (low, high) = scene.bounds;
+        let fixed_ends = scene.fixed_ends();
         let mean = |i: usize| {
-            let about = scene.receivers.get(i % scene.receivers.len().max(1)).filter(|_| i < near);
-            match about {
-                Some(receiver) => {
-                    let centre = receiver.pose.origin().to_array();
-                    centre.map(|x| x + self.spread_m * rng::normal(rng))
-                }
-                None => std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng)),
+            if i < near {
+                let center = fixed_ends[i % fixed_ends.len()].origin().to_array();
+                return center.map(|x| x + self.spread_m * rng::normal(rng));
             }
+            std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng))
         };
         let means: Vec<[Real; 3]> = (0..self.count).map(mean).collect();
         let scales = vec![self.scale_m; self.count];

@@ -66,7 +66,7 @@ impl Fingerprints {
         let missing = if features.task().is_scalar { floor } else { f32::NAN };
         let builder = RowBuilder { data, features, missing };
         let rows: Vec<Vec<f32>> = transmitters.par_iter().map(|&t| builder.build(t, &link_features)).collect();
-        let positions = transmitters.iter().map(|&t| data.transmitters[t].position).collect();
+        let positions = transmitters.iter().map(|&t| data.locations[t].position()).collect();
         Self { positions, values: rows.concat(), width: features.count() * data.scene.receivers.len() }
     }
 
@@ -143,7 +143,7 @@ pub struct NearestFingerprints {
 impl NearestFingerprints {
     /// Fits to the training links; `floor` is the power of a receiver that did not receive a transmitter.
     pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
-        let measured = |links: &[usize]| Fingerprints::measured(features, data, &data.transmitters_of(links), floor);
+        let measured = |links: &[usize]| Fingerprints::measured(features, data, &data.locations_of(links), floor);
         let (fingerprints, truths) = (measured(links.train), measured(links.validation));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {

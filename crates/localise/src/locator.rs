@@ -82,7 +82,7 @@ impl<'a> Locator<'a> {
     pub fn fit(data: &Dataset, links: FittingSet<'_>, model: &'a dyn Predict, shares: &[f32]) -> Result<Self> {
         let problem = if !data.placed || data.features.is_some() {
             Some("they have no transmitter positions; localisation compares with known positions")
-        } else if data.orientations.is_some() {
+        } else if data.scene.moving.is_receiver() {
             Some("the receiver moves; localisation needs fixed receivers")
         } else {
             None
@@ -90,7 +90,7 @@ impl<'a> Locator<'a> {
         if let Some(problem) = problem {
             return Err(Error::Config(format!("{}: {problem}", data.title)));
         }
-        let (train, validation) = (data.transmitters_of(links.train), data.transmitters_of(links.validation));
+        let (train, validation) = (data.locations_of(links.train), data.locations_of(links.validation));
         let without = if validation.is_empty() { None } else { model.without(links.validation) };
         let used = without.as_deref().unwrap_or(model);
         let features = FingerprintFeatures::new(data, links.train);

@@ -16,15 +16,15 @@ struct PathLoss;
 
 impl Predict for PathLoss {
     fn predict(&self, query: Query<'_>) -> Image {
-        Image { width: 1, height: 1, pixels: vec![dbm(query.tx, query.receiver) as Real] }
+        Image { width: 1, height: 1, pixels: vec![dbm(query.position(), query.receiver) as Real] }
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let image = self.predict(query);
         let (d, at) = (f64::from(cotangent(&image)[0] as f32), RECEIVERS[query.receiver]);
-        let square = distance(query.tx, at).powi(2);
+        let square = distance(query.position(), at).powi(2);
         let slope = -30.0 / std::f64::consts::LN_10 / square;
-        Some((image, [0, 1, 2].map(|k| d * slope * (query.tx[k] - at[k]))))
+        Some((image, [0, 1, 2].map(|k| d * slope * (query.position()[k] - at[k]))))
     }
 }
 
@@ -38,13 +38,15 @@ fn hall() -> (Dataset, [Vec<usize>; 3]) {
     let samples = positions
         .iter()
         .enumerate()
-        .flat_map(|(k, tx)| (0..4).map(move |receiver| Sample { id: k as u32, tx: *tx, receiver }));
+        .flat_map(|(k, tx)| (0..4).map(move |receiver| Sample { receiver, ..Sample::new(k as u32, *tx) }));
     let samples: Vec<Sample> = samples.collect();
     let noise = &mut rng::stream(1, "noise", 0);
-    let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, s.receiver) as Real + 0.5 * rng::normal(noise)).collect();
+    let powers: Vec<Real> =
+        samples.iter().map(|s| dbm(s.position(), s.receiver) as Real + 0.5 * rng::normal(noise)).collect();
     let receivers = RECEIVERS.iter().enumerate();
     let receivers = receivers.map(|(k, at)| Receiver::new(format!("r{k}"), Pose { position: *at, ..Pose::IDENTITY }));
-    let data = Dataset::of_links("hall", receivers.collect(), vec![], &samples, Observations::from(powers)).unwrap();
+    let data =
+        Dataset::of_links("hall", receivers.collect::<Vec<_>>(), vec![], &samples, Observations::from(powers)).unwrap();
     (data, [(0..1200).collect(), (1200..1680).collect(), (1680..2160).collect()])
 }
 
@@ -54,9 +56,9 @@ fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten()
     let links = FittingSet { train: &train, validation: &validation };
     let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 0.5, 1.0]).unwrap();
     assert!(locator.choice.share > 0.0, "the exact law is better than noisy measurements: {:?}", locator.choice);
-    let transmitters = data.transmitters_of(&test);
+    let transmitters = data.locations_of(&test);
     let observations = locator.observations(&data, &transmitters);
-    let truth = |k: usize| data.transmitters[transmitters[k]].position;
+    let truth = |k: usize| data.locations[transmitters[k]].position();
     let located: Vec<_> = observations.iter().map(|features| locator.locate(features)).collect();
     let errors = located.iter().enumerate().map(|(k, estimate)| distance(estimate.position, truth(k))).collect();
     let nearest = NearestFingerprints::fit(&data, links, locator.features(), locator.floor());
@@ -82,7 +84,7 @@ fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
     let weak = |dbm: f32| locator.locate(&[whole[0], dbm, whole[2], whole[3]]).position;
     assert_eq!(weak(locator.floor()), weak(-200.0), "powers below the floor count as the floor");
     let without_model = Locator::fit(&data, links, &PathLoss, &[0.0]).unwrap();
-    let (first, position) = (without_model.observations(&data, &[0]).remove(0), data.transmitters[0].position);
+    let (first, position) = (without_model.observations(&data, &[0]).remove(0), data.locations[0].position());
     assert_eq!(without_model.locate(&first).misfit, 0.0, "a training sample has its own fingerprint");
     assert!(without_model.locate_without(&first, Some(position)).misfit > 0.0);
     let nothing = locator.locate(&[f32::NAN; 4]);
@@ -129,8 +131,8 @@ fn estimate_between_two_areas_is_in_one_of_them() {
         let [along, across] = [f64::from(cell % 20) * 0.1, 14.0 + f64::from(cell / 20) * 0.2];
         if cell.is_multiple_of(2) { [along, across, 1.0] } else { [across, along, 1.0] }
     };
-    let samples: Vec<Sample> = (0..200).map(|k| Sample { id: k, tx: position(k), receiver: 0 }).collect();
-    let powers: Vec<Real> = samples.iter().map(|s| dbm(s.tx, 0) as Real + 0.1 * rng::normal(noise)).collect();
+    let samples: Vec<Sample> = (0..200).map(|k| Sample::new(k, position(k))).collect();
+    let powers: Vec<Real> = samples.iter().map(|s| dbm(s.position(), 0) as Real + 0.1 * rng::normal(noise)).collect();
     let receiver = Receiver::new("r", Pose { position: RECEIVERS[0], ..Pose::IDENTITY });
     let data = Dataset::of_links("areas", vec![receiver], vec![], &samples, Observations::from(powers)).unwrap();
     let (train, validation): (Vec<usize>, Vec<usize>) = ((0..140).collect(), (140..200).collect());

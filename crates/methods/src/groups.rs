@@ -3,8 +3,8 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, LinkInputs,
-    MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
+    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, End, GaussianCloud,
+    LinkInputs, MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
@@ -17,7 +17,7 @@ pub(crate) struct ReceiverGroup {
     pub(crate) row: usize,
     /// Indices into the list of links.
     pub(crate) links: Vec<usize>,
-    /// Rows of their transmitters.
+    /// Rows of their locations.
     rows: Vec<usize>,
 }
 
@@ -32,7 +32,7 @@ impl ReceiverGroup {
                 state: *state,
                 row,
                 links: part.to_vec(),
-                rows: part.iter().map(|&i| links[i].transmitter).collect(),
+                rows: part.iter().map(|&i| links[i].location).collect(),
             }));
         }
         groups
@@ -45,8 +45,8 @@ impl ReceiverGroup {
         self.links.iter().zip(&self.rows).map(one)
     }
 
-    /// Returns the row of its first transmitter.
-    pub(crate) fn transmitter(&self) -> usize {
+    /// Returns the row of its first location.
+    pub(crate) fn location(&self) -> usize {
         self.rows[0]
     }
 
@@ -55,26 +55,28 @@ impl ReceiverGroup {
         self.links[0]
     }
 
-    /// Returns the distance from receiver to transmitter per link, metres; empty if positions are unknown.
-    pub(crate) fn distances(&self, links: &LinkInputs) -> Vec<Real> {
-        let receiver = self.state.pose.origin();
-        let txs = links.conditions().positions();
-        let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - receiver).length());
+    /// Returns the distance from receiver to transmitter per link, metres; empty if a position is unknown.
+    pub(crate) fn distances(&self, setup: &MeasurementSetup, links: &LinkInputs) -> Vec<Real> {
+        let Some(fixed) = setup.fixed_end(self.state.receiver) else { return Vec::new() };
+        let moving = links.conditions().positions();
+        let distance = |row: &usize| moving.get(*row).map(|position| (Vec3::from_array(*position) - fixed).length());
         self.rows.iter().filter_map(distance).collect()
     }
 
     /// Adds to the cotangents of the positions, given those of [`Self::distances`].
     pub(crate) fn distances_vjp(
         &self,
+        setup: &MeasurementSetup,
         links: &LinkInputs,
         d: impl Iterator<Item = Real>,
         d_positions: &mut [[Real; 3]],
     ) {
-        let txs = links.conditions().positions();
+        let Some(fixed) = setup.fixed_end(self.state.receiver) else { return };
+        let moving = links.conditions().positions();
         for (row, d) in self.rows.iter().zip(d) {
-            let way = Vec3::from_array(txs[*row]) - self.state.pose.origin();
-            let d_way = way.normalize_or_zero() * d;
-            d_positions[*row].iter_mut().zip(d_way.to_array()).for_each(|(sum, d)| *sum += d);
+            let offset = Vec3::from_array(moving[*row]) - fixed;
+            let d_offset = offset.normalize_or_zero() * d;
+            d_positions[*row].iter_mut().zip(d_offset.to_array()).for_each(|(sum, d)| *sum += d);
         }
     }
 
@@ -234,13 +236,13 @@ pub(crate) fn untrained(
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.
 pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
     if data.features.is_some() {
-        let all: Vec<Real> = train.iter().flat_map(|&i| data.query(i).features).copied().collect();
+        let all: Vec<Real> = train.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();
         return deformation.start(Conditions::new(deformation.traits().inputs, &all), network);
     }
-    let mut transmitters: Vec<usize> = train.iter().map(|&i| data.links[i].transmitter).collect();
-    transmitters.dedup(); // links are in the order of their transmitters
-    let position = |t: usize| data.scene.origin.local(data.transmitters[t].position);
-    deformation.start(Conditions::from(&transmitters.into_iter().map(position).collect::<Vec<_>>()), network);
+    let mut locations: Vec<usize> = train.iter().map(|&i| data.links[i].location).collect();
+    locations.dedup(); // links are in the order of their locations
+    let position = |i: usize| data.scene.origin.local(data.locations[i].position());
+    deformation.start(Conditions::from(&locations.into_iter().map(position).collect::<Vec<_>>()), network);
 }
 
 /// Rejects several receivers if the network reads the receiver position, and several carriers if it reads none.
@@ -251,13 +253,10 @@ pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &Measurement
             "the data have {carriers} carriers, but the deformation ignores them; use Factored(carrier: 2) or Mlp(carrier: 2)"
         ));
     }
-    if setup.moves && setup.plane.angles.is_none() && setup.plane.camera.is_none() {
-        return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
-    }
-    let receivers = match (setup.moves, setup.receivers.len()) {
-        (true, _) => "the receiver moves".into(),
-        (false, count @ 2..) => format!("the data have {count} receivers"),
-        _ => return Ok(()),
+    let receivers = match (setup.moving, setup.receivers.len()) {
+        (End::Receiver, _) => "the receiver moves".into(),
+        (End::Transmitter, count @ 2..) => format!("the data have {count} receivers"),
+        (End::Transmitter, _) => return Ok(()),
     };
     if deformation.traits().reads_receiver {
         return Err(format!(

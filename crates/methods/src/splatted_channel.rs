@@ -12,7 +12,7 @@ use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
-    Activated, Appearance, Cache, Call, Cost, Dataset, Deformation, DeformationInputs, Deltas, ForwardOutput,
+    Activated, Appearance, Cache, Call, Cost, Dataset, Deformation, DeformationInputs, Deltas, End, ForwardOutput,
     GaussianCloud, JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters,
     Plugin, Real, ReceiverState, StageTimes, Task, WeightSpec, cached, consts, evenly,
 };
@@ -152,6 +152,7 @@ impl Method for SplattedChannel {
             appearance,
             deformation,
             differentiates_positions,
+            differentiates_orientations: true,
             ..MethodTraits::default()
         }
     }
@@ -197,6 +198,13 @@ impl Method for SplattedChannel {
             sums.weights[network.len() + group.state.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
             Waves::vjp(setup, group.state, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
+            if let (Some(positions), End::Receiver) = (&mut sums.positions, setup.moving) {
+                let (d_position, d_orientation) = Waves::pose_vjp(setup, group.state, p.cloud, p.gate, &d_waves);
+                (0..3).for_each(|k| positions[group.location()][k] += d_position[k] as Real);
+                if let Some(orientations) = &mut sums.orientations {
+                    (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
+                }
+            }
             group.terms_vjp(deltas, n, &mut own, |terms, batch, own| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, own);
             });

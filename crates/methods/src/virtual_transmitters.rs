@@ -23,8 +23,8 @@ use harmonics::{HIGHEST, terms};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Activated, Cache, Call, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
-    JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters, Real, Receiver,
-    Result, Scene, Task, gains_of, rows_of,
+    JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters, Pose, Real,
+    Receiver, Result, Scene, Task, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -71,14 +71,14 @@ fn is_one_array(receivers: &[Receiver]) -> bool {
 }
 
 /// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
-pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
-    receiver.array().iter().map(|place| place.map(|x| x as Real)).collect()
+fn array(receiver: &Receiver, pose: Pose) -> Vec<[Real; 3]> {
+    receiver.antennas.iter().map(|antenna| pose.turned(*antenna).map(|x| x as Real)).collect()
 }
 
 /// Returns the links of each carrier, each with the positions of the moving node.
 fn groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
-    let position = |i: &usize| txs.get(links.pairs[*i].transmitter).copied();
+    let position = |i: &usize| txs.get(links.pairs[*i].location).copied();
     let with_positions = |group: ReceiverGroup| {
         let own = group.links.iter().filter_map(position).collect();
         (group, own)
@@ -115,9 +115,9 @@ impl Method for VirtualTransmitters {
 
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
         let Call { setup, parameters: p, links, .. } = *call;
-        let antennas = array(&setup.receivers[0]);
         let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
         for (group, positions) in groups(links) {
+            let antennas = array(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
             let own = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
@@ -128,8 +128,8 @@ impl Method for VirtualTransmitters {
 
     fn vjp(&self, call: &Call<'_>, _: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
-        let antennas = array(&setup.receivers[0]);
         for (group, positions) in groups(links) {
+            let antennas = array(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
             let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
@@ -145,7 +145,7 @@ impl Method for VirtualTransmitters {
                 }
                 sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
                 if let Some(d_positions) = &mut sums.positions {
-                    let d_position = &mut d_positions[links.pairs[*link].transmitter];
+                    let d_position = &mut d_positions[links.pairs[*link].location];
                     found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }
@@ -268,8 +268,13 @@ impl MatchingPursuit {
         }
         let scene = &input.data.scene;
         if !is_one_array(&scene.receivers) || !input.data.placed {
+            return Err(Error::Config("initializer: MatchingPursuit needs one receiver and all positions".into()));
+        }
+        if scene.moving.is_receiver() && scene.receivers[0].antennas != [[0.0; 3]] {
             return Err(Error::Config(
-                "initializer: MatchingPursuit needs one receiver and the positions of the transmitters".into(),
+                "initializer: MatchingPursuit needs one antenna at the centre of a receiver that moves; use \
+                 method: SplattedChannel()"
+                    .into(),
             ));
         }
         // Carriers ascend; the longest wavelength has the fewest local maxima.
@@ -277,15 +282,16 @@ impl MatchingPursuit {
         let lowest = input.train.iter().map(receiver_of).min().unwrap_or(0);
         let train: Vec<usize> = input.train.iter().copied().filter(|i| receiver_of(i) == lowest).collect();
         Ok(ObservedChannels {
-            positions: train.iter().map(|&i| scene.origin.local(input.data.sample(i).tx)).collect(),
-            antennas: array(&scene.receivers[0]),
+            positions: train.iter().map(|&i| scene.origin.local(input.data.sample(i).position())).collect(),
+            antennas: array(&scene.receivers[0], scene.pose()),
             frequencies: MeasurementSetup::of(input.data, input.data.plane()).frequencies_of(lowest),
             channel: train.iter().flat_map(|&i| channels.of(i)).copied().collect(),
         })
     }
 
     fn options(&self, input: &InitializerInput<'_>, seed: u64) -> PursuitOptions {
-        let node = Some(input.data.scene.receivers[0].pose.position);
+        let scene = &input.data.scene;
+        let node = scene.has_distances().then(|| scene.pose().position);
         let order = order_of(&input.method.traits().columns);
         PursuitOptions { settings: self.clone(), node, order, seed, ..PursuitOptions::default() }
     }

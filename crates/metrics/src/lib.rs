@@ -75,13 +75,15 @@ fn no_gaussians() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        AngleAxis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver, Scene,
-        StageTimes, Task, Values,
+        AngleAxis, End, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver,
+        Scene, StageTimes, Task, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
         Scene {
             origin: Origin::ZERO,
+            moving: End::Transmitter,
+            transmitter: None,
             receivers: vec![Receiver::new("receiver", Pose::IDENTITY)],
             bounds: ([0.0; 3], [1.0; 3]),
             points: points.to_vec(),

@@ -98,7 +98,7 @@ impl Metric for ChannelSnr {
         paired(evaluation)?;
         let both = evaluation.predictions.iter().zip(evaluation.truths);
         let each: Vec<Energies> = both.map(|(p, t)| Energies::of(p, t)).collect();
-        let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.transmitter);
+        let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.location);
         let mut snapshots = Vec::with_capacity(each.len());
         let rows: Vec<usize> = (0..each.len()).collect();
         for rows in rows.chunk_by(|a, b| transmitter(*a) == transmitter(*b)) {
@@ -136,7 +136,7 @@ mod tests {
         let channel = |re, im| Image { width: 1, height: 2, pixels: vec![re, im] };
         let truths = [channel(3.0, 4.0), channel(0.0, 5.0), channel(1.0, 0.0)];
         let predictions = [channel(3.0, 4.0), channel(1.0, 5.0), channel(0.0, 0.0)];
-        let links = [(0, 0), (0, 1), (1, 0)].map(|(transmitter, receiver)| Link { transmitter, receiver });
+        let links = [(0, 0), (0, 1), (1, 0)].map(|(location, receiver)| Link { location, receiver });
         let (plane, scene) = (plane(1, 2), scene(&[]));
         let evaluation = Evaluation {
             task: Task::Channel,

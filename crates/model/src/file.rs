@@ -6,8 +6,8 @@ use crate::{Ensemble, IntervalCalibration, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Real, Receiver,
-    Result, Task,
+    COLUMN_NAMES, End, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
+    Receiver, Result, Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -50,10 +50,16 @@ struct Note {
     plane: ImagePlane,
 }
 
-/// Observations and receivers of links.
-#[derive(Serialize, Deserialize)]
+/// Observations and ends of links.
+#[derive(Clone, Serialize, Deserialize)]
 struct LinksNote {
     kind: Task,
+    /// End that moves; absent if it is the transmitter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    moving: Option<End>,
+    /// Position of the fixed transmitter of moving receivers, user's frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    transmitter: Option<[f64; 3]>,
     /// Receivers with poses in the user's frame.
     receivers: Vec<Receiver>,
     /// Subcarrier frequencies, Hz.
@@ -70,10 +76,10 @@ const RESIDUALS_VERSION: u32 = 3;
 pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
 const VERSION: u32 = 5;
-/// Version of a model whose receiver moves: programs that ignore its pose must not predict from it.
-const MOVING_VERSION: u32 = 6;
 /// Version of a model of several carriers: programs that ignore them must not predict from it.
 const CARRIERS_VERSION: u32 = 7;
+/// Version of a model whose receivers move. Version 6 stored the transmitter as the receiver.
+const MOVING_VERSION: u32 = 8;
 /// Prefix of the names of network tensors.
 pub(crate) const NETWORK: &str = "network.";
 /// Prefix of the names of constants that the network derives from a seed.
@@ -160,10 +166,11 @@ fn prefix(place: usize) -> String {
 
 fn note(model: &Model) -> Note {
     let s = &model.stages;
-    let receiver = |r: &Receiver| Receiver { pose: s.origin.world_pose(r.pose), ..r.clone() };
+    let world = |pose: Pose| if s.moving.is_receiver() { pose } else { s.origin.world_pose(pose) };
+    let receiver = |r: &Receiver| Receiver { pose: world(r.pose), ..r.clone() };
     Note {
         format: FORMAT.into(),
-        version: match (s.moves, s.carriers().is_empty()) {
+        version: match (s.moving.is_receiver(), s.carriers().is_empty()) {
             (true, _) => MOVING_VERSION,
             (false, true) => VERSION,
             (false, false) => CARRIERS_VERSION,
@@ -172,6 +179,8 @@ fn note(model: &Model) -> Note {
         method: plugin_text(&s.method),
         links: LinksNote {
             kind: s.task,
+            moving: s.moving.is_receiver().then_some(End::Receiver),
+            transmitter: s.transmitter.map(|position| s.origin.world_pose(position.into()).position),
             receivers: s.receivers.iter().map(receiver).collect(),
             frequencies_hz: s.frequencies_hz.clone(),
         },
@@ -265,10 +274,11 @@ fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
 }
 
 fn check_version(format: &str, version: u32) -> Result<(), String> {
-    if format == FORMAT && (VERSION..=CARRIERS_VERSION).contains(&version) {
+    if format == FORMAT && [VERSION, CARRIERS_VERSION, MOVING_VERSION].contains(&version) {
         return Ok(());
     }
-    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION} to {CARRIERS_VERSION}"))
+    let expected = format!("`{FORMAT}` of version {VERSION}, {CARRIERS_VERSION} or {MOVING_VERSION}");
+    Err(format!("a `{format}` of version {version}, expected {expected}; train it again"))
 }
 
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
@@ -296,11 +306,12 @@ fn take_training(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositi
 
 fn setup(note: &Note) -> MeasurementSetup {
     let (origin, plane) = (note.origin, note.plane.clone());
-    let LinksNote { kind, receivers, frequencies_hz } = &note.links;
-    let receiver = |r: &Receiver| Receiver { pose: origin.local_pose(r.pose), ..r.clone() };
-    let receivers = receivers.iter().map(receiver).collect();
-    let moves = note.version == MOVING_VERSION;
-    MeasurementSetup { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone(), moves }
+    let LinksNote { kind, moving, transmitter, receivers, frequencies_hz } = note.links.clone();
+    let moving = moving.unwrap_or_default();
+    let local = |pose: Pose| if moving.is_receiver() { pose } else { origin.local_pose(pose) };
+    let receivers = receivers.into_iter().map(|r| Receiver { pose: local(r.pose), ..r }).collect();
+    let transmitter = transmitter.map(|position| origin.local_pose(position.into()).position);
+    MeasurementSetup { origin, moving, transmitter, receivers, task: kind, plane, frequencies_hz }
 }
 
 /// Rejects a file whose constants differ from those that its deformation computes here, because predictions would

@@ -4,7 +4,7 @@ use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, AngleAxis, Dataset, Deformation, Error, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method,
-    Origin, Parameters, Projector, Real, Result, check_receivers,
+    Origin, Parameters, Projector, Real, Result, check_receivers, place_fault,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -90,7 +90,7 @@ impl Stages {
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
         let mut plane = data.plane();
         if let (true, Some(projector)) = (data.task().has_pixels, method.traits().projector) {
-            let drawn = match data.camera {
+            let drawn = match data.camera() {
                 Some(camera) => projector.plane_of_camera(data.width, data.height, camera),
                 None => projector.plane_of(data.width, data.height, data.elevation),
             };
@@ -134,8 +134,11 @@ impl Stages {
         if let (true, Some(projector)) = (self.task.has_pixels, self.method.traits().projector) {
             check_plane(&self.setup.plane, &**projector)?;
         }
-        if self.moves && (!self.task.has_pixels || self.receivers.len() != 1) {
-            return Err("a moving receiver predicts spectra, and is the only one".into());
+        if self.moving.is_receiver() && self.receivers.iter().any(|receiver| receiver.pose.position != [0.0; 3]) {
+            return Err("links: receivers that move have a position".into());
+        }
+        if let Some(fault) = self.transmitter.and_then(place_fault) {
+            return Err(format!("links: the transmitter {fault}"));
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
             return Err(format!("{} receivers, expected 1 to {MAX_RECEIVERS}", self.receivers.len()));

@@ -4,8 +4,8 @@ mod derivative;
 
 use crate::{Model, Residuals, Stages};
 use pwrfgs_core::{
-    Cache, Call, GaussianCloud, Image, ImagePlane, Parameters, PixelSubset, Predict, Query, Real, Receiver, StageTimes,
-    Task,
+    Cache, Call, End, GaussianCloud, Image, ImagePlane, Parameters, PixelSubset, Predict, Query, Real, Receiver,
+    StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -71,9 +71,9 @@ impl<'a> Prepared<'a> {
         &self.members[0].model.stages.setup.receivers
     }
 
-    /// Returns whether the receiver moves, so that queries have orientations.
-    pub fn moves(&self) -> bool {
-        self.members[0].model.stages.setup.moves
+    /// Returns the end that moves.
+    pub fn moving(&self) -> End {
+        self.members[0].model.stages.setup.moving
     }
 
     /// Returns the subcarrier frequencies, Hz; empty if the observations are not channels.

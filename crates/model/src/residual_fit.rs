@@ -125,11 +125,11 @@ impl Residuals {
         for ((&i, query), predicted) in links.iter().zip(&queries).zip(predicted) {
             let Some(process) = self.process(query.receiver) else { continue };
             let predicted = data.task().shown(predicted);
-            let (observed, at) = (data.image(i), origin.local(query.tx));
+            let (observed, at) = (data.image(i), origin.local(query.position()));
             let left = |(y, f): (&Real, &Real)| y - process.fit.trend.at(*f, at);
             let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(left).collect();
             if left.iter().any(|v| !v.is_finite()) {
-                let what = format!("the prediction at {:?} is not finite; leave this link out", query.tx);
+                let what = format!("the prediction at {:?} is not finite; leave this link out", query.position());
                 return Err(Error::Config(what));
             }
             places[query.receiver].push(at);
@@ -223,7 +223,7 @@ impl<'a> Samples<'a> {
             return Err(Error::Config(format!("residuals: model {} {what}", member + 1)));
         }
         let MeasurementSetup { origin, receivers, .. } = &ensemble.members()[0].stages.setup;
-        let places = links.iter().map(|&i| origin.local(data.sample(i).tx)).collect();
+        let places = links.iter().map(|&i| origin.local(data.sample(i).position())).collect();
         let mut mean = vec![0.0; observed.len()];
         predicted.iter().for_each(|own| mean.iter_mut().zip(own).for_each(|(sum, v)| *sum += v));
         mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);

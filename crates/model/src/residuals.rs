@@ -171,7 +171,7 @@ impl Residuals {
     /// Adds the expected residual of a link to the prediction `image` of the model, from the nearest known links.
     pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) {
         let Some(process) = self.process(query.receiver) else { return };
-        let at = origin.local(query.tx);
+        let at = origin.local(query.position());
         let (near, solution) = process.kriging.solve(place(at), self.neighbours);
         let mut sum = vec![0.0; self.grid.len()];
         near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
@@ -183,7 +183,7 @@ impl Residuals {
     /// which become those of the prediction of the model.
     pub(crate) fn correct_vjp(&self, d: &mut [Real], query: Query<'_>, origin: Origin) -> [f64; 3] {
         let Some(process) = self.process(query.receiver) else { return [0.0; 3] };
-        let (at, trend) = (origin.local(query.tx), &process.fit.trend);
+        let (at, trend) = (origin.local(query.position()), &process.fit.trend);
         let d_sum = self.grid.add_to_vjp(d);
         let mut d_at = process.kriging.solve_vjp(place(at), self.neighbours, |i| process.values.dot(i, &d_sum));
         if let Some((law, receiver)) = trend.path_loss {
@@ -201,7 +201,7 @@ impl Residuals {
         let far = |own: &ResidualProcess| own.fit.variance * (1.0 + own.fit.correlation.noise);
         let variance = match self.process(query.receiver) {
             Some(own) => {
-                own.fit.variance * own.kriging.solve(place(origin.local(query.tx)), self.neighbours).1.variance
+                own.fit.variance * own.kriging.solve(place(origin.local(query.position())), self.neighbours).1.variance
             }
             None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
         };

@@ -52,8 +52,7 @@ impl Initializer for Trained {
         let text = |method: &dyn pwrfgs_core::Method| serde_json::to_string(method).unwrap_or_default();
         if text(own) != text(expected)
             || model.stages.setup.receivers != input.data.scene.receivers
-            || model.stages.setup.moves != input.data.orientations.is_some()
-            || model.stages.setup.plane.camera != input.data.camera
+            || model.stages.setup.moving != input.data.scene.moving
         {
             let what = "its method or its receivers are others than those of the pipeline; copy projector, rasterizer, \
                         deformation, calibration and readout from the run that made it";

@@ -33,10 +33,10 @@ pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
     if cases.len() < 2 {
         return None;
     }
-    let position = |i: usize| in_space(data.sample(i).tx);
+    let position = |i: usize| in_space(data.sample(i).position());
     let values = |_: usize, i: usize| trends[data.links[i].receiver].values(i, VALUES);
     let cases = HeldOutCases::new(&cases, Mean::Unknown, position, values);
-    let reach = diagonal(&sorted.iter().map(|&t| data.transmitters[t].position).collect::<Vec<_>>());
+    let reach = diagonal(&sorted.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>());
     (reach > 0.0).then(|| most_likely(&cases, reach))
 }
 
@@ -90,7 +90,7 @@ mod tests {
         let samples: Vec<Sample> =
             (0..150).map(|id| Sample::new(id, [10.0 * rng::uniform_f64(&mut random), 0.0, 0.0])).collect();
         let value = |x: f64, k: usize| (0.5 + 0.4 * (x / length + k as f64).sin()) as f32;
-        let pixels: Vec<f32> = samples.iter().flat_map(|s| (0..12).map(move |k| value(s.tx[0], k))).collect();
+        let pixels: Vec<f32> = samples.iter().flat_map(|s| (0..12).map(move |k| value(s.position()[0], k))).collect();
         Dataset::new("waves", Pose::IDENTITY, vec![], samples, Spectra::float((4, 3), &pixels).unwrap()).unwrap()
     }
 

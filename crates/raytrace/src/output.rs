@@ -14,7 +14,7 @@ use crate::recipe::SimulationRecipe;
 use crate::simulator::{SimulationRequest, Simulator, simulate_links};
 use crate::surface_points;
 use pwrfgs_core::files::{NewFolder, refuse_occupied, write};
-use pwrfgs_core::{Error, Pose, Progress, Result, check_stopped};
+use pwrfgs_core::{Error, Progress, Result, check_stopped};
 use pwrfgs_data::pose_row;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -133,10 +133,7 @@ fn fill(
     simulate_links(simulator, &SimulationRequest { kind: observe, samples, seed }, stop, |i, tx, received| {
         check_stopped(stop)?;
         let pose = recipe.scene.moved_receiver(i, tx, seed).map(|receiver| receiver.pose());
-        let row = pose.map_or_else(
-            || format!("{},{},{}\n", tx.x, tx.y, tx.z),
-            |Pose { position, orientation }| pose_row(position, orientation),
-        );
+        let row = pose.map_or_else(|| format!("{},{},{}\n", tx.x, tx.y, tx.z), pose_row);
         files.add(i, &row, &received)?;
         progress(i + 1, samples);
         Ok(())

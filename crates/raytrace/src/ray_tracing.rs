@@ -166,7 +166,7 @@ impl Baseline for RayTracing {
 /// Returns the observation type of the data; an error if this scene cannot provide it.
 fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<ObservationKind> {
     let refuse = |problem: String| Err(Error::Config(format!("RayTracing: {problem}; leave it out")));
-    if data.orientations.is_some() {
+    if data.scene.moving.is_receiver() {
         return refuse("the receiver of these data moves".into());
     }
     let Some(channels) = data.observations.channels() else {
@@ -239,7 +239,7 @@ struct TracedBaseline {
 
 impl Predict for TracedBaseline {
     fn predict(&self, query: Query<'_>) -> Image {
-        let tx = query.tx;
+        let tx = query.position();
         // A separate draw for every position, different from those of the data, which count from 0.
         let draw = tx
             .iter()

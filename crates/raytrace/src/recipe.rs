@@ -70,10 +70,6 @@ impl SimulationRecipe {
     /// The scene does not support it.
     pub fn observing(self, observe: ObservationKind) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
-        if self.scene.moving_receiver.is_some() && observe != ObservationKind::Spectrum {
-            let problem = "its receiver moves, which only spectra support; remove `moving_receiver`";
-            return Err(Error::Config(format!("scene `{}`: {problem}", self.scene.name)));
-        }
         if !self.scene.carriers_hz.is_empty() && observe != ObservationKind::Spectrum {
             let problem =
                 "it has several carriers, which only spectra support; remove `carriers_hz` or set --carrier-hz";

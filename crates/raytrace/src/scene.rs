@@ -79,7 +79,7 @@ pub struct SceneFile {
     pub subcarriers: Option<Checked<Subcarriers>>,
     /// The transmitter.
     pub transmitter: SceneTransmitter,
-    /// Exchanges the ends: the array moves, and the transmitter is fixed.
+    /// Makes the array move about a fixed transmitter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moving_receiver: Option<MovingReceiver>,
     /// Propagation effects to simulate.
@@ -222,7 +222,7 @@ impl SceneFile {
     pub(crate) fn per_carrier(&self) -> Vec<Self> {
         let at = |hz: &f64| {
             let mut receiver = self.receiver.clone();
-            receiver.name = Receiver::of_carrier(Pose::IDENTITY, *hz).name;
+            receiver.name = Receiver::new("", Pose::IDENTITY).at_carrier(*hz).name;
             Self { carrier_hz: *hz, carriers_hz: Vec::new(), receiver, ..self.clone() }
         };
         if self.carriers_hz.is_empty() { vec![self.clone()] } else { self.carriers_hz.iter().map(at).collect() }

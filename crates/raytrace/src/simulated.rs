@@ -11,10 +11,10 @@ use crate::spectrum::{HEIGHT, WIDTH};
 use etcetera::BaseStrategy as _;
 use pwrfgs_core::files::{self, NewFolder};
 use pwrfgs_core::{
-    Channels, DataSource, Dataset, Error, JsonSchema, Number, Observations, Progress, Real, Receiver, Result, Sample,
-    ShippedFile, Simulation, Spectra, messages::strip_control,
+    Channels, DataSource, Dataset, Ends, Error, JsonSchema, Number, Observations, Pose, Progress, Real, Receiver,
+    Result, Sample, ShippedFile, Simulation, Spectra, messages::strip_control,
 };
-use pwrfgs_data::{Arrays, npy_header, npy_header_as, read_points};
+use pwrfgs_data::{Arrays, POSES, npy_header, npy_header_as, read_points};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -94,9 +94,10 @@ impl Simulated {
 fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
     let receivers: Vec<Receiver> = scene.receivers().map(|receiver| data_receiver(scene, receiver)).collect();
-    let (transmitters, mut observations) = read_links(recipe, folder)?;
-    let pairs = transmitters.iter().enumerate().flat_map(|(t, tx)| (0..receivers.len()).map(move |r| (t, *tx, r)));
-    let mut samples: Vec<Sample> = pairs.map(|(t, tx, receiver)| Sample { id: t as u32 + 1, tx, receiver }).collect();
+    let (poses, mut observations) = read_links(recipe, folder)?;
+    let pairs = (1..).zip(&poses).flat_map(|(id, pose)| (0..receivers.len()).map(move |receiver| (id, pose, receiver)));
+    let mut samples: Vec<Sample> =
+        pairs.map(|(id, pose, receiver)| Sample { receiver, ..Sample::new(id, *pose) }).collect();
     if let Observations::Powers(all) = &mut observations {
         let is_received = |dbm: &Real| f64::from(*dbm) > SILENT_DBM;
         let mut received = all.iter().map(is_received);
@@ -109,14 +110,18 @@ fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> R
     }
     let (test, train) = (0..samples.len()).partition(|&i| is_test(samples[i].id as usize - 1));
     let points = points.map_or_else(|| Ok(Vec::new()), |path| read_points(&path))?;
-    let data = Dataset::of_links(scene.name.clone(), receivers, points, &samples, observations)?;
+    let ends = match scene.moving_receiver {
+        None => receivers.into(),
+        Some(_) => Ends::of_moving_receivers(receivers, Some(scene.receiver.position)),
+    };
+    let data = Dataset::of_links(scene.name.clone(), ends, points, &samples, observations)?;
     Ok(Dataset { official: Some((train, test)), ..data })
 }
 
-/// Returns the transmitter positions and observations of every link of a cached folder; the link of a pair has index
-/// `transmitter * receivers + receiver`. Only files written by this program version are valid: others count as damaged,
-/// and the cache is rebuilt.
-fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<[f64; 3]>, Observations)> {
+/// Returns the poses of the moving end and observations of every link of a cached folder; the link of a pair has index `location *
+/// receivers + receiver`. Only files written by this program version are valid: others count as damaged, and the cache
+/// is rebuilt.
+fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<Pose>, Observations)> {
     let (scene, samples) = (&recipe.scene, recipe.samples);
     let receivers = scene.receivers().count();
     let observations = match recipe.observe {
@@ -131,8 +136,13 @@ fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<[f64; 3]>
             Channels { antennas, frequencies_hz, gains }.into()
         }
     };
+    if scene.moving_receiver.is_some() {
+        let rows = table(&folder.join(POSES), samples, 7)?;
+        let pose = |[x, y, z, orientation @ ..]: &[f64; 7]| Pose { position: [*x, *y, *z], orientation: *orientation };
+        return Ok((rows.as_chunks().0.iter().map(pose).collect(), observations));
+    }
     let positions = table(&folder.join(POSITIONS), samples, 3)?;
-    Ok((positions.as_chunks().0.to_vec(), observations))
+    Ok((positions.as_chunks().0.iter().map(|position| Pose::from(*position)).collect(), observations))
 }
 
 /// Opens the array of spectra.

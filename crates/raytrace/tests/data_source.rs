@@ -1,7 +1,7 @@
 //! Simulated data sets: reproducible, cached completely or not at all, with clear errors.
 
 use glam::DVec3;
-use pwrfgs_core::{Baseline, DataSource, Dataset, FittingSet, Plugin, Pose, Simulation};
+use pwrfgs_core::{Baseline, DataSource, Dataset, End, FittingSet, Plugin, Pose, Simulation};
 use pwrfgs_raytrace::output::{MANIFEST, OutputLayout, POINTS, write_as};
 use pwrfgs_raytrace::scene::Orientation;
 use pwrfgs_raytrace::{ObservationKind, SceneFile, SimulationRecipe, Simulator, open_or_make};
@@ -63,18 +63,17 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
     let path = file(folder.path(), "moving.ron", &text);
     let source = format!("Simulated(scene: {path:?}, samples: 6, seed: 3, points: 20, cache: false)");
     let data = Plugin::<dyn DataSource>::parse(&source).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
-    let orientations = data.orientations.as_ref().unwrap();
-    assert!(orientations.windows(2).all(|pair| pair[0] != pair[1]) && data.is_simulated());
-    for (i, [x, y, z, w]) in orientations.iter().enumerate() {
+    let poses: Vec<Pose> = data.locations.iter().map(|location| location.pose).collect();
+    assert!(poses.windows(2).all(|pair| pair[0].orientation != pair[1].orientation) && data.is_simulated());
+    for (i, pose) in poses.into_iter().enumerate() {
         let mut scene = SceneFile::parse(&scene_text(""), Path::new("fixed.ron")).unwrap();
         let tx = scene.receiver.position;
-        scene.receiver.position = data.transmitters[i].position;
-        scene.receiver.orientation = Orientation::Quaternion(*x, *y, *z, *w);
+        assert_eq!((data.scene.transmitter, data.scene.moving), (Some(tx), End::Receiver));
+        let [x, y, z, w] = pose.orientation;
+        (scene.receiver.position, scene.receiver.orientation) = (pose.position, Orientation::Quaternion(x, y, z, w));
         let reception = Simulator::new(&scene).unwrap().receivers()[0].spectrum(tx.into(), None).spectrum;
         assert_eq!(*data.observations.raw(i), reception.pixels, "pose {i}");
-        let upright =
-            data.query(i).orientation.map(|turn| Pose { orientation: turn, ..Pose::IDENTITY }.turned([0.0, 1.0, 0.0]));
-        assert!(upright.unwrap()[2] > 0.999, "turned about the vertical axis only");
+        assert!(pose.turned([0.0, 1.0, 0.0])[2] > 0.999, "turned about the vertical axis only");
     }
     let refused = |layout, paths| {
         let recipe = SimulationRecipe::read(&path, 6, 3, 20).unwrap();
@@ -86,9 +85,8 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
         };
         write(&recipe, layout, paths, &folder.path().join("out")).map_err(|e| e.to_string())
     };
-    assert!(refused(OutputLayout::Pictures, false).unwrap_err().contains("add --npy --no-paths"));
-    assert!(refused(OutputLayout::Array, true).unwrap_err().contains("add --npy --no-paths"));
-    assert!(refused(OutputLayout::Rssi, false).unwrap_err().contains("which only spectra support"));
+    assert!(refused(OutputLayout::Pictures, false).unwrap_err().contains("add --no-paths, and --npy for spectra"));
+    assert!(refused(OutputLayout::Array, true).unwrap_err().contains("add --no-paths, and --npy for spectra"));
     refused(OutputLayout::Array, false).unwrap();
     let written = pwrfgs_data::read_poses(&folder.path().join("out/rx_pose.csv")).unwrap();
     assert_eq!(written.len(), 6);
@@ -158,7 +156,7 @@ fn array_layout_equals_image_layout() {
     let [a, b] = [load("Nerf2Spectrum", OutputLayout::Pictures), load("Arrays", OutputLayout::Array)];
     assert!(b.is_simulated() && a.simulation == b.simulation && a.official == b.official);
     for i in 0..12 {
-        assert!(a.observations.raw(i) == b.observations.raw(i) && a.sample(i).tx == b.sample(i).tx);
+        assert!(a.observations.raw(i) == b.observations.raw(i) && a.sample(i).position() == b.sample(i).position());
     }
     // Names have five digits; an array has no names.
     let many = SimulationRecipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();

@@ -28,8 +28,8 @@ fn data_set_has_one_link_per_transmitter_and_receiver() {
     ] {
         let data = load(folder.path(), observe).unwrap();
         assert_eq!((data.task(), (data.width, data.height), data.len()), (kind, size, 20), "{observe}");
-        assert_eq!((data.transmitters.len(), data.transmitters[9].id, data.placed), (10, 10, true));
-        assert_eq!(data.links[5], Link { transmitter: 2, receiver: 1 });
+        assert_eq!((data.locations.len(), data.locations[9].id, data.placed), (10, 10, true));
+        assert_eq!(data.links[5], Link { location: 2, receiver: 1 });
         let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| &*receiver.name).collect();
         assert_eq!(names, ["gateway1", "b"]);
         for (loaded, receiver) in data.scene.receivers.iter().zip(scene.receivers()) {

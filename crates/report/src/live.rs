@@ -80,9 +80,14 @@ pub fn room(
     points: usize,
 ) -> TensorBundle {
     let origin = origin(setup, measured.map(|measured| measured.data));
-    let receivers = measured.map_or(&setup.receivers, |measured| &measured.data.scene.receivers);
-    let frame = measured.map_or(setup.origin, |measured| measured.data.scene.origin);
-    let poses: Vec<(&str, Pose)> = receivers.iter().map(|r| (r.name.as_str(), frame.world_pose(r.pose))).collect();
+    let (receivers, local, at) = match measured {
+        Some(measured) => {
+            (&measured.data.scene.receivers, measured.data.scene.origin, measured.data.scene.fixed_ends())
+        }
+        None => (&setup.receivers, setup.origin, setup.receivers.iter().map(|receiver| receiver.pose).collect()),
+    };
+    let names = receivers.iter().map(|receiver| receiver.name.as_str());
+    let poses: Vec<(&str, Pose)> = names.zip(at.into_iter().map(|pose| local.world_pose(pose))).collect();
     let plane = &setup.plane;
     let mut note = json!({
         "format": "pwrfgs-room",
@@ -131,7 +136,7 @@ fn put_data(
     let shown = evenly(&(0..data.scene.points.len()).collect::<Vec<_>>(), points);
     tensors.put("points", &[shown.len(), 3], shown.iter().flat_map(|&i| data.scene.points[i]));
     let (n, samples) = (links.len(), || links.iter().map(|&i| data.sample(i)));
-    tensors.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
+    tensors.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.position())));
     tensors.put("links.id", &[n], samples().map(|sample| sample.id as Real));
     tensors.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
     tensors.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));

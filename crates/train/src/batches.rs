@@ -4,7 +4,8 @@ use crate::graph::Batch;
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
 use pwrfgs_core::{
-    Dataset, Error, ImagePlane, LinkInputs, Needs, PixelSubset, Real, Result, StepContext, Task, rng, stretch::stretch,
+    Dataset, Error, ImagePlane, LinkInputs, Needs, PixelSubset, Pose, Real, Result, StepContext, Task, rng,
+    stretch::stretch,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -24,7 +25,7 @@ pub(crate) struct Batches {
 impl Batches {
     /// Creates batches of the links `train` of `data`, sorted.
     pub(crate) fn new(data: &Dataset, train: Vec<usize>) -> Self {
-        let same = |a: &usize, b: &usize| data.links[*a].transmitter == data.links[*b].transmitter;
+        let same = |a: &usize, b: &usize| data.links[*a].location == data.links[*b].location;
         let mut begin = 0;
         let transmitters = train.chunk_by(same).map(|links| {
             begin += links.len();
@@ -109,7 +110,7 @@ fn rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Arc<[usize]> {
     (0..count).map(|_| rng::below(random, numbers)).collect()
 }
 
-/// Returns the observations of some links, grouped by transmitter, with the transmitter coordinates `moved`.
+/// Returns the observations of some links, grouped by location, with the coordinates of the moving end `moved`.
 fn observed(
     links: &[usize],
     data: &Dataset,
@@ -119,23 +120,24 @@ fn observed(
 ) -> Result<Batch> {
     let mut inputs = LinkInputs::of(stages.method.traits().inputs, &stages.setup);
     let (mut before, each) = (None, matches!(pixels, PixelSubset::Each(_)));
-    let (carriers, mut last) = (stages.carriers(), None);
+    let (carriers, mut last, mut pose) = (stages.carriers(), None, Pose::IDENTITY);
     for &i in links {
-        let (query, transmitter) = (data.query(i), data.links[i].transmitter);
+        let (query, location) = (data.query(i), data.links[i].location);
         let carrier = carriers.get(query.receiver);
-        if !query.features.is_empty() {
-            inputs.values.extend_from_slice(query.features); // one per link
-            inputs.moved_to(&stages.setup, data.scene.origin.local(query.tx), query.orientation);
+        if let Some(features) = query.features {
+            pose = stages.origin.local_pose(query.pose);
+            inputs.values.extend_from_slice(features); // one per link
             inputs.carriers.extend(carrier);
-        } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !each) || carrier != last {
-            let position = data.scene.origin.local(query.tx).map(&mut *moved);
+        } else if before.is_none_or(|(l, j)| l != location || j >= i && !each) || carrier != last {
+            pose = stages.origin.local_pose(query.pose);
+            let (position, exact) = (pose.origin().to_array().map(&mut *moved), pose.origin().to_array());
+            (0..3).for_each(|k| pose.position[k] += (position[k] - exact[k]) as f64);
             inputs.values.extend(position);
-            inputs.moved_to(&stages.setup, position, query.orientation);
             inputs.carriers.extend(carrier);
         }
         last = carrier;
-        before = Some((transmitter, i));
-        inputs.link(&stages.setup, query.receiver);
+        before = Some((location, i));
+        inputs.link(&stages.setup, query.receiver, pose);
     }
     let of_link = pixels.of_link(stages.numbers());
     let sampling = stages.plane.sampling;

@@ -147,9 +147,9 @@ fn of_data(data: &Dataset) -> String {
     let part = |samples: &[(usize, Sample)]| {
         let mut bytes = Vec::new();
         for (i, sample) in samples {
-            bytes.extend(sample.tx.iter().flat_map(|v| v.to_le_bytes()));
-            bytes.extend(data.query(*i).features.iter().flat_map(|v| v.to_le_bytes()));
-            bytes.extend(data.query(*i).orientation.iter().flatten().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(sample.position().iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(data.query(*i).features.iter().copied().flatten().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(sample.pose.orientation.iter().flat_map(|v| v.to_le_bytes()));
             bytes.extend_from_slice(&data.observations.raw(*i));
         }
         digest(&bytes)
@@ -157,14 +157,14 @@ fn of_data(data: &Dataset) -> String {
     let samples: Vec<(usize, Sample)> = data.samples().enumerate().collect();
     let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-    let links = data.links.iter().flat_map(|link| [link.transmitter, link.receiver]);
+    let links = data.links.iter().flat_map(|link| [link.location, link.receiver]);
     let links: Vec<u8> = links.flat_map(|index| (index as u64).to_le_bytes()).collect();
-    let Dataset { scene, width, height, elevation, camera, .. } = data;
+    let Dataset { scene, width, height, elevation, .. } = data;
     let setup = json(&(
         data.task().name,
-        &scene.receivers,
+        (scene.moving, scene.transmitter, &scene.receivers),
         scene.origin,
-        (width, height, elevation, camera),
+        (width, height, elevation),
         data.observations.frequencies_hz(),
     ));
     [setup, digest(&points), digest(&links), parts.join(" ")].join("\n")

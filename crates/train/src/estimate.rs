@@ -94,7 +94,7 @@ impl Trainer<'_> {
     pub fn step_bytes(&self) -> u64 {
         let (n, batch) = (self.cloud.len(), self.plan.training.batch);
         let setup = &self.stages.setup;
-        let of_each = self.data.len().div_ceil(self.data.transmitters.len().max(1));
+        let of_each = self.data.len().div_ceil(self.data.locations.len().max(1));
         let (links, chosen) = match self.plan.training.rays {
             Rays::All => (batch * of_each, setup.numbers()),
             Rays::Same(rays) => (batch * of_each, rays),

@@ -314,7 +314,7 @@ mod tests {
 
     #[test]
     fn batch_parts_cover_batch_in_order() {
-        let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
+        let links: Vec<Link> = (0..20).map(|k| Link { location: k / 3, receiver: 0 }).collect();
         let pixels = PixelSubset::Each((0..20).map(|k| 7 * k % 11).collect());
         let truths = (0..20).map(|k| k as Real).collect();
         let inputs = LinkInputs { values: vec![1.0; 21], width: 3, pairs: links, ..LinkInputs::default() };

@@ -251,15 +251,15 @@ impl Trainer<'_> {
     }
 
     fn thinned_positions(&self) -> Option<TrainingPositions> {
-        let Dataset { placed, links, transmitters, scene, .. } = self.data;
+        let Dataset { placed, links, locations, scene, .. } = self.data;
         if !placed {
             return None;
         }
-        let mut trained: Vec<usize> = self.batches.train().iter().map(|&i| links[i].transmitter).collect();
+        let mut trained: Vec<usize> = self.batches.train().iter().map(|&i| links[i].location).collect();
         trained.sort_unstable();
         trained.dedup();
         let positions: Vec<[Real; 3]> =
-            trained.into_iter().map(|t| scene.origin.local(transmitters[t].position)).collect();
+            trained.into_iter().map(|i| scene.origin.local(locations[i].position())).collect();
         TrainingPositions::thinned(&positions)
     }
 

@@ -178,7 +178,7 @@ impl ViewPane {
         let poses = |setup: &MeasurementSetup| -> Vec<_> {
             setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose)).collect()
         };
-        if (a.task, a.moves) != (b.task, b.moves)
+        if (a.task, a.moving.is_receiver()) != (b.task, b.moving.is_receiver())
             || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
             || poses(a) != poses(b)
         {

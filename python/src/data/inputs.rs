@@ -1,6 +1,6 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
-use crate::arrays::{Gain, axes, input_array, numbers, shape_of};
+use crate::arrays::{self, Gain, axes, input_array, numbers, places, shape_of};
 use crate::border::{free, wrong};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
@@ -16,6 +16,24 @@ pub(super) fn receivers_missing(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
     let count = shape.get(1).copied().unwrap_or(1);
     let what = format!("rssi has shape {shape:?}, but receivers is missing; pass receivers=[..] with {count} ");
     Ok(wrong(rssi.py(), &format!("{what}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))
+}
+
+/// Reads the poses of the moving end: positions `tx` of a transmitter, or poses of a receiver, whose fixed transmitter may be
+/// given.
+pub(super) fn poses(
+    py: Python<'_>,
+    tx: Option<&Bound<'_, PyAny>>,
+    rx_pose: Option<&Bound<'_, PyAny>>,
+    has_transmitter: bool,
+) -> PyResult<Vec<Pose>> {
+    match (tx, rx_pose) {
+        (Some(tx), None) if !has_transmitter => Ok(places("tx", tx)?.into_iter().map(Pose::from).collect()),
+        (None, Some(rx_pose)) => Ok(arrays::poses("rx_pose", rx_pose)?.0),
+        _ => {
+            let form = "give tx: positions [M, 3] of a transmitter that moves, or rx_pose: poses [M, 7] of a receiver that moves";
+            Err(wrong(py, form))
+        }
+    }
 }
 
 /// Reads the receivers.
@@ -58,22 +76,6 @@ pub(super) fn receiver_object<'py>(
     class.call1((&receiver.name, position, orientation, receiver.antennas.clone(), receiver.carrier_hz))
 }
 
-/// Adds the orientations `[M, 4]` of a moving receiver, and the carriers `[M]` in Hz, if given.
-pub(super) fn turned(
-    data: Dataset,
-    orientations: Option<Vec<f64>>,
-    carriers_hz: Option<Vec<f64>>,
-) -> pwrfgs_core::Result<Dataset> {
-    let data = match orientations {
-        Some(all) => data.with_moving_receiver(all.as_chunks().0.to_vec())?,
-        None => data,
-    };
-    match carriers_hz {
-        Some(all) => data.with_carriers(&all),
-        None => Ok(data),
-    }
-}
-
 /// Warns about valid but implausible data.
 pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;
@@ -103,11 +105,11 @@ pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResu
 /// Received links and their powers.
 pub(super) fn received_powers(
     rssi: &Bound<'_, PyAny>,
-    txs: &[[f64; 3]],
+    poses: &[Pose],
     receivers: usize,
 ) -> PyResult<(Vec<Sample>, Observations)> {
     let flat = axes(rssi)? == 1;
-    let shape: &[Option<usize>] = if flat { &[Some(txs.len())] } else { &[Some(txs.len()), Some(receivers)] };
+    let shape: &[Option<usize>] = if flat { &[Some(poses.len())] } else { &[Some(poses.len()), Some(receivers)] };
     if flat && receivers != 1 {
         return Err(wrong(rssi.py(), &format!("rssi has one axis, but there are {receivers} receivers; give [M, R]")));
     }
@@ -118,11 +120,11 @@ pub(super) fn received_powers(
         if let Some(fault) = power_fault(*dbm as Real as f64) {
             return Err(wrong(rssi.py(), &format!("rssi[{i}, {receiver}] {fault}")));
         }
-        samples.push(Sample { id: i as u32, tx: txs[i], receiver });
+        samples.push(Sample { receiver, ..Sample::new(i as u32, poses[i]) });
         powers.push(*dbm as Real);
     }
     let links = samples.iter().map(|sample| (sample.id as usize, sample.receiver));
-    let silent = match unlinked_node(txs.len(), receivers, links) {
+    let silent = match unlinked_node(poses.len(), receivers, links) {
         None => return Ok((samples, powers.into())),
         Some(UnlinkedNode::Transmitter(i)) => {
             format!("rssi[{i}] is NaN throughout: leave the transmitter out, in tx too")

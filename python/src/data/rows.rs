@@ -1,10 +1,11 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{array, indices, numbers, observations, places};
+use crate::arrays::{self, array, indices, numbers, observations, places};
 use crate::border::{free, raised, stoppable, stopping, wrong};
 use pwrfgs_core::{
-    Camera, Dataset as Data, Elevation, Features, Number, Observations, Real, Sample, Simulation, Spectra,
+    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Pose, Real, Sample, Simulation,
+    Spectra,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -20,7 +21,7 @@ impl Dataset {
         indices(what, links, self.data.len())
     }
 
-    /// Link `i` as the Python class `Sample`. Uses no thread pool, so it also works in a forked process.
+    /// Link `i` as the Python class `Sample`, or `ReceiverSample` of a moving receiver. Uses no thread pool, so it also works in a forked process.
     pub(super) fn row<'py>(&self, py: Python<'py>, i: isize) -> PyResult<Bound<'py, PyAny>> {
         let data = &self.data;
         let place = if i < 0 { i + data.len() as isize } else { i };
@@ -29,7 +30,7 @@ impl Dataset {
                 format!("invalid link index {i} (expected {} to below {})", -(data.len() as isize), data.len());
             return Err(PyIndexError::new_err(message));
         };
-        let Sample { id, tx, receiver } = data.sample(place);
+        let Sample { id, pose, receiver } = data.sample(place);
         let pixels = data.image(place).pixels;
         data.observations.check().map_err(|error| raised(py, error))?;
         let observation = if data.task().is_scalar {
@@ -37,8 +38,13 @@ impl Dataset {
         } else {
             observations(py, data.task(), (data.width, data.height), &[], pixels)?
         };
-        let fields = (array(py, tx.to_vec(), &[3])?, observation, receiver, id);
-        py.import("pwrfgs._types")?.getattr("Sample")?.call1(fields)
+        let (class, place) = match data.scene.moving {
+            End::Transmitter => ("Sample", pose.position.to_vec()),
+            End::Receiver => ("ReceiverSample", [&pose.position[..], &pose.orientation].concat()),
+        };
+        let width = place.len();
+        let fields = (array(py, place, &[width])?, observation, receiver, id);
+        py.import("pwrfgs._types")?.getattr(class)?.call1(fields)
     }
 
     /// Links of a list, a mask or a slice, in ascending order.
@@ -64,7 +70,9 @@ impl Dataset {
         state.set_item("title", &data.title)?;
         state.set_item("receivers", self.receivers(py)?)?;
         state.set_item("points", self.points(py)?)?;
-        state.set_item("tx", self.tx(py)?)?;
+        state.set_item("positions", self.positions(py)?)?;
+        state.set_item("rx_pose", self.rx_pose(py)?)?;
+        state.set_item("transmitter", self.transmitter(py)?)?;
         state.set_item("ids", data.samples().map(|s| s.id).collect::<Vec<_>>())?;
         state.set_item("receiver", data.samples().map(|s| s.receiver).collect::<Vec<_>>())?;
         state.set_item("bounds", data.scene.bounds)?;
@@ -73,8 +81,7 @@ impl Dataset {
         state.set_item("official", data.official.clone())?;
         state.set_item("simulation", data.simulation.as_ref().map(|own| (own.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
-        state.set_item("orientations", self.orientations(py)?)?;
-        state.set_item("camera", data.camera.map(|camera| (camera.focal, camera.centre)))?;
+        state.set_item("camera", data.camera().map(|camera| (camera.focal, camera.centre)))?;
         let number = data.observations.number();
         match &data.observations {
             Observations::Pictures(spectra) => {
@@ -104,15 +111,26 @@ impl Dataset {
         }
         let get = |name: &str| state.as_any().get_item(name);
         let (ids, receiver): (Vec<u32>, Vec<usize>) = (get("ids")?.extract()?, get("receiver")?.extract()?);
-        let txs = places("tx", &get("tx")?)?;
+        let rx_pose = get("rx_pose")?;
+        let poses: Vec<Pose> = if rx_pose.is_none() {
+            places("positions", &get("positions")?)?.into_iter().map(Pose::from).collect()
+        } else {
+            arrays::poses("rx_pose", &rx_pose)?.0
+        };
+        let links = ids.iter().zip(poses).zip(receiver);
         let samples: Vec<Sample> =
-            ids.iter().zip(txs).zip(receiver).map(|((id, tx), receiver)| Sample { id: *id, tx, receiver }).collect();
-        let receivers = inputs::receivers_of(py, Some(&get("receivers")?))?;
+            links.map(|((id, pose), receiver)| Sample { receiver, ..Sample::new(*id, pose) }).collect();
+        let mut receivers = inputs::receivers_of(py, Some(&get("receivers")?))?;
+        let camera: Option<([f64; 2], [f64; 2])> = get("camera")?.extract()?;
+        receivers[0].camera = camera.map(|(focal, centre)| Camera { focal, centre });
+        let ends = if rx_pose.is_none() {
+            Ends::from(receivers)
+        } else {
+            Ends::of_moving_receivers(receivers, get("transmitter")?.extract()?)
+        };
         let points = places("points", &get("points")?)?;
         let (first, last) = get("elevation")?.extract()?;
         let simulation: Option<(Option<String>,)> = get("simulation")?.extract()?;
-        let turns = get("orientations")?;
-        let turns = (!turns.is_none()).then(|| numbers::<f64>("orientations", &turns, &[None, Some(4)])).transpose()?;
         let features = get("features")?;
         let features = if features.is_none() {
             None
@@ -124,15 +142,11 @@ impl Dataset {
             if error.is_instance_of::<pyo3::exceptions::PyKeyError>(py) { wrong(py, "damaged data set") } else { error }
         })?;
         let title: String = get("title")?.extract()?;
-        let made = free(py, || {
-            inputs::turned(Data::of_links(title, receivers, points, &samples, observations)?, turns, None)
-        })?;
+        let made = free(py, || Data::of_links(title, ends, points, &samples, observations))?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
-        let camera: Option<([f64; 2], [f64; 2])> = get("camera")?.extract()?;
         let data = Data {
             scene,
-            camera: camera.map(|(focal, centre)| Camera { focal, centre }),
             elevation: Elevation { first, last },
             features,
             placed: get("placed")?.extract()?,

@@ -1,7 +1,7 @@
 //! Models from files and from arrays.
 
 use super::Model;
-use crate::arrays::{axes, elevation_of, numbers, place, places};
+use crate::arrays::{elevation_of, numbers, places};
 use crate::border::{free, plugin, wrong};
 use crate::strategies::{check_keys, cloud_of};
 use pwrfgs::experiment::model_file;
@@ -39,28 +39,6 @@ pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
         members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
     }
     Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
-}
-
-/// Positions, orientations, and whether there is a single one.
-type Places = (Vec<[f64; 3]>, Vec<[f64; 4]>, bool);
-
-/// Positions of transmitters, or of a receiver that `moves`; its orientations, if they are given; and whether `tx` is a single
-/// one.
-pub(super) fn poses(tx: &Bound<'_, PyAny>, moves: bool) -> PyResult<Places> {
-    let one = axes(tx)? == 1;
-    let last: Option<usize> = tx.getattr("shape").and_then(|shape| shape.get_item(-1)?.extract()).ok();
-    if !moves || last != Some(7) {
-        return Ok((if one { vec![place("tx", tx)?] } else { places("tx", tx)? }, Vec::new(), one));
-    }
-    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
-    let values = numbers::<f64>("tx", tx, shape)?;
-    let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
-    let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
-    if let Some((i, (_, fault))) = poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
-        return Err(wrong(tx.py(), &format!("tx[{i}]: {fault}")));
-    }
-    let (positions, orientations) = poses.into_iter().map(|pose| (pose.position, pose.orientation)).unzip();
-    Ok((positions, orientations, one))
 }
 
 /// Finds a receiver by name or index.

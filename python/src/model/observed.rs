@@ -49,9 +49,9 @@ impl Model {
             let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
             if let Some(k) = numbers.par_chunks_exact(of_each).position_first(|own| !finite(own)) {
                 return Err(Error::Config(format!(
-                    "what is predicted for a transmitter at {:?} is not finite: numbers of the model overflow there; \
+                    "what is predicted at {:?} is not finite: numbers of the model overflow there; \
                      leave the position out if it is far from all that the model has seen",
-                    queries[k].tx
+                    queries[k].position()
                 )));
             }
         }
@@ -71,9 +71,9 @@ impl Model {
             let why = "its network reads link features or is a Python class";
             return Err(wrong(py, &format!("vjp: this model has no derivative by the position, since {why}")));
         }
-        let is_pose = !links.orientations.is_empty();
+        let is_pose = self.stages().setup.moving.is_receiver();
         if is_pose && !ready.has_orientation_derivative() {
-            let what = "vjp: this model has no derivative by the orientation (calibration AsReleased); give positions [3] or [B, 3]";
+            let what = "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
             return Err(wrong(py, what));
         }
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;
@@ -96,7 +96,7 @@ impl Model {
         let of_tx = |own: &[[f64; 7]]| (0..width).map(|k| own.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
         let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(of_tx).collect();
         let batch = links.lead.len() > usize::from(receivers > 1);
-        let shape = if batch { vec![links.txs.len(), width] } else { vec![width] };
+        let shape = if batch { vec![links.poses.len(), width] } else { vec![width] };
         Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())
     }
 }

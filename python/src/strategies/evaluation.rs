@@ -82,7 +82,7 @@ impl Predict for Predictor {
     fn predict(&self, query: Query<'_>) -> Image {
         let (width, height) = self.size;
         let call = |py: Python<'_>| {
-            let tx = array(py, query.tx.to_vec(), &[3])?;
+            let tx = array(py, query.position().to_vec(), &[3])?;
             let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
             let pixels = observation_rows("the result of predict", &found, self.task, self.size, &[])?;
             Ok(Image { width, height, pixels })

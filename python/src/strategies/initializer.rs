@@ -15,12 +15,13 @@ impl Initializer for Strategy {
         self.try_with(|py, own| {
             let world = |place: &[Real; 3]| scene.origin.world(*place);
             let points: Vec<f64> = scene.points.iter().flat_map(world).collect();
-            let receivers: Vec<f64> =
-                scene.receivers.iter().flat_map(|receiver| scene.origin.world_pose(receiver.pose).position).collect();
+            let ends = scene.fixed_ends();
+            let count = ends.len();
+            let fixed: Vec<f64> = ends.into_iter().flat_map(|pose| scene.origin.world_pose(pose).position).collect();
             let arguments = (
                 array(py, points, &[scene.points.len(), 3])?,
                 array(py, [world(&scene.bounds.0), world(&scene.bounds.1)].concat(), &[2, 3])?,
-                array(py, receivers, &[scene.receivers.len(), 3])?,
+                array(py, fixed, &[count, 3])?,
             );
             let scene_object = py.import("pwrfgs._types")?.getattr("Room")?.call1(arguments)?;
             let found = own.call_method1("initialize", (scene_object, generator(py, random)?))?;

@@ -98,7 +98,7 @@ pub(super) fn context_object<'py>(py: Python<'py>, context: &StepContext) -> PyR
 pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let rows: Vec<_> = links.iter().map(|&i| data.sample(i)).collect();
     let fields = (
-        array(py, rows.iter().flat_map(|s| s.tx).collect::<Vec<f64>>(), &[rows.len(), 3])?,
+        array(py, rows.iter().flat_map(pwrfgs_core::Sample::position).collect::<Vec<f64>>(), &[rows.len(), 3])?,
         vector(py, rows.iter().map(|s| i64::from(s.id)).collect::<Vec<i64>>())?,
         vector(py, rows.iter().map(|s| s.receiver as i64).collect::<Vec<i64>>())?,
     );

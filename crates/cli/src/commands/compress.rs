@@ -71,7 +71,7 @@ fn difference(model: &Model, small: &Model) -> Option<String> {
         evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
     let receivers = 0..stages.receivers.len();
     let queries: Vec<Query<'_>> =
-        places.iter().flat_map(|&at| receivers.clone().map(move |r| Query::at(at, r))).collect();
+        places.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
     let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();

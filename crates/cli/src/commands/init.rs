@@ -75,6 +75,13 @@ const CAMERA_IMAGES: [&str; 5] = [
 /// Changes to `CHANNELS`: the search begins on a coarse grid and takes a finer one only if held-out links gain.
 const COARSE_SEARCH: &str =
     "initializer=MatchingPursuit(most: 10, reach: 1.0, step: 0.5, patience: 4, rounds: 0, finer: 1)";
+/// Changes to `UPLINKS` for channels at an array that moves and turns.
+const TURNING_ARRAY: [&str; 4] = [
+    "method.deformation.tx_encoding=Wavelengths(count: 24, longest_m: 4.0, shortest_m: 0.3, seed: 0)",
+    "training.optimizer.means=Constant(0.0005)",
+    "training.optimizer.signals=Constant(0.002)",
+    "training.optimizer.network=Cosine(first: 0.001, last: 0.00001)",
+];
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
@@ -115,7 +122,7 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
         format!("split={}", survey.split),
     ];
     let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
-        _ if survey.data.camera.is_some() => {
+        _ if survey.data.camera().is_some() => {
             set.extend(of_camera(&survey.data));
             (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
         }
@@ -160,6 +167,11 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
         Some(width) => {
             set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
             (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
+        }
+        // The search needs antennas of fixed orientation.
+        None if survey.data.scene.moving.is_receiver() && survey.data.scene.receivers[0].antennas != [[0.0; 3]] => {
+            set.extend(TURNING_ARRAY.map(str::to_owned));
+            (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
         }
         None => {
             set.push(COARSE_SEARCH.into());
@@ -228,7 +240,7 @@ fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
 /// Longest side of the bounding box of the positions, metres.
 fn extent(data: &Dataset) -> f64 {
     let ends = |k: usize| {
-        let all = data.samples().map(move |sample| sample.tx[k]);
+        let all = data.samples().map(move |sample| sample.position()[k]);
         all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min)
     };
     (0..3).map(ends).fold(0.0, f64::max)

@@ -165,16 +165,16 @@ fn summary(locator: &Locator<'_>) -> String {
 
 /// Locates the test samples.
 fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
-    let test = data.transmitters_of(&partition.test);
+    let test = data.locations_of(&partition.test);
     let all = locator.observations(data, &test);
     RunProgress::during(verbosity, |progress| {
         let mut rows = Vec::with_capacity(test.len());
         for (some, observations) in test.chunks(64).zip(all.chunks(64)) {
             progress.on_stage("locating", rows.len(), test.len());
             rows.par_extend(some.par_iter().zip(observations).map(|(t, own)| {
-                let transmitter = data.transmitters[*t];
+                let transmitter = data.locations[*t];
                 let (name, located) = (format!("{:05}", transmitter.id), locator.locate(own));
-                Row { name, located, truth: Some(transmitter.position) }
+                Row { name, located, truth: Some(transmitter.position()) }
             }));
         }
         rows

@@ -136,7 +136,7 @@ fn start(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> Result<Corre
         return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
     }
     let measured = places.data.as_ref().filter(|_| !places.known.is_empty());
-    let learned = measured.and_then(|data| learn(data, &(0..data.transmitters.len()).collect::<Vec<_>>()));
+    let learned = measured.and_then(|data| learn(data, &(0..data.locations.len()).collect::<Vec<_>>()));
     Ok(learned.unwrap_or(default))
 }
 
@@ -203,14 +203,14 @@ fn choices(
 fn gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));
-    let blocks = Blocks::new(&samples().map(|own| (own.id, data.placed.then_some(own.tx))).collect());
+    let blocks = Blocks::new(&samples().map(|own| (own.id, data.placed.then_some(own.position()))).collect());
     let gains = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b));
     Difference::of(&[blocks.cells(samples().map(|own| own.id).zip(gains))])
 }
 
 /// Links of transmitters that are in no choice, at most [`TESTED`] transmitters.
 fn test_links(data: &Dataset, choices: &[Choice]) -> Vec<usize> {
-    let mut is_taken = vec![false; data.transmitters.len()];
+    let mut is_taken = vec![false; data.locations.len()];
     choices.iter().flat_map(|choice| &choice.order).for_each(|&j| is_taken[j] = true);
     let left: Vec<usize> = (0..is_taken.len()).filter(|&j| !is_taken[j]).collect();
     data.links_of(&evenly(&left, TESTED))

@@ -1,4 +1,4 @@
-//! `pwrfgs predict`: predictions at transmitter positions, from the model file alone.
+//! `pwrfgs predict`: predictions at transmitter positions or receiver poses, from the model file alone.
 
 mod writers;
 
@@ -11,7 +11,7 @@ use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Pose, Predict as _, Query, Result, Task};
+use pwrfgs_core::{End, Error, Pose, Predict as _, Query, Result, Task};
 use std::path::PathBuf;
 use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
 
@@ -39,19 +39,25 @@ EXAMPLES
   pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --interval 0.9 --out band
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
   pwrfgs predict runs/quickstart --tx-csv walk.csv --stacked --no-png --out walk
-  pwrfgs predict runs/ble --tx-csv walk.csv --receiver g01 --out walk-g01")]
-#[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
+  pwrfgs predict runs/ble --tx-csv walk.csv --receiver g01 --out walk-g01
+  pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    (the receiver moves)")]
+#[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv", "rx_pose", "rx_pose_csv"])))]
 pub(crate) struct Predict {
     /// Run folder or model file; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
-    /// One transmitter position in metres, world frame; for a moving receiver its position, and optionally its
-    /// orientation as a quaternion: x,y,z,qx,qy,qz,qw
+    /// One transmitter position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
-    /// CSV file of positions: columns x, y, z in metres, and qx, qy, qz, qw for a moving receiver; others are ignored
+    /// CSV file of transmitter positions: columns x, y, z in metres; others are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
+    /// One pose of a moving receiver: position, and orientation as a quaternion from receiver to world axes
+    #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", allow_hyphen_values = true)]
+    pub(crate) rx_pose: Option<String>,
+    /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; others are ignored
+    #[arg(long, value_name = "FILE")]
+    pub(crate) rx_pose_csv: Option<PathBuf>,
     /// Add prediction intervals that hold with this probability, such as 0.9
     #[arg(long, value_name = "LEVEL", allow_hyphen_values = true)]
     pub(crate) interval: Option<f64>,
@@ -72,14 +78,14 @@ pub(crate) struct Predict {
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages.setup;
-    let places = places(arguments, setup.moves.then(|| setup.pose().orientation))?;
-    let txs: Vec<[f64; 3]> = places.iter().map(|place| place.tx).collect();
+    let poses = poses(arguments, setup.moving)?;
+    let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
     check_positions(&ensemble)?;
-    let distances = ensemble.training_distances(&txs);
+    let distances = ensemble.training_distances(&positions);
     let model = ensemble.prepare();
     let task = model.task();
     let listening = chosen(model.receivers(), &arguments.receiver)?;
-    let count = txs.len() * listening.len();
+    let count = poses.len() * listening.len();
     if arguments.stacked && task.is_scalar {
         let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
         return Err(Error::Config(why.into()));
@@ -92,11 +98,11 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let mut list = writer.header();
     let is_named = !task.has_pixels || model.receivers().len() > 1;
     let row = |k: usize| {
-        let (tx, receiver) = (txs[k / listening.len()], listening[k % listening.len()]);
+        let (pose, receiver) = (poses[k / listening.len()], listening[k % listening.len()]);
         PredictionRow {
             number: k + 1,
-            tx,
-            orientation: places[k / listening.len()].orientation,
+            pose,
+            has_orientation: setup.moving.is_receiver(),
             receiver,
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
             training_distance: distances.as_ref().map(|all| all.metres[k / listening.len()]),
@@ -120,20 +126,30 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Positions to predict at, with orientations of a moving receiver: `level` if none is given.
-fn places(arguments: &Predict, level: Option<[f64; 4]>) -> Result<Vec<Query<'static>>> {
-    let at = |pose: Pose| Query { orientation: Some(pose.orientation), ..Query::at(pose.position, 0) };
-    match (&arguments.tx, &arguments.tx_csv) {
-        (Some(text), _) => match numbers::<7>(text).filter(|_| level.is_some()) {
-            Some([x, y, z, orientation @ ..]) => {
-                let pose = Pose { position: [x, y, z], orientation };
-                let wrong = |(_, fault)| Err(Error::Config(format!("--tx {text}: {fault}")));
-                pose.fault().map_or(Ok(vec![at(pose)]), wrong)
-            }
-            None => Ok(vec![Query { orientation: level, ..position("--tx", text)?.into() }]),
-        },
-        (_, Some(path)) if level.is_some() => Ok(read_poses(path)?.into_iter().map(at).collect()),
-        (_, Some(path)) => Ok(read_transmitters(path)?.into_iter().map(Query::from).collect()),
+/// Positions or poses of the end that moves, at which to predict.
+fn poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
+    let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
+    let of_transmitters = tx.is_some() || tx_csv.is_some();
+    if of_transmitters && moving.is_receiver() {
+        let what = "the receiver of this model moves; give its poses with --rx-pose or --rx-pose-csv instead of --tx";
+        return Err(Error::Config(what.into()));
+    }
+    if !of_transmitters && !moving.is_receiver() {
+        let what = "the transmitter of this model moves; give its positions with --tx or --tx-csv instead of --rx-pose";
+        return Err(Error::Config(what.into()));
+    }
+    match (tx, tx_csv, rx_pose, rx_pose_csv) {
+        (Some(text), ..) => Ok(vec![position("--tx", text)?.into()]),
+        (_, Some(path), ..) => Ok(read_transmitters(path)?.into_iter().map(Pose::from).collect()),
+        (.., Some(text), _) => {
+            let refuse = |fault: &str| Err(Error::Config(format!("--rx-pose {text}: {fault}")));
+            let Some([x, y, z, orientation @ ..]) = numbers::<7>(text) else {
+                return refuse("expected x,y,z,qx,qy,qz,qw, such as 3.5,2.2,1.2,0,0,0,1 for no rotation");
+            };
+            let pose = Pose { position: [x, y, z], orientation };
+            pose.fault().map_or(Ok(vec![pose]), |(_, fault)| refuse(&fault))
+        }
+        (.., Some(path)) => read_poses(path),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     }
 }
@@ -171,7 +187,7 @@ fn draw<'a>(
     row: PredictionRow<'a>,
     factors: Option<&IntervalFactors>,
 ) -> Result<PredictedRow<'a>> {
-    let query = Query { orientation: row.orientation, ..Query::at(row.tx, row.receiver) };
+    let query = Query::at(row.pose, row.receiver);
     let (image, spread, times) = if model.models().count() == 1 {
         let (image, times) = model.predict_timed(query);
         (image, None, times)
@@ -192,8 +208,8 @@ fn draw<'a>(
 fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
     let what = task.singular;
     Error::Config(format!(
-        "row {}: the {what} of a transmitter at {:?} is not finite: the model overflows there; remove the position if it \
+        "row {}: the {what} at {:?} is not finite: the model overflows there; remove the position if it \
          is far from the training positions, or train again with lower learning rates",
-        row.number, row.tx
+        row.number, row.pose.position
     ))
 }

@@ -1,19 +1,19 @@
 //! Data sets with several carriers: one receiver per carrier, at one pose.
 
-use crate::{Dataset, Error, Receiver, Result, Sample, Scene, carrier_fault};
+use crate::{Dataset, Ends, Error, Receiver, Result, Sample, Scene, carrier_fault};
 use std::collections::BTreeMap;
 
 impl Dataset {
     /// Sets the carrier of each link of one receiver, Hz. Every carrier then is a receiver at the same pose, with a name
-    /// such as `2400MHz`, in ascending order. Links at equal positions have one transmitter, with the ID of the first,
+    /// such as `2400MHz`, in ascending order. Links at equal poses have one location, with the ID of the first,
     /// unless they also have equal carriers.
     ///
     /// # Errors
-    /// Several receivers, a moving receiver, features, another number of carriers than links, or a carrier out of range.
+    /// Several receivers, features, another number of carriers than links, or a carrier out of range.
     pub fn with_carriers(mut self, carriers_hz: &[f64]) -> Result<Self> {
         let refuse = |what: String| Err(Error::Config(format!("data set `{}`: {what}", self.title)));
-        if self.scene.receivers.len() > 1 || self.orientations.is_some() || self.features.is_some() {
-            return refuse("carriers need one fixed receiver and no features; leave them out".into());
+        if self.scene.receivers.len() > 1 || self.features.is_some() {
+            return refuse("carriers need one receiver and no features; leave them out".into());
         }
         if carriers_hz.len() != self.len() {
             let (have, need) = (carriers_hz.len(), self.len());
@@ -29,33 +29,33 @@ impl Dataset {
             self.scene.receivers[0].carrier_hz = Some(only);
             return Ok(self);
         }
-        // Repeated links at a position and carrier count up, and each count has its own transmitter.
+        // Repeated links at a position and carrier count up, and each count has its own location.
         let (mut counts, mut first_ids) = (BTreeMap::new(), BTreeMap::new());
-        let place = |(i, hz): (usize, &f64)| {
-            let Sample { id, tx, .. } = self.sample(i);
-            let (position, receiver) = (tx.map(f64::to_bits), all.partition_point(|other| other < hz));
-            let count: &mut usize = counts.entry((position, receiver)).or_default();
+        let row = |(i, hz): (usize, &f64)| {
+            let Sample { id, pose, .. } = self.sample(i);
+            let at = (pose.position.map(f64::to_bits), pose.orientation.map(f64::to_bits));
+            let receiver = all.partition_point(|other| other < hz);
+            let count: &mut usize = counts.entry((at, receiver)).or_default();
             *count += 1;
-            (*first_ids.entry((position, *count)).or_insert(id), receiver, i)
+            (*first_ids.entry((at, *count)).or_insert(id), receiver, i)
         };
-        let mut rows: Vec<(u32, usize, usize)> = carriers_hz.iter().enumerate().map(place).collect();
+        let mut rows: Vec<(u32, usize, usize)> = carriers_hz.iter().enumerate().map(row).collect();
         rows.sort_unstable();
         let order: Vec<usize> = rows.iter().map(|(.., i)| *i).collect();
         let samples: Vec<Sample> =
             rows.iter().map(|&(id, receiver, i)| Sample { id, receiver, ..self.sample(i) }).collect();
-        let mut places = vec![0; order.len()];
-        order.iter().enumerate().for_each(|(place, i)| places[*i] = place);
+        let mut new_index = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(new, old)| new_index[*old] = new);
         let moved = |list: &Vec<usize>| {
-            let mut list: Vec<usize> = list.iter().map(|i| places[*i]).collect();
+            let mut list: Vec<usize> = list.iter().map(|i| new_index[*i]).collect();
             list.sort_unstable();
             list
         };
-        let (local, antennas) = (self.scene.pose(), self.scene.receivers[0].antennas.clone());
-        let of_carrier = |hz: &f64| Receiver { antennas: antennas.clone(), ..Receiver::of_carrier(local, *hz) };
-        let receivers: Vec<Receiver> = all.iter().map(of_carrier).collect();
+        let receivers: Vec<Receiver> = all.iter().map(|hz| self.scene.receivers[0].at_carrier(*hz)).collect();
         let official = self.official.as_ref().map(|(train, test)| (moved(train), moved(test)));
         let observations = if order.is_sorted() { self.observations } else { self.observations.subset(&order)? };
-        let columns = Self::of_links(self.title, receivers.clone(), vec![], &samples, observations)?;
+        let ends = Ends { receivers: receivers.clone(), ..self.scene.ends() };
+        let columns = Self::of_links(self.title, ends, Vec::new(), &samples, observations)?;
         Ok(Self {
             scene: Scene { receivers, ..self.scene },
             elevation: self.elevation,
@@ -82,13 +82,15 @@ mod tests {
     }
 
     #[test]
-    fn links_at_one_position_share_a_transmitter() {
+    fn links_at_one_position_share_a_location() {
         // Positions 0 and 1 at 3 GHz, then 1 and 0 at 2 GHz, then a repetition of 0 at 2 GHz.
         let data = line(&[0.0, 1.0, 1.0, 0.0, 0.0]).with_carriers(&[3e9, 3e9, 2e9, 2e9, 2e9]).unwrap();
         let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
-        assert_eq!((names, data.transmitters.len()), (vec!["2000MHz", "3000MHz"], 3));
+        assert_eq!((names, data.locations.len()), (vec!["2000MHz", "3000MHz"], 3));
         let rows: Vec<(u32, f64, usize, u8)> = (0..5)
-            .map(|i| (data.sample(i).id, data.sample(i).tx[0], data.sample(i).receiver, data.observations.raw(i)[0]))
+            .map(|i| {
+                (data.sample(i).id, data.sample(i).position()[0], data.sample(i).receiver, data.observations.raw(i)[0])
+            })
             .collect();
         assert_eq!(rows, [(1, 0.0, 0, 3), (1, 0.0, 1, 0), (2, 1.0, 0, 2), (2, 1.0, 1, 1), (5, 0.0, 0, 4)]);
         assert_eq!(data.official, Some((vec![0, 1, 2, 3], vec![4])));
@@ -97,7 +99,7 @@ mod tests {
     #[test]
     fn one_carrier_changes_no_link() {
         let data = line(&[0.0, 1.0]).with_carriers(&[2e9; 2]).unwrap();
-        assert_eq!((data.scene.receivers[0].carrier_hz, data.transmitters.len(), data.len()), (Some(2e9), 2, 2));
+        assert_eq!((data.scene.receivers[0].carrier_hz, data.locations.len(), data.len()), (Some(2e9), 2, 2));
         assert_eq!(data.scene.receivers[0].name, "receiver");
     }
 

@@ -57,11 +57,11 @@ fn reads_and_saves_poses_of_a_moving_receiver() {
     };
     folder.write("rx_pose.csv", table(&rows));
     let data = folder.try_load().unwrap();
-    assert_eq!((data.sample(2).tx, data.query(2).orientation), ([7.0, 8.0, 9.0], Some([0.0, 1.0, 0.0, 0.0])));
-    assert_eq!(data.scene.pose().position, [5.0, 0.26, 0.0]);
+    assert_eq!(data.query(2).pose, Pose { position: [7.0, 8.0, 9.0], orientation: [0.0, 1.0, 0.0, 0.0] });
+    assert_eq!((data.scene.moving, data.scene.transmitter), (End::Receiver, Some([5.0, 0.26, 0.0])));
     let out = folder.path("saved");
     let read = crate::save(&data, &out).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
-    assert_eq!((read.orientations, read.transmitters), (data.orientations, data.transmitters));
+    assert_eq!((read.scene.transmitter, &read.locations), (data.scene.transmitter, &data.locations));
     assert!(!out.join("tx.npy").exists());
     let cases = [
         (&rows[..3], "holds 4 spectra, but rx_pose.csv 3 positions"),
@@ -82,7 +82,7 @@ fn reads_valid_array_folder() {
     let folder = Folder::new();
     let data = folder.try_load().unwrap();
     assert_eq!((data.title.as_str(), data.width, data.height), ("s (measured, arrays)", 3, 2));
-    assert_eq!((data.sample(3).id, data.sample(3).tx), (4, [9.0, 10.0, 11.0]));
+    assert_eq!((data.sample(3).id, data.sample(3).position()), (4, [9.0, 10.0, 11.0]));
     assert_eq!(data.observations.raw(3).as_ref(), [18, 19, 20, 21, 22, 23]);
     assert!(data.official.is_none() && data.observations.bytes_in_memory() == 24);
     folder.write("train_index.txt", "1\n2\n4\n");
@@ -94,7 +94,7 @@ fn reads_valid_array_folder() {
     // A table does as well as an array.
     fs::remove_file(folder.path("s/tx.npy")).unwrap();
     folder.write("tx_pos.csv", "x,y,z\n0,1,2\n3,4,5\n6,7,8\n9,10,11\n");
-    assert_eq!(folder.try_load().unwrap().sample(3).tx, data.sample(3).tx);
+    assert_eq!(folder.try_load().unwrap().sample(3).position(), data.sample(3).position());
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn reads_every_number_format_unchanged() {
     let header = npy_header(Number::F32, &[4, 3]);
     let text = String::from_utf8_lossy(&header[10..]).replace("False", "True ");
     folder.write("tx.npy", [&header[..10], text.as_bytes(), &tx].concat());
-    assert_eq!(folder.try_load().unwrap().sample(1).tx, [1.0, 5.0, 9.0]);
+    assert_eq!(folder.try_load().unwrap().sample(1).position(), [1.0, 5.0, 9.0]);
 }
 
 #[test]

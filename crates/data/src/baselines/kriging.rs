@@ -1,6 +1,6 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-use super::log_distance::{log_distance, points, receiver};
+use super::log_distance::{fixed_end, log_distance, points};
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
@@ -8,8 +8,8 @@ use pwrfgs_core::kriging::{
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Sample, Sampling, evenly,
-    rng,
+    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Result, Sample, Sampling,
+    evenly, rng,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -102,7 +102,7 @@ impl Baseline for Kriging {
 /// Links of `order` after the first, each with the `count` nearest of those before it: the conditioning sets of the Vecchia
 /// approximation of a likelihood (Vecchia 1988).
 pub fn preceding(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
-    let place = |i: usize| data.sample(i).tx;
+    let place = |i: usize| data.sample(i).position();
     let case = |n: usize| {
         let near = Nearest::new(order[..n].to_vec(), 3, place).find(&place(order[n]), count).1;
         (order[n], near.into_iter().map(|(_, j)| j).collect())
@@ -120,7 +120,8 @@ pub struct Trend<'a> {
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
     pub fn of(data: &'a Dataset, links: &[usize]) -> Self {
-        Self { data, law: data.task().is_scalar.then(|| PathLoss::fit(&points(data, links))) }
+        let has_distances = data.task().is_scalar && data.scene.has_distances();
+        Self { data, law: has_distances.then(|| PathLoss::fit(&points(data, links))) }
     }
 
     /// Power of the path-loss model for a link, dBm; 0 without a model.
@@ -141,7 +142,7 @@ impl<'a> Trend<'a> {
     /// order. Their densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society B 50, 1988),
     /// and the first samples constrain long distances.
     fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> (Correlation, f64) {
-        let space_of = |i: usize| self.data.sample(i).tx;
+        let space_of = |i: usize| self.data.sample(i).position();
         let given = |nearest: &Nearest, i: usize, count| {
             (i, nearest.find(&space_of(i), count).1.into_iter().map(|(_, j)| j).collect::<Vec<_>>())
         };
@@ -183,7 +184,7 @@ impl<'a> Trend<'a> {
 
 /// Place of link `i`, with its id as its time.
 fn place(data: &Dataset, i: usize) -> Place {
-    let Sample { id, tx: [x, y, z], .. } = data.sample(i);
+    let Sample { id, pose: Pose { position: [x, y, z], .. }, .. } = data.sample(i);
     [x, y, z, f64::from(id)]
 }
 
@@ -228,7 +229,7 @@ impl Predict for Process<'_> {
         };
         let mut d_tx = self.kriging.solve_vjp(self.place_of(query), self.settings.neighbours, along);
         if let Some(law) = self.trend.law {
-            let slope = law.slope_at(query.tx, receiver(data, query));
+            let slope = law.slope_at(query.position(), fixed_end(data, query));
             (0..3).for_each(|k| d_tx[k] += f64::from(d[0]) * slope[k]);
         }
         Some((image, d_tx))
@@ -247,7 +248,7 @@ impl Predict for Process<'_> {
 impl<'a> Process<'a> {
     fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
         let (data, (correlation, variance)) = (trend.data, fitted);
-        let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).tx));
+        let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).position()));
         let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
         let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }
@@ -260,9 +261,9 @@ impl<'a> Process<'a> {
 
     /// Place of a query. Without an id, its time is that of the nearest sample in space.
     fn place_of(&self, query: Query<'_>) -> Place {
-        let Some(in_space) = &self.in_space else { return self::in_space(query.tx) };
-        let nearest = || in_space.find(&query.tx, 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
-        let [x, y, z] = query.tx;
+        let Some(in_space) = &self.in_space else { return self::in_space(query.position()) };
+        let nearest = || in_space.find(&query.position(), 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
+        let [x, y, z] = query.position();
         [x, y, z, query.id.or_else(nearest).map_or(0.0, f64::from)]
     }
 }

@@ -49,7 +49,7 @@ fn hold(data: &Dataset, partition: &Partition, expected: &[(&dyn Baseline, [f64;
 #[test]
 fn official_power_split_reproduces_published_baselines() {
     let Some(data) = ble() else { return };
-    assert_eq!((data.transmitters.len(), data.scene.receivers.len(), data.len()), (4800, 21, 33_600));
+    assert_eq!((data.locations.len(), data.scene.receivers.len(), data.len()), (4800, 21, 33_600));
     let partition = Official::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     assert_eq!(partition.test.len(), 960 * 7);
     let expected: [(&dyn Baseline, [f64; 2]); 7] = [

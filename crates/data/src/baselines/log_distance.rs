@@ -43,8 +43,13 @@ impl Baseline for LogDistance {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.task().is_scalar && data.placed {
+        if data.task().is_scalar && data.placed && data.scene.has_distances() {
             return Ok(());
+        }
+        if data.task().is_scalar && data.placed {
+            let what = "LogDistance() needs the position of the fixed transmitter, which is unknown; state it, or remove it from \
+                        `baselines`";
+            return Err(Error::Config(format!("{}: {what}", data.title)));
         }
         let holds = if data.placed { data.task().plural } else { "no transmitter positions" };
         let what =
@@ -98,7 +103,7 @@ impl Predict for PathLosses<'_> {
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let image = self.predict(query);
         let d = f64::from(cotangent(&image)[0]);
-        Some((image, self.of(query).slope_at(query.tx, receiver(self.data, query)).map(|slope| d * slope)))
+        Some((image, self.of(query).slope_at(query.position(), fixed_end(self.data, query)).map(|slope| d * slope)))
     }
 
     fn note(&self) -> Option<String> {
@@ -111,14 +116,13 @@ impl Predict for PathLosses<'_> {
 
 /// log10 of the distance from transmitter to receiver, metres.
 pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
-    kriging::log_distance(query.tx, receiver(data, query))
+    kriging::log_distance(query.position(), fixed_end(data, query))
 }
 
-/// Position of the receiver, metres, world frame.
-pub(super) fn receiver(data: &Dataset, query: Query<'_>) -> [f64; 3] {
-    let receiver = data.scene.receivers.get(query.receiver).map_or([0.0; 3], |receiver| receiver.pose.position);
-    let origin = data.scene.origin.0;
-    [0, 1, 2].map(|k| receiver[k] + origin[k])
+/// Position of the fixed end of a link, metres, world frame: its receiver, or the transmitter if receivers move.
+pub(super) fn fixed_end(data: &Dataset, query: Query<'_>) -> [f64; 3] {
+    let ends = data.scene.fixed_ends();
+    data.scene.origin.world_pose(*ends.get(query.receiver).unwrap_or(&ends[0])).position
 }
 
 /// (log10 of the distance, dBm) of power links.

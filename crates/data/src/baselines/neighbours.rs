@@ -3,7 +3,8 @@
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Receiver, Result, Task, evenly, ssim,
+    Baseline, Dataset, End, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Receiver, Result, Task, evenly,
+    ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -153,9 +154,14 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
-        let positions = if data.orientations.is_some() { 9 } else { 3 };
+        let positions = if data.scene.moving.is_receiver() { 9 } else { 3 };
         let width = data.features.as_ref().map_or(positions, |features| features.width);
-        Self { data, nearest: Nearest::new(samples, width, |i| place(data.query(i))), k, chosen: false }
+        Self {
+            data,
+            nearest: Nearest::new(samples, width, |i| coordinates(data.scene.moving, data.query(i))),
+            k,
+            chosen: false,
+        }
     }
 
     /// Samples with their weights; true if they lie exactly at `at`, false for the k nearest.
@@ -172,7 +178,7 @@ impl<'a> Lookup<'a> {
     fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
         let truth = self.data.image(i);
         // Samples at the exact position all count, for any k.
-        let (exact, neighbours) = self.neighbours(&place(self.data.query(i)));
+        let (exact, neighbours) = self.neighbours(&coordinates(self.data.scene.moving, self.data.query(i)));
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
             let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
@@ -190,11 +196,12 @@ impl<'a> Lookup<'a> {
 }
 
 /// Coordinates of a link: its features, or the transmitter position, or position and axes of a moving receiver.
-fn place(query: Query<'_>) -> Vec<f64> {
-    if !query.features.is_empty() {
-        return query.features.iter().map(|v| *v as f64).collect();
+fn coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
+    match query.features {
+        Some(features) => features.iter().map(|v| *v as f64).collect(),
+        None if moving.is_receiver() => query.pose.coordinates().to_vec(),
+        None => query.position().to_vec(),
     }
-    query.coordinates()
 }
 
 /// Similarity of prediction and observation; higher is better.
@@ -209,7 +216,7 @@ fn likeness(task: Task, predicted: &Image, truth: &Image) -> f64 {
 
 impl Predict for Lookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        weighted_mean(self.data, &self.neighbours(&place(query)).1)
+        weighted_mean(self.data, &self.neighbours(&coordinates(self.data.scene.moving, query)).1)
     }
 }
 
@@ -255,7 +262,7 @@ impl Baseline for NearestCarrier {
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).tx.to_vec());
+        let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
         let own = data.by_receiver(all_of(known)?).into_iter().enumerate();
         let known = own.filter(|(_, links)| !links.is_empty()).map(|(receiver, links)| (receiver, lookup(links)));
         Ok(Box::new(CarrierLookup { data, known: known.collect() }))
@@ -274,7 +281,7 @@ impl Predict for CarrierLookup<'_> {
         let distance = |known: &&(usize, Nearest)| (log_hz(known.0) - log_hz(query.receiver)).abs();
         let mut known: Vec<_> = self.known.iter().collect();
         known.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let mut found = known.iter().map(|(_, links)| links.find(&query.tx, 1)).peekable();
+        let mut found = known.iter().map(|(_, links)| links.find(&query.position(), 1)).peekable();
         let nearest: Vec<usize> = found.peek().into_iter().flat_map(|(_, near)| near).map(|(_, i)| *i).collect();
         let same = found.map(|(exact, _)| exact).find(|exact| !exact.is_empty());
         let weighted: Vec<(usize, f64)> = same.unwrap_or(nearest).into_iter().map(|i| (i, 1.0)).collect();

@@ -76,7 +76,7 @@ impl Predictions {
     /// Digest of all files and of the positions in `data`.
     fn digest_for(&self, data: &Dataset) -> Result<String> {
         let mut all = String::new();
-        (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).tx));
+        (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).position()));
         for (id, prediction) in self.of_ids(data)? {
             let content = match prediction {
                 Prediction::File(path) => files::digest(&files::read(&path).map_err(|e| Error::read(&path, e))?),

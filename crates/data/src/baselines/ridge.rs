@@ -69,7 +69,7 @@ struct LinearMap {
 
 impl LinearMap {
     fn fit(data: &Dataset, links: &[usize], weight: f64) -> Result<Self> {
-        let xs: Vec<&[Real]> = links.iter().map(|&i| data.query(i).features).collect();
+        let xs: Vec<&[Real]> = links.iter().filter_map(|&i| data.query(i).features).collect();
         let ys: Vec<Vec<Real>> = links.iter().map(|&i| data.image(i).pixels).collect();
         let (d, m) = (xs[0].len(), ys[0].len());
         let mean = |width: usize, row: &dyn Fn(usize) -> Vec<f64>| {
@@ -105,7 +105,8 @@ impl LinearMap {
 impl Predict for LinearMap {
     fn predict(&self, query: Query<'_>) -> Image {
         let [x_mean, y_mean] = &self.means;
-        let x: Vec<f64> = query.features.iter().zip(x_mean).map(|(x, mean)| *x as f64 - mean).collect();
+        let x: Vec<f64> =
+            query.features.unwrap_or_default().iter().zip(x_mean).map(|(x, mean)| *x as f64 - mean).collect();
         let along = |slope: &[f64]| slope.iter().zip(&x).map(|(b, x)| b * x).sum::<f64>();
         let rows = self.slopes.chunks_exact(x.len().max(1)).zip(y_mean);
         let pixels = rows.map(|(slope, mean)| (mean + along(slope)) as Real).collect();
@@ -134,7 +135,7 @@ mod tests {
             0 => 3.0 - x[k][0] + 2.0 * x[k][1],
             _ => 5.0 * x[k][0],
         };
-        let at = |k: u32, receiver| Sample { id: k, tx: [0.0; 3], receiver };
+        let at = |k: u32, receiver| Sample { receiver, ..Sample::new(k, [0.0; 3]) };
         let samples: Vec<Sample> = (0..30).flat_map(|k| [at(k, 0), at(k, 1)]).collect();
         let powers = samples.iter().map(|s| power(s.id as usize, s.receiver)).collect();
         let data = Dataset::of_links("x", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();

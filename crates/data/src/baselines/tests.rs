@@ -54,7 +54,7 @@ fn finds_nearest_of_thousands_of_samples() {
     let places: Vec<[f64; 3]> = (0..5000).map(|i| [f64::from(i * 7919 % 5000), f64::from(i % 3), 0.0]).collect();
     let data = samples_at(&places);
     for k in [1, 3, 700, 5000] {
-        let nearest = Nearest::new((0..5000).collect(), 3, |i| data.sample(i).tx);
+        let nearest = Nearest::new((0..5000).collect(), 3, |i| data.sample(i).position());
         let tx = [2500.25, 1.0, 0.0];
         let mut all: Vec<(f64, usize)> =
             places.iter().enumerate().map(|(i, place)| (distance(*place, tx), i)).collect();
@@ -62,7 +62,7 @@ fn finds_nearest_of_thousands_of_samples() {
         assert_eq!(nearest.find(&tx, k), (vec![], all[..k].to_vec()), "{k}");
     }
     let same = samples_at(&vec![[1.0; 3]; 3000]);
-    let nearest = Nearest::new((0..3000).collect(), 3, |i| same.sample(i).tx);
+    let nearest = Nearest::new((0..3000).collect(), 3, |i| same.sample(i).position());
     let (exact, near) = nearest.find(&[1.0; 3], 2);
     assert_eq!((exact.len(), near), (3000, vec![(0.0, 0), (0.0, 1)]), "all that stand there");
 }
@@ -73,7 +73,7 @@ fn noisy_line(noise: f64) -> Dataset {
     let samples: Vec<Sample> = (0..200).map(|id| Sample::new(id, [f64::from(id), 0.0, 0.0])).collect();
     let mut pixels = Vec::new();
     for sample in &samples {
-        let part = sample.tx[0] / 200.0;
+        let part = sample.position()[0] / 200.0;
         pixels.extend((0..144).map(|k| {
             let [one, other] = [0.7, 1.9].map(|speed| 0.5 + 0.4 * (speed * f64::from(k)).sin());
             (one * (1.0 - part) + other * part + noise * rng::normal(&mut random) as f64) as f32

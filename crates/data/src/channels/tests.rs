@@ -46,7 +46,7 @@ fn reads_channels_with_antennas_and_frequencies() {
     let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
     assert_eq!((data.len(), data.width, data.height), (2, 3, 4));
     assert_eq!(data.image(1).pixels[..6], [12.0, 14.0, 16.0, 13.0, 15.0, 17.0]);
-    assert_eq!((data.sample(1).id, data.sample(1).tx), (1, [4.0, 5.0, 6.0]));
+    assert_eq!((data.sample(1).id, data.sample(1).position()), (1, [4.0, 5.0, 6.0]));
     let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 - 1e6, 1e9, 1e9 + 1e6]);
     assert_eq!(data.scene.receivers[0].antennas.len(), 2);
@@ -68,7 +68,7 @@ fn reads_several_carriers_at_the_same_positions() {
     let mut source = Channels { more_carriers: vec![low], ..source(folder.path().into()) };
     let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
     let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
-    assert_eq!((names, data.transmitters.len(), data.len()), (vec!["900MHz", "1000MHz"], 2, 4));
+    assert_eq!((names, data.locations.len(), data.len()), (vec!["900MHz", "1000MHz"], 2, 4));
     assert_eq!(data.image(2).pixels, data.image(3).pixels);
     assert_eq!(data.official, Some((vec![0, 1], vec![2, 3])));
     let setup = pwrfgs_core::MeasurementSetup::of(&data, data.plane());

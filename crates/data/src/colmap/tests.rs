@@ -2,7 +2,7 @@
 
 use super::*;
 use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
-use pwrfgs_core::{Plugin, recognise};
+use pwrfgs_core::{End, Plugin, recognise};
 use std::fs;
 
 const CAMERA: &str = "# a comment\n7 PINHOLE 4 3 5.0 6.0 2.0 1.5\n";
@@ -54,22 +54,22 @@ fn reads_poses_camera_points_and_luminance() {
     let folder = Folder::new();
     let data = folder.try_load().unwrap();
     assert_eq!((data.title.as_str(), data.width, data.height, data.len()), ("s (measured, COLMAP)", 4, 3, 2));
-    assert_eq!(data.camera, Some(Camera { focal: [5.0, 6.0], centre: [2.0, 1.5] }));
-    assert_eq!((data.plane().camera, data.plane().angles, data.plane().wraps), (data.camera, None, false));
+    assert_eq!(data.camera(), Some(Camera { focal: [5.0, 6.0], centre: [2.0, 1.5] }));
+    assert_eq!((data.plane().camera, data.plane().angles, data.plane().wraps), (data.camera(), None, false));
     // In the order of names: b.png, then part/a.jpg.
-    assert_near(data.sample(0).tx, [1.0, 2.0, 3.0]);
-    assert_eq!(data.sample(1).tx, [0.0; 3]);
-    let pose = Pose { position: [1.0, 2.0, 3.0], orientation: data.query(0).orientation.unwrap() };
+    assert_near(data.sample(0).position(), [1.0, 2.0, 3.0]);
+    assert_eq!(data.sample(1).position(), [0.0; 3]);
+    let pose = data.query(0).pose;
     assert_near(pose.turned([0.0, 0.0, 1.0]), [1.0, 0.0, 0.0]); // forward
     assert_near(pose.turned([1.0, 0.0, 0.0]), [0.0, -1.0, 0.0]); // right
     assert_near(pose.turned([0.0, 1.0, 0.0]), [0.0, 0.0, -1.0]); // down
     assert_eq!(data.observations.raw(0).as_ref(), [54; 12]); // 0.2126 of 255
     assert_eq!(data.observations.raw(1).as_ref(), [128; 12]);
     assert_eq!(data.scene.points, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
-    assert_near(data.scene.receivers[0].pose.position, [0.5, 1.0, 1.5]);
+    assert_eq!((data.scene.transmitter, data.scene.moving), (None, End::Receiver));
     assert!(data.official.is_none() && !data.is_simulated());
     let part = data.subset(&[1]).unwrap();
-    assert_eq!((part.camera, part.query(0).orientation), (data.camera, data.query(1).orientation));
+    assert_eq!((part.camera(), part.query(0).pose), (data.camera(), data.query(1).pose));
     assert!(crate::save(&data, &folder.path("out")).unwrap_err().to_string().contains("keep the original files"));
     crate::check(&data).unwrap();
 }

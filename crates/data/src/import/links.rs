@@ -54,7 +54,8 @@ pub fn links(path: &Path, name: &str, simulated: bool) -> Result<(Dataset, usize
     if found.is_empty() {
         return Err(Error::input(path, format!("holds no received power; {ADVICE}")));
     }
-    let samples: Vec<Sample> = found.iter().map(|(&(id, receiver), &(tx, _))| Sample { id, tx, receiver }).collect();
+    let samples: Vec<Sample> =
+        found.iter().map(|(&(id, receiver), &(tx, _))| Sample { receiver, ..Sample::new(id, tx) }).collect();
     let powers: Vec<Real> = found.values().map(|(_, dbm)| *dbm as Real).collect();
     let data = Dataset::of_links(name, receivers, vec![], &samples, powers.into())?;
     Ok((Dataset { simulation: simulated.then(Simulation::default), ..data }, silent))

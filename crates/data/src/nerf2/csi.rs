@@ -86,7 +86,8 @@ impl DataSource for Nerf2Csi {
         let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![station(&antennas)] } else { receivers(&antennas) };
         let links = (0..snapshots).flat_map(|i| (0..receivers.len()).map(move |receiver| (i, receiver)));
-        let samples: Vec<Sample> = links.map(|(i, receiver)| Sample { id: i as u32, tx: at(i), receiver }).collect();
+        let samples: Vec<Sample> =
+            links.map(|(i, receiver)| Sample { receiver, ..Sample::new(i as u32, at(i)) }).collect();
         let (of_each, width) = (antennas.len() / receivers.len(), both * antennas.len() / receivers.len());
         let channels = Channels { antennas: of_each, frequencies_hz, gains };
         let name = folder_name(&root);

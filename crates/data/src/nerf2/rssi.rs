@@ -4,7 +4,7 @@
 mod tests;
 
 use super::receivers::gateways;
-use super::{index, read_transmitters};
+use super::{LocationTable, POSES, index};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::text::{TextField, cell, dbm, lines, no_longer, power, read_text, split_commas};
@@ -24,6 +24,8 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 ///                              g01: {position: [x, y, z], orientation: [x, y, z, w]}, a unit quaternion
 /// root/gateway_rssi.csv        header with the gateway names; row k: received powers, dBm; -100: no signal
 /// root/tx_pos.csv              header with x, y, z among others; row k is the transmitter; metres
+/// root/rx_pose.csv             instead of tx_pos.csv, if the receivers move: columns x, y, z, qx, qy, qz, qw of their pose;
+///                              gateway_position.yml then has the position of the fixed transmitter under each name
 /// root/train_index.txt         rows counted from 0, one per line; the files train_index.txt and
 /// root/test_index.txt          test_index.txt must both exist or both be absent
 /// ```
@@ -70,21 +72,30 @@ impl DataSource for Nerf2Rssi {
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
         let gateways = gateways(&root.join("gateway_position.yml"), LAYOUT)?;
-        let positions = read_transmitters(&root.join("tx_pos.csv"))?;
+        let locations = LocationTable::read(&root, &root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
-        let received = read_table(&root.join("gateway_rssi.csv"), &names, positions.len(), LAYOUT)?;
-        let rows = index::read(&root, &|word| index::row(word, "tx_pos.csv", positions.len()))?;
+        let received = read_table(&root.join("gateway_rssi.csv"), &names, locations.poses.len(), LAYOUT)?;
+        let table = if locations.moving.is_receiver() { POSES } else { "tx_pos.csv" };
+        let rows = index::read(&root, &|word| index::row(word, table, locations.poses.len()))?;
         let points = points_of(base, self.points.as_deref())?;
         let samples: Vec<Sample> = received
             .iter()
-            .map(|link| Sample { id: link.row as u32, tx: positions[link.row], receiver: link.gateway })
+            .map(|link| Sample { receiver: link.gateway, ..Sample::new(link.row as u32, locations.poses[link.row]) })
             .collect();
         let powers: Vec<Real> = received.iter().map(|link| link.dbm as Real).collect();
+        let transmitter = gateways[0].1.position;
+        if locations.moving.is_receiver() && gateways.iter().any(|(_, pose)| pose.position != transmitter) {
+            let what = format!(
+                "the receivers move ({POSES}), but the position of their transmitter differs; give one position"
+            );
+            return Err(Error::input(&root.join("gateway_position.yml"), what));
+        }
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
+        let ends = locations.ends(receivers, Some(transmitter));
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
-        let data = Dataset::of_links(title, receivers, points, &samples, powers.into())?;
+        let data = Dataset::of_links(title, ends, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
         Ok(Dataset { official, simulation, ..data })

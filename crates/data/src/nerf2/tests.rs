@@ -65,7 +65,7 @@ fn reads_valid_nerf2_folder() {
     assert_eq!(data.title, "s (measured, NeRF2 layout)");
     assert_eq!((data.width, data.height), (8, 3));
     assert_eq!(
-        data.samples().map(|s| (s.id, s.tx)).collect::<Vec<_>>(),
+        data.samples().map(|s| (s.id, s.position())).collect::<Vec<_>>(),
         [(1, [1.0, 2.0, 3.0]), (2, [4.0, 5.0, 6.0]), (3, [7.0, 8.0, 9.0])]
     );
     assert_eq!(data.observations.raw(1)[..3], [2, 3, 4]);
@@ -104,8 +104,8 @@ fn file_format_variants_give_same_data() {
     );
     let varied = folder.load();
     assert_eq!(
-        format!("{:?}", (plain.transmitters, plain.observations)),
-        format!("{:?}", (varied.transmitters, varied.observations))
+        format!("{:?}", (plain.locations, plain.observations)),
+        format!("{:?}", (varied.locations, varied.observations))
     );
     assert_eq!(plain.official, varied.official);
     assert_eq!(plain.title, varied.title);
@@ -407,7 +407,7 @@ fn reads_measured_spectra() {
     assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
     assert!(!data.is_simulated());
     assert_eq!((data.width, data.height, data.len()), (360, 90, 4898));
-    assert_eq!((data.sample(0).id, data.sample(0).tx), (1, [-0.327, -0.583, 1.019]));
+    assert_eq!((data.sample(0).id, data.sample(0).position()), (1, [-0.327, -0.583, 1.019]));
     assert_eq!(data.sample(4897).id, 6123);
     let (train, test) = data.official.unwrap();
     assert_eq!((train.len(), test.len()), (3918, 980));

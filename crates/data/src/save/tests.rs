@@ -19,7 +19,7 @@ fn again(data: &Dataset) -> Dataset {
 
 fn same(data: &Dataset, again: &Dataset) {
     assert_eq!((data.len(), data.width, data.height), (again.len(), again.width, again.height));
-    let links = |data: &Dataset| data.samples().map(|s| (s.tx, s.receiver)).collect::<Vec<_>>();
+    let links = |data: &Dataset| data.samples().map(|s| (s.position(), s.receiver)).collect::<Vec<_>>();
     assert_eq!(links(data), links(again));
     assert_eq!((&data.official, &data.scene.points), (&again.official, &again.scene.points));
     assert!((0..data.len()).all(|i| data.observations.raw(i) == again.observations.raw(i)));
@@ -66,7 +66,8 @@ fn reads_saved_data_back() {
     assert!(refused(&renamed).contains("named such as 2400MHz"), "the reader would give another name");
 
     let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
-    let samples = [(0, 0), (0, 1), (1, 1)].map(|(id, receiver)| Sample { id, tx: [f64::from(id), 2.0, 1.5], receiver });
+    let samples = [(0, 0), (0, 1), (1, 1)]
+        .map(|(id, receiver)| Sample { receiver, ..Sample::new(id, [f64::from(id), 2.0, 1.5]) });
     let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
     let data = Dataset::of_links("hall", vec![at("=n()", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
     same(&data, &again(&data));
@@ -101,8 +102,10 @@ fn made(kind: usize, odd: usize, names: &[String], title: &str, numbers: &[f64])
     let receivers: Vec<Receiver> = names.iter().enumerate().map(receiver).take(if kind == 1 { 9 } else { 1 }).collect();
     let pairs = (0..4).flat_map(|t| (0..receivers.len()).map(move |r| (t, r)));
     let is_received = |(t, r): &(usize, usize)| kind != 1 || number(5 * t + r) > -0.7;
-    let samples: Vec<Sample> =
-        pairs.filter(is_received).map(|(t, receiver)| Sample { id: t as u32 + 1, tx: place(t), receiver }).collect();
+    let samples: Vec<Sample> = pairs
+        .filter(is_received)
+        .map(|(t, receiver)| Sample { receiver, ..Sample::new(t as u32 + 1, place(t)) })
+        .collect();
     let count = samples.len();
     let size = [(12, 6), (6, 12), (16, 4), (5, 5)][odd % 4];
     let of_one = size.0 * size.1;

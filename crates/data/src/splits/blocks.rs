@@ -46,7 +46,7 @@ impl Default for TimeBlock {
 #[typetag::serde]
 impl Split for TimeBlock {
     fn split(&self, data: &Dataset, _: &mut Rng) -> Result<Partition> {
-        let count = data.transmitters.len();
+        let count = data.locations.len();
         let length = part(self.length, count);
         let first = ((self.start * count as f64).round() as usize).min(count - length);
         let test = first..first + length;
@@ -154,20 +154,20 @@ impl Split for Voxel {
             return Err(Error::Config(format!("{} {what}", data.title)));
         }
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
-        for (i, transmitter) in data.transmitters.iter().enumerate() {
-            cells.entry(self.cell(transmitter.position)).or_default().push(i);
+        for (i, location) in data.locations.iter().enumerate() {
+            cells.entry(self.cell(location.position())).or_default().push(i);
         }
         let mut cells: Vec<Vec<usize>> = cells.into_values().collect();
         if cells.len() < 2 {
             let what = format!(
                 "all {} samples lie in one cell of {} m; lower `size_m` of Voxel",
-                data.transmitters.len(),
+                data.locations.len(),
                 self.size_m
             );
             return Err(Error::Config(what));
         }
         rng::shuffle(rng, &mut cells);
-        let count = data.transmitters.len();
+        let count = data.locations.len();
         let test = draw(&mut cells, part(self.test, count));
         let validation = draw(&mut cells, part(self.validation, count - test.len()));
         finish(data, Partition { train: cells.concat(), validation, test })
@@ -177,7 +177,7 @@ impl Split for Voxel {
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
         for &i in links {
-            cells.entry(self.cell(data.sample(i).tx)).or_default().push(i);
+            cells.entry(self.cell(data.sample(i).position())).or_default().push(i);
         }
         cells.into_values().collect()
     }

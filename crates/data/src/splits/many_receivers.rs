@@ -11,13 +11,13 @@ fn three_receivers(count: u32) -> Dataset {
     let links_of = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
     let samples: Vec<Sample> = (0..count)
         .flat_map(links_of)
-        .map(|(id, receiver)| Sample { id, tx: [f64::from(id), 0.0, 0.0], receiver })
+        .map(|(id, receiver)| Sample { receiver, ..Sample::new(id, [f64::from(id), 0.0, 0.0]) })
         .collect();
     let powers =
         samples.iter().map(|s| -40.0 - 10.0 * s.receiver as pwrfgs_core::Real - s.id as pwrfgs_core::Real).collect();
     let receivers = [("a", 0.0), ("b", 5.0), ("c", 9.0)].map(at).to_vec();
     let data = Dataset::of_links("three", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
-    let (test, train) = (0..data.len()).partition(|i| data.links[*i].transmitter % 5 == 4);
+    let (test, train) = (0..data.len()).partition(|i| data.links[*i].location % 5 == 4);
     Dataset { official: Some((train, test)), ..data }
 }
 
@@ -31,7 +31,7 @@ fn all_links_of_transmitter_are_in_one_set() {
     let data = three_receivers(40);
     for text in ["Official()", "Random()", "TimeBlock()", "Voxel(size_m: 3)", "Sparse(train: 20)"] {
         let parts = split(text, &data).unwrap();
-        let of = |links: &[usize]| data.transmitters_of(links);
+        let of = |links: &[usize]| data.locations_of(links);
         let lists = [of(&parts.train), of(&parts.validation), of(&parts.test)];
         assert_eq!(lists.iter().map(Vec::len).sum::<usize>(), 40, "{text}");
         assert_eq!(parts.train.len() + parts.validation.len() + parts.test.len(), data.len(), "{text}");
@@ -46,7 +46,7 @@ fn random_links_split_links_of_transmitter() {
     let data = three_receivers(40);
     let parts = split("RandomLinks()", &data).unwrap();
     assert_eq!((parts.train.len(), parts.validation.len(), parts.test.len()), (72, 8, 20));
-    let (train, test) = (data.transmitters_of(&parts.train), data.transmitters_of(&parts.test));
+    let (train, test) = (data.locations_of(&parts.train), data.locations_of(&parts.test));
     assert!(test.iter().filter(|t| train.contains(t)).count() > 10);
     assert_eq!(split("RandomLinks()", &line_of_samples(40)), split("Random()", &line_of_samples(40)));
 }
@@ -153,12 +153,12 @@ fn neighbours_use_features_if_positions_are_unknown() {
     assert!(fault(&one, &data).contains("has no transmitter positions"));
     // Similar features have distant ids: transmitter t is similar to 9 - t.
     let feature = |i: &usize| {
-        let t = data.links[*i].transmitter as pwrfgs_core::Real;
+        let t = data.links[*i].location as pwrfgs_core::Real;
         [(t - 4.5).abs(), 1.0]
     };
     let values = all.iter().flat_map(feature).collect();
     data.features = Some(Features { width: 2, values });
-    let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].transmitter >= 5).collect();
+    let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].location >= 5).collect();
     let fitted = one.fit(&data, FittingSet::train(&known)).unwrap();
     assert_eq!(fitted.predict(data.query(0)).pixels, [-49.0]);
     assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));

@@ -24,7 +24,7 @@ fn teacher_data_are_complete_and_marked_simulated() {
     assert_eq!((0..20).flat_map(|i| data.observations.raw(i).into_owned()).max(), Some(255));
     let (low, high) = data.scene.bounds;
     for sample in data.samples() {
-        let tx = sample.tx.map(|v| v as Real);
+        let tx = sample.position().map(|v| v as Real);
         assert!((0..3).all(|k| low[k] <= tx[k] && tx[k] <= high[k]));
     }
     let ids: Vec<u32> = data.samples().map(|s| s.id).collect();
@@ -36,7 +36,7 @@ fn teacher_is_bit_identical_at_any_thread_count() {
     let spectra = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let data = pool.install(|| load(&Teacher { seed, ..small() }));
-        (0..20).map(|i| (data.sample(i).tx, data.observations.raw(i).into_owned())).collect::<Vec<_>>()
+        (0..20).map(|i| (data.sample(i).position(), data.observations.raw(i).into_owned())).collect::<Vec<_>>()
     };
     assert_eq!(spectra(1, 0), spectra(3, 0));
     assert_ne!(spectra(1, 0), spectra(1, 1));

@@ -46,9 +46,9 @@ pub(crate) fn side([low, high]: Extent) -> f64 {
 pub(super) fn finding(data: &Dataset) -> Option<Finding> {
     let origin = data.scene.origin;
     let points: Vec<[f64; 3]> = data.scene.points.iter().map(|point| origin.world(*point)).collect();
-    let transmitters: Vec<[f64; 3]> = data.transmitters.iter().map(|transmitter| transmitter.position).collect();
-    let receivers = data.scene.receivers.iter().map(|receiver| origin.world_pose(receiver.pose).position);
-    let positions: Vec<[f64; 3]> = transmitters.iter().copied().chain(receivers).collect();
+    let transmitters: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
+    let fixed = data.scene.fixed_ends().into_iter().map(|pose| origin.world_pose(pose).position);
+    let positions: Vec<[f64; 3]> = transmitters.iter().copied().chain(fixed).collect();
     let (cloud, of_transmitters) = (extent(points.iter().copied())?, extent(transmitters.iter().copied())?);
     let site = side(extent(positions.iter().copied())?);
     // Number of transmitters outside; `None` if the units differ.
@@ -72,7 +72,7 @@ pub(super) fn finding(data: &Dataset) -> Option<Finding> {
         None => "give both in metres, in one frame".into(),
     };
     let count = now.unwrap_or(transmitters.len());
-    let who = if data.orientations.is_some() { "receiver" } else { "transmitters" };
+    let who = if data.scene.moving.is_receiver() { "receiver" } else { "transmitters" };
     let (cloud, of_transmitters) = (words(cloud), words(of_transmitters));
     let problem = format!("cloud and {who} differ in unit or frame: cloud {cloud}; {who} {of_transmitters}");
     Some(Finding::new("point-cloud", count, problem, mend))

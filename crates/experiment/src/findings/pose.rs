@@ -77,19 +77,17 @@ const W_FIRST: Meaning = |q| DQuat::from_xyzw(q.y, q.z, q.w, q.x);
 
 /// Checks the recorded pose; `None` for camera images, or if fewer than twenty spectra have a strongest direction.
 pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
-    if data.camera.is_some() || !data.placed {
+    if data.camera().is_some() || !data.placed || !data.scene.has_distances() {
         return None;
     }
-    // The first of several receivers; each has its own pose.
-    let receiver = data.scene.origin.world_pose(data.scene.pose());
-    let moves = data.orientations.is_some();
+    // The first of several receivers, since each has its own pose; the transmitter if the receiver moves.
+    let fixed = data.scene.origin.world_pose(data.scene.pose());
+    let moves = data.scene.moving.is_receiver();
     let sighting = |spectrum: &SpectrumSummary| {
         let query = data.query(spectrum.sample);
-        let towards = DVec3::from_array(query.tx) - DVec3::from_array(receiver.position);
-        let [x, y, z, w] = query.orientation.unwrap_or(receiver.orientation);
-        // The receiver of a moving array is at the position of the "transmitter".
-        let sight = if moves { -towards } else { towards }.try_normalize()?;
-        let recorded = DQuat::from_xyzw(x, y, z, w).normalize();
+        let (receiver, transmitter) = if moves { (query.pose, fixed) } else { (fixed, query.pose) };
+        let sight = (DVec3::from_array(transmitter.position) - DVec3::from_array(receiver.position)).try_normalize()?;
+        let recorded = DQuat::from_array(receiver.orientation).normalize();
         (query.receiver == 0).then_some(Sighting { sight, recorded, strongest: spectrum.strongest? })
     };
     let all: Vec<Sighting> = evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS);

@@ -76,7 +76,7 @@ pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static st
     all.iter().filter(|s| s.strongest.is_some()).for_each(|s| groups.entry(s.hash).or_default().push(id(s)));
     let mut equal: Vec<u32> = groups.into_values().filter(|ids| ids.len() > 1).flatten().collect();
     equal.sort_unstable();
-    let pixels = match data.camera {
+    let pixels = match data.camera() {
         Some(Camera { focal: [fx, fy], centre: [cx, cy] }) => {
             ("camera", format!("focal lengths {fx:.1} and {fy:.1} px, principal point ({cx:.1}, {cy:.1}) px"))
         }

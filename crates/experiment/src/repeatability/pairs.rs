@@ -1,7 +1,7 @@
 //! Selection of sample pairs for comparison.
 
 use pwrfgs_core::statistics::{median, sorted};
-use pwrfgs_core::{Dataset, Real, evenly, neighbours, rng};
+use pwrfgs_core::{Dataset, End, Real, evenly, neighbours, rng};
 use std::ops::Range;
 
 /// Largest difference of ids that counts as near in time.
@@ -49,11 +49,11 @@ pub(super) struct SamplePair {
 impl SamplePair {
     fn of(data: &Dataset, a: usize, b: usize) -> Self {
         let (earlier, later) = (a.min(b), a.max(b));
-        let place = |i: usize| match &data.orientations {
-            Some(_) => data.query(i).coordinates(),
-            None => data.sample(i).tx.to_vec(),
+        let coordinates = |i: usize| match data.scene.moving {
+            End::Receiver => data.sample(i).pose.coordinates().to_vec(),
+            End::Transmitter => data.sample(i).position().to_vec(),
         };
-        let squares = place(earlier).into_iter().zip(place(later)).map(|(p, q)| (p - q).powi(2));
+        let squares = coordinates(earlier).into_iter().zip(coordinates(later)).map(|(p, q)| (p - q).powi(2));
         let distance = squares.sum::<f64>().sqrt();
         // Rounded to a nanometre, so that positions in whole millimetres have whole distances.
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
@@ -93,7 +93,7 @@ fn near(data: &Dataset, rows: &[usize]) -> Vec<SamplePair> {
 
 /// Pairs far apart in time among the links `rows` of one receiver, out of `receivers` receivers.
 fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<SamplePair> {
-    let places: Vec<[Real; 3]> = rows.iter().map(|&i| data.scene.origin.local(data.sample(i).tx)).collect();
+    let places: Vec<[Real; 3]> = rows.iter().map(|&i| data.scene.origin.local(data.sample(i).position())).collect();
     let sampled = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
     let from: Vec<[Real; 3]> = sampled.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);

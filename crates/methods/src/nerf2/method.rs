@@ -75,7 +75,7 @@ impl Nerf2 {
         let Call { setup, links: inputs, .. } = *call;
         let of = |receiver: usize| {
             let links = inputs.pairs.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
-            let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.transmitter)).collect();
+            let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.location)).collect();
             if links.is_empty() {
                 return None;
             }
@@ -195,7 +195,7 @@ impl Method for Nerf2 {
                  make each antenna a receiver, as Nerf2Csi does with together: false"
                 .into());
         }
-        if setup.moves {
+        if setup.moving.is_receiver() {
             return Err("method: Nerf2 has a fixed receiver, but that of these data moves; use Splatting()".into());
         }
         if !setup.carriers().is_empty() {

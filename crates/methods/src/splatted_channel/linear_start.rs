@@ -7,7 +7,9 @@
 
 use super::waves::Waves;
 use super::{SplattedChannel, offsets_mut, parts};
-use pwrfgs_core::{Cholesky, Conditions, Dataset, GaussianCloud, LinearPart, MeasurementSetup, Real, ReceiverState};
+use pwrfgs_core::{
+    Cholesky, Conditions, Dataset, End, GaussianCloud, LinearPart, MeasurementSetup, Real, ReceiverState,
+};
 use rayon::prelude::*;
 
 /// Weight of both ridge penalties, relative to the mean of the diagonal.
@@ -27,11 +29,13 @@ impl SplattedChannel {
         weights: &mut [Real],
     ) -> bool {
         let part = pwrfgs_core::evenly(train, MOST);
-        let all: Vec<Real> = part.iter().flat_map(|&i| data.query(i).features).copied().collect();
+        let all: Vec<Real> = part.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();
         let network = parts(setup, weights).0.len();
         let conditions = Conditions::new(self.deformation.traits().inputs, &all);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
-        let (Some(linear), [_]) = (linear, setup.receivers.as_slice()) else { return false };
+        let (Some(linear), [_], End::Transmitter) = (linear, setup.receivers.as_slice(), setup.moving) else {
+            return false;
+        };
         let waves = Waves::new(setup, ReceiverState { receiver: 0, pose: setup.pose() }, cloud, None);
         let Some(all) = data.observations.channels() else { return false };
         let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();

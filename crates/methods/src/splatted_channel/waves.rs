@@ -4,6 +4,7 @@
 //! the gate m. Gaussians are points here, without projection or occlusion. The transmitter affects only the signals s,
 //! so that the waves W `[2AF, N]` are computed once for all links of a receiver.
 
+use glam::DVec3;
 use pwrfgs_core::{GaussianCloud, MeasurementSetup, Real, ReceiverState, SPEED_OF_LIGHT, gain_at};
 use rayon::prelude::*;
 
@@ -22,17 +23,29 @@ pub(super) struct Waves {
 
 /// Returns the antenna positions, metres from the origin.
 fn antennas(setup: &MeasurementSetup, ReceiverState { receiver, pose }: ReceiverState) -> Vec<[f64; 3]> {
-    let place = |antenna: &[f64; 3]| {
-        let way = pose.turned(*antenna);
-        std::array::from_fn(|k| pose.position[k] + way[k])
+    let in_room = |antenna: &[f64; 3]| {
+        let offset = pose.turned(*antenna);
+        std::array::from_fn(|k| pose.position[k] + offset[k])
     };
-    setup.receivers[receiver].antennas.iter().map(place).collect()
+    setup.receivers[receiver].antennas.iter().map(in_room).collect()
 }
 
 /// Returns the vector from antenna to Gaussian, and its length of at least [`NEAREST_M`].
-fn way(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
-    let way: [f64; 3] = std::array::from_fn(|k| mean[k] as f64 - antenna[k]);
-    (way, way.iter().map(|v| v * v).sum::<f64>().sqrt().max(NEAREST_M))
+fn offset(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
+    let offset: [f64; 3] = std::array::from_fn(|k| mean[k] as f64 - antenna[k]);
+    (offset, offset.iter().map(|v| v * v).sum::<f64>().sqrt().max(NEAREST_M))
+}
+
+/// Returns the derivative of Re(d* wave) by the offset from antenna to Gaussian, divided by that offset and the gate; `d` has
+/// real and imaginary part, k is the wavenumber, sine and cosine are those of its product with the distance. Zero up to
+/// [`NEAREST_M`].
+fn slope([d_re, d_im]: [f64; 2], k: f64, distance: f64, (sin, cos): (f64, f64)) -> f64 {
+    if distance <= NEAREST_M {
+        return 0.0;
+    }
+    let slope_re = -k * sin / distance - cos / (distance * distance);
+    let slope_im = -k * cos / distance + sin / (distance * distance);
+    (d_re * slope_re + d_im * slope_im) / distance
 }
 
 impl Waves {
@@ -49,7 +62,7 @@ impl Waves {
             let (antenna, hz) = (&antennas[row / columns], frequencies[row % columns]);
             let k = std::f64::consts::TAU * hz / SPEED_OF_LIGHT;
             for (i, out) in out.iter_mut().enumerate() {
-                let d = way(&cloud.means[i], antenna).1;
+                let d = offset(&cloud.means[i], antenna).1;
                 let level = gate.map_or(1.0, |gate| gate[i] as f64) / d;
                 let (sin, cos) = (k * d).sin_cos();
                 *out = [(level * cos) as Real, (-level * sin) as Real];
@@ -145,18 +158,42 @@ impl Waves {
         d_means.par_iter_mut().zip(d_gate).enumerate().for_each(|(i, (d_mean, d_gate))| {
             let open = gate.map_or(1.0, |gate| gate[i] as f64);
             for (row, d) in d_waves.chunks_exact(n).enumerate() {
-                let (d_re, d_im) = (d[i][0] as f64, d[i][1] as f64);
+                let d = d[i].map(|d| d as f64);
                 let k = std::f64::consts::TAU * frequencies[row % columns] / SPEED_OF_LIGHT;
-                let (way, d) = way(&cloud.means[i], &antennas[row / columns]);
-                let (sin, cos) = (k * d).sin_cos();
-                *d_gate += ((d_re * cos - d_im * sin) / d) as Real;
-                if d > NEAREST_M {
-                    let slope_re = -k * sin / d - cos / (d * d);
-                    let slope_im = -k * cos / d + sin / (d * d);
-                    let along = open * (d_re * slope_re + d_im * slope_im) / d;
-                    d_mean.iter_mut().zip(way).for_each(|(sum, v)| *sum += (along * v) as Real);
-                }
+                let (offset, distance) = offset(&cloud.means[i], &antennas[row / columns]);
+                let (sin, cos) = (k * distance).sin_cos();
+                *d_gate += ((d[0] * cos - d[1] * sin) / distance) as Real;
+                let along = open * slope(d, k, distance, (sin, cos));
+                d_mean.iter_mut().zip(offset).for_each(|(sum, v)| *sum += (along * v) as Real);
             }
         });
+    }
+
+    /// Returns the cotangents of position and orientation of the receiver, given those of the waves.
+    pub(super) fn pose_vjp(
+        setup: &MeasurementSetup,
+        state: ReceiverState,
+        cloud: &GaussianCloud,
+        gate: Option<&[Real]>,
+        d_waves: &[[Real; 2]],
+    ) -> ([f64; 3], [f64; 4]) {
+        let frequencies = setup.frequencies_of(state.receiver);
+        let (center, mut d_position, mut d_rotation) = (DVec3::from(state.pose.position), DVec3::ZERO, DVec3::ZERO);
+        let of_antenna = d_waves.chunks_exact(frequencies.len() * cloud.len());
+        for (antenna, d_waves) in antennas(setup, state).into_iter().zip(of_antenna) {
+            let mut d_antenna = DVec3::ZERO;
+            for (hz, d) in frequencies.iter().zip(d_waves.chunks_exact(cloud.len())) {
+                let k = std::f64::consts::TAU * hz / SPEED_OF_LIGHT;
+                for (i, (mean, d)) in cloud.means.iter().zip(d).enumerate() {
+                    let (offset, distance) = offset(mean, &antenna);
+                    let open = gate.map_or(1.0, |gate| gate[i] as f64);
+                    let along = slope(d.map(|d| d as f64), k, distance, (k * distance).sin_cos());
+                    d_antenna -= open * along * DVec3::from(offset);
+                }
+            }
+            d_position += d_antenna;
+            d_rotation += (DVec3::from(antenna) - center).cross(d_antenna);
+        }
+        (d_position.into(), state.pose.rotation_vjp(d_rotation.into()))
     }
 }

@@ -7,8 +7,8 @@ use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
     Activated, Appearance, Cache, Call, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud, Layout,
-    LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, Parameters, PassStatistics, Real, StageTimes,
-    WeightSpec, cached, sigmoid,
+    MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, Parameters, PassStatistics, Real, StageTimes, WeightSpec,
+    cached, sigmoid,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -56,14 +56,14 @@ impl Splatting {
     /// Converts blended signals of the sky of a receiver `[links, channels, pixels]` to observations.
     pub(super) fn read_out(
         &self,
+        call: &Call<'_>,
         view: &ReceiverView,
-        laws: PathLossLaws<'_>,
         group: &ReceiverGroup,
-        links: &LinkInputs,
         blended: &[Real],
     ) -> Vec<Real> {
-        match laws.of(group.state.receiver) {
-            Some(law) => received::forward(&view.plane, law, &group.distances(links), blended),
+        let Call { setup, parameters: p, links, .. } = *call;
+        match self.parts(setup, p.weights).1.of(group.state.receiver) {
+            Some(law) => received::forward(&view.plane, law, &group.distances(setup, links), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
     }
@@ -100,7 +100,7 @@ impl Splatting {
         let of_network = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = self.terms(call, of_network, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-        let (sky, laws, numbers) = (self.sky(setup), self.parts(setup, p.weights).1, setup.numbers());
+        let (sky, numbers) = (self.sky(setup), setup.numbers());
         let one = |group: ReceiverGroup| {
             let start = Instant::now();
             let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
@@ -109,7 +109,7 @@ impl Splatting {
             let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
             let blended = &drawing.render.pixels;
             let blended = if is_training { self.shown(blended) } else { Cow::Borrowed(blended.as_slice()) };
-            let own = self.read_out(&view, laws, &group, links, &blended);
+            let own = self.read_out(call, &view, &group, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
             (own, seconds, is_training.then_some((view, drawing)), group)
@@ -144,10 +144,14 @@ impl Splatting {
             ));
         }
         groups::check_receivers(&*self.deformation, setup)?;
+        let sky = self.whole_sky(setup)?;
+        if setup.moving.is_receiver() && sky.angles.is_none() && sky.camera.is_none() {
+            return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
+        }
         if !setup.carriers().is_empty() {
             self.rasterizer.check_carriers()?;
         }
-        check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(setup)?)
+        check_together(&*self.rasterizer, self.readout, self.calibration, &sky)
     }
 
     pub(super) fn terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
@@ -201,7 +205,7 @@ impl Method for Splatting {
         if self.deformation.traits().couples_gaussians {
             return open;
         }
-        let mut visible = vec![setup.moves; cloud.len()];
+        let mut visible = vec![setup.moving.is_receiver(); cloud.len()];
         for ReceiverView { pose, plane } in self.views(setup) {
             let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
             visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
@@ -232,19 +236,19 @@ impl Method for Splatting {
                 .get_mut(group.state.receiver)
                 .zip(d_exponents.get_mut(group.state.receiver))
                 .map(|(a, b)| [a, b]);
-            let distances = group.distances(links);
+            let distances = group.distances(setup, links);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
             if let (Some([_, exponent]), Some(d_positions)) = (laws.of(group.state.receiver), &mut sums.positions) {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(links, d_distances, d_positions);
+                group.distances_vjp(setup, links, d_distances, d_positions);
             }
             let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
                 self.draw_vjp(view, drawing, &p, terms, &d_blended, own)
             });
             sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
-            if let (Some(positions), true) = (&mut sums.positions, setup.moves) {
+            if let (Some(positions), true) = (&mut sums.positions, setup.moving.is_receiver()) {
                 let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                (0..3).for_each(|k| positions[group.transmitter()][k] += d_position[k] as Real);
+                (0..3).for_each(|k| positions[group.location()][k] += d_position[k] as Real);
                 if let Some(orientations) = &mut sums.orientations {
                     (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
                 }
@@ -265,7 +269,7 @@ impl Method for Splatting {
         let shared_geometry = |view: &ReceiverView| Arc::new(self.geometry(view, p, &Deltas::default(), 0));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &setup.pose()),
-            shared_geometry: if !setup.moves && !self.deformation.traits().varies_geometry {
+            shared_geometry: if !setup.moving.is_receiver() && !self.deformation.traits().varies_geometry {
                 self.views(setup).iter().map(shared_geometry).collect()
             } else {
                 Vec::new()

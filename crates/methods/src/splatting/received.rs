@@ -112,10 +112,12 @@ impl Splatting {
         let receivers = &setup.receivers;
         let row = |(&i, sky): (&usize, Real)| {
             let query = data.query(i);
-            let way = receivers[query.receiver].pose.origin() - Vec3::from_array(setup.origin.local(query.tx));
-            let distance = f64::from(way.length().max(NEAREST_M) as f32).log10();
+            let fixed = setup.fixed_end(query.receiver).filter(|_| query.features.is_none());
             // Without positions only the offset is used.
-            let x = if query.features.is_empty() { distance } else { 0.0 };
+            let x = fixed.map_or(0.0, |fixed| {
+                let length = (fixed - Vec3::from_array(setup.origin.local(query.position()))).length();
+                f64::from(length.max(NEAREST_M) as f32).log10()
+            });
             (query.receiver, [x, f64::from((powers[i] - sky) as f32) / 10.0])
         };
         let rows: Vec<(usize, [f64; 2])> = part.iter().zip(sky).map(row).collect();

@@ -66,7 +66,7 @@ impl Splatting {
         }
         let [offset, exponent] = &mut [0.0; 2];
         let d_law = self.parts(setup, p.weights).1.of(link.state.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(links), blended, &vec![1.0; setup.numbers()])
+        self.read_out_vjp(view, d_law, &link.distances(setup, links), blended, &vec![1.0; setup.numbers()])
     }
 
     /// Evaluates all links of a geometry, whose weights are equal; only `signals` `[N, links · channels]` differ.
@@ -108,11 +108,11 @@ impl Splatting {
         drawing: &BlendedSignals,
         jacobians: &[Jacobian],
     ) -> PassStatistics {
-        let SurveyRequest { call: Call { setup, parameters: p, links, .. }, truths, needs } = *question;
+        let SurveyRequest { call: Call { setup, .. }, truths, needs } = *question;
         let BlendedSignals { geometry, signals, render, .. } = drawing;
         let (splats, channels) = (&geometry.splats, self.readout.channels());
         let truth = &truths[link.first() * setup.numbers()..][..setup.numbers()];
-        let made = self.read_out(view, self.parts(setup, p.weights).1, link, links, &self.shown(&render.pixels));
+        let made = self.read_out(question.call, view, link, &self.shown(&render.pixels));
         let slopes = self.slopes(question, view, link, &render.pixels);
         let asks = |what: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(what);
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();

@@ -12,7 +12,9 @@ impl Prepared<'_> {
 
     /// Returns whether [`Self::predict_vjp`] has a derivative by the orientation of a moving receiver.
     pub fn has_orientation_derivative(&self) -> bool {
-        self.models().all(|model| model.stages.setup.moves && model.stages.method.traits().differentiates_orientations)
+        self.models().all(|model| {
+            model.stages.setup.moving.is_receiver() && model.stages.method.traits().differentiates_orientations
+        })
     }
 
     /// Predicts the observation of a link as [`Self::predict_timed`], with the derivatives of Σ d·observation by the
@@ -33,7 +35,7 @@ impl Prepared<'_> {
         cotangent: impl Fn(&Image) -> Vec<Real>,
     ) -> Option<(Image, [f64; 3], Option<[f64; 4]>)> {
         let (query, task) = (query.into(), self.task());
-        if !self.has_derivative() || !query.features.is_empty() {
+        if !self.has_derivative() || query.features.is_some() {
             return None;
         }
         let observed: Vec<ForwardOutput> = self.members.iter().map(|member| member.forward(query)).collect();

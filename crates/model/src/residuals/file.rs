@@ -69,7 +69,7 @@ impl ResidualsNote {
         if !setup.task.has_pixels && stride != 1 {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
         }
-        if setup.moves {
+        if setup.moving.is_receiver() {
             return Err("residuals of a moving receiver, which are not supported".into());
         }
         if receivers.len() != setup.receivers.len() {

@@ -69,7 +69,7 @@ impl Kriged {
             let what = "has no transmitter positions, which Kriging of residuals needs; remove `residuals`";
             return Err(Error::Config(format!("{} {what}", data.title)));
         }
-        if data.orientations.is_some() {
+        if data.scene.moving.is_receiver() {
             let what = "has a moving receiver, and its residuals depend on the orientation; remove `residuals`";
             return Err(Error::Config(format!("{} {what}", data.title)));
         }

@@ -11,9 +11,10 @@ use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{self, GrowingFile};
-use pwrfgs_core::{Error, Number, Result};
+use pwrfgs_core::{Error, Number, Pose, Result};
 use pwrfgs_data::{
     CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv, receiver_yaml,
+    transmitter_yaml,
 };
 use std::fmt::Write as _;
 use std::fs;
@@ -73,10 +74,11 @@ impl OutputLayout {
                 "{pictures} spectra exceed the limit of {MOST_PICTURES} images; write one array with --npy"
             )));
         }
-        if recipe.scene.moving_receiver.is_some() && (self != Self::Array || paths) {
+        let holds_poses = matches!(self, Self::Array | Self::Rssi | Self::Channels);
+        if recipe.scene.moving_receiver.is_some() && (!holds_poses || paths) {
             return Err(Error::Config(format!(
-                "the receiver of scene `{}` moves, which only an array of spectra without paths supports; remove --layout \
-                 and add --npy --no-paths (in Python layout=\"arrays\")",
+                "the receiver of scene `{}` moves, which only arrays of spectra, powers and channels without paths support; \
+                 add --no-paths, and --npy for spectra (in Python layout=\"arrays\")",
                 recipe.scene.name
             )));
         }
@@ -176,7 +178,16 @@ impl Files {
             OutputLayout::Channels => {
                 let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
                 let (first, hz) = (&receivers[0], scene.frequencies());
-                let text = || receiver_yaml(&first.receiver().name, &first.pose(), band, &hz, &antennas(first));
+                let name = &first.receiver().name;
+                let text = || {
+                    if scene.moving_receiver.is_none() {
+                        return receiver_yaml(name, &first.pose(), band, &hz, &antennas(first));
+                    }
+                    let to_receiver = |antenna: &[f64; 3]| first.pose().to_receiver(*antenna);
+                    let in_receiver: Vec<[f64; 3]> = antennas(first).iter().map(to_receiver).collect();
+                    receiver_yaml(name, &Pose::IDENTITY, band, &hz, &in_receiver)
+                        + &transmitter_yaml(Some(scene.receiver.position))
+                };
                 let facts = is_alone.then(|| TextFile { name: "receiver.yml", text: text() });
                 (channels(CHANNELS)?, None, facts)
             }

@@ -44,8 +44,8 @@ fn caches_every_observation_kind_and_remakes_damaged_entries() {
             let made = AtomicUsize::new(0);
             let count = |done, _| made.store(done, Ordering::Relaxed);
             let read = |folder: &Path| read_links(&recipe, folder);
-            let (transmitters, observations) = open_or_make(&recipe, Some(&root), &count, read).unwrap();
-            ((transmitters, rows(&observations, 12)), made.into_inner() > 0)
+            let (poses, observations) = open_or_make(&recipe, Some(&root), &count, read).unwrap();
+            ((poses, rows(&observations, 12)), made.into_inner() > 0)
         };
         let (truth, made) = load();
         assert!(made && load() == (truth.clone(), false), "{observe:?}");
@@ -58,12 +58,12 @@ fn caches_every_observation_kind_and_remakes_damaged_entries() {
 }
 
 /// Returns the same data, simulated without a folder.
-fn received(recipe: &SimulationRecipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
-    let (mut positions, mut rows) = (Vec::new(), Vec::new());
+fn received(recipe: &SimulationRecipe) -> (Vec<Pose>, Vec<Vec<f64>>) {
+    let (mut poses, mut rows) = (Vec::new(), Vec::new());
     let simulator = Simulator::new(&recipe.scene).unwrap();
     let request = SimulationRequest { kind: recipe.observe, samples: recipe.samples, seed: recipe.seed };
     simulate_links(&simulator, &request, &AtomicBool::new(false), |_, tx, received| {
-        positions.push(tx.to_array());
+        poses.push(Pose::from(tx.to_array()));
         rows.extend(received.into_iter().map(|received| match received.observed {
             SimulatedObservation::Spectrum(spectrum) => spectrum.pixels.into_iter().map(f64::from).collect(),
             SimulatedObservation::Power(dbm) => vec![dbm as Real as f64],
@@ -74,7 +74,7 @@ fn received(recipe: &SimulationRecipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
         Ok(())
     })
     .unwrap();
-    (positions, rows)
+    (poses, rows)
 }
 
 #[test]

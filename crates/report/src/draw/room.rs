@@ -7,7 +7,7 @@ mod view;
 use super::charts::{SYMBOL, Symbol};
 use super::plan::draw_receiver;
 use crate::canvas::{BLACK, Canvas, Colour, Paint, Point, VectorPath, WHITE};
-use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Pose, Real, Values, evenly};
+use pwrfgs_core::{Dataset, End, Evaluation, Metric, ModelFacts, Partition, Plugin, Pose, Real, Values, evenly};
 use pwrfgs_experiment::text::{grouped, number};
 use pwrfgs_model::Snapshot;
 use std::fmt::Write as _;
@@ -61,14 +61,16 @@ impl RoomFigure {
             let mut path = VectorPath::default();
             evenly(part, TRANSMITTERS)
                 .into_iter()
-                .for_each(|i| add(&mut path, view.project(data.sample(i).tx), radius));
+                .for_each(|i| add(&mut path, view.project(data.sample(i).position()), radius));
             behind.path(path, Paint::stroke(colour, 0.8));
         };
         draw(&partition.train, TRAINING, VectorPath::add_plus, 1.6);
         draw(&partition.test, TEST, VectorPath::add_cross, 1.3);
-        let poses: Vec<Pose> = data.scene.receivers.iter().map(|r| data.scene.origin.world_pose(r.pose)).collect();
+        let has_poses = data.scene.has_distances();
+        let ends = if has_poses { data.scene.fixed_ends() } else { Vec::new() };
+        let poses: Vec<Pose> = ends.into_iter().map(|pose| data.scene.origin.world_pose(pose)).collect();
         let mut receiver = None;
-        if let [pose] = &poses[..] {
+        if let ([pose], End::Transmitter) = (&poses[..], data.scene.moving) {
             let only = ReceiverArrow::new(pose, &view, 0.14 * longest(low, high));
             only.draw(&mut behind, view.project(pose.position));
             receiver = Some(only);

@@ -29,7 +29,7 @@ impl Example {
             which => self.which,
             id => sample.id,
             receiver => run.data.scene.receivers[sample.receiver].name.clone(),
-            tx => run.data.placed.then(|| sample.tx.map(|v| format!("{v:.2}")).join(", ")),
+            tx => run.data.placed.then(|| sample.position().map(|v| format!("{v:.2}")).join(", ")),
             nearest => self.nearest_m.map(|distance| format!("{distance:.2} m")),
         }
     }

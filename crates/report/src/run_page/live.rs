@@ -80,7 +80,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let is_match = |supported: &&str| name.starts_with(*supported) && !deformation.traits().reads_carrier;
     let is_supported = PREDICTED_IN_PAGE.iter().any(is_match);
     let setup = &only.stages.setup;
-    let is_fixed = setup.receivers.len() == 1 && !setup.moves && setup.plane.camera.is_none();
+    let is_fixed = setup.receivers.len() == 1 && !setup.moving.is_receiver() && setup.plane.camera.is_none();
     let has_fixed_spectra = is_fixed && run.data.task().has_pixels;
     if !(is_supported && has_fixed_spectra) {
         return None;
@@ -178,7 +178,7 @@ fn measured(data: &Dataset, link: usize) -> Vec<Image> {
         return vec![data.image(link)];
     }
     let mut all = vec![Image { pixels: vec![Real::NAN], ..data.image(link) }; data.scene.receivers.len()];
-    for other in data.links_of(&[data.links[link].transmitter]) {
+    for other in data.links_of(&[data.links[link].location]) {
         all[data.links[other].receiver] = data.image(other);
     }
     all

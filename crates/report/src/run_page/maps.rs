@@ -77,18 +77,19 @@ pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value>
 fn draw_map(run: &LoadedRun<'_>, receiver: usize, errors: &[LinkError], scale: ErrorScale) -> Canvas {
     let data = run.data;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
-    let position = data.scene.origin.world_pose(data.scene.receivers[receiver].pose).position;
-    let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.tx));
-    let plan = FloorPlan::new(FloorPlan::corners(links().chain([flat(position)])), ["x", "y"], WIDTH, MOST_HEIGHT);
+    let ends = if data.scene.has_distances() { data.scene.fixed_ends() } else { Vec::new() };
+    let fixed = ends.get(receiver).or(ends.first()).map(|pose| flat(data.scene.origin.world_pose(*pose).position));
+    let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.position()));
+    let plan = FloorPlan::new(FloorPlan::corners(links().chain(fixed)), ["x", "y"], WIDTH, MOST_HEIGHT);
     let mut canvas = plan.canvas();
     let points = evenly(&data.scene.points, POINTS);
     plan.points(&mut canvas, points.into_iter().map(|p| flat(data.scene.origin.world(p))));
     let mut shown = evenly(errors, SHOWN);
     shown.sort_by(|a, b| a.error.abs().total_cmp(&b.error.abs())); // the worst on top
     for error in &shown {
-        scale.draw(&mut canvas, plan.project(flat(data.sample(error.link).tx)), error.error);
+        scale.draw(&mut canvas, plan.project(flat(data.sample(error.link).position())), error.error);
     }
-    plan.receiver(&mut canvas, flat(position));
+    fixed.into_iter().for_each(|position| plan.receiver(&mut canvas, position));
     plan.axes(&mut canvas);
     FloorPlan::widened(&canvas, WIDTH)
 }

@@ -129,7 +129,7 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     if !blends {
         return strengths.iter().zip(&primitives.opacities).map(|(s, o)| s * o).collect();
     }
-    let links = &stages.setup.inputs(inputs, std::iter::once(Query::at(tx, receiver)));
+    let links = &stages.setup.inputs(inputs, std::iter::once(stages.query(tx, receiver)));
     let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };
     let truth = vec![0.0; stages.setup.numbers()];
     let needs = Needs::of(&[Statistic::Weight], 0);
@@ -174,10 +174,10 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
     let (predictor, receiver, task) = (predictor(side)?, receiver(side, parameters)?, side.setup.task);
     let loaded = side.loaded.as_deref();
     let by_position = predictor.has_position_input();
-    let turns = loaded.is_some_and(|loaded| loaded.data.orientations.is_some()); // a sample has its own pose
+    let turns = loaded.is_some_and(|loaded| loaded.data.scene.moving.is_receiver()); // a sample has its own pose
     let query = match (parameters.tx, parameters.link, loaded) {
-        (Some(tx), None, _) if by_position => Query::at(tx, receiver),
-        (Some(tx), _, _) if by_position && !turns => Query::at(tx, receiver),
+        (Some(tx), None, _) if by_position => side.setup.query(tx, receiver),
+        (Some(tx), _, _) if by_position && !turns => side.setup.query(tx, receiver),
         (_, Some(i), Some(loaded)) if i < loaded.data.len() => loaded.data.query(i),
         _ => return Err(bad_request("no position; set tx=x,y,z, or link=k of the data")),
     };
@@ -187,16 +187,18 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
     // The requested sample, even if another sample has the same position.
     let is_requested = |loaded: &LoadedData, i: usize| {
         let sample = loaded.data.sample(i);
-        parameters.tx.is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.tx, tx) < SAME_PLACE)
+        parameters
+            .tx
+            .is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.position(), tx) < SAME_PLACE)
     };
     let nearest = match (parameters.link, loaded) {
         (Some(i), Some(loaded)) if i < loaded.data.len() && is_requested(loaded, i) => Some((i, 0.0)),
-        (_, Some(loaded)) if loaded.data.placed => nearest(loaded, query.tx, receiver),
+        (_, Some(loaded)) if loaded.data.placed => nearest(loaded, query.position(), receiver),
         _ => None,
     };
     let mut bundle = TensorBundle::new(json!({ "ms": prediction.ms, "strongest": strongest(side, &prediction.image) }));
     if let Some(training) =
-        ensemble.filter(|_| by_position).and_then(|ensemble| ensemble.training_distances(&[query.tx]))
+        ensemble.filter(|_| by_position).and_then(|ensemble| ensemble.training_distances(&[query.position()]))
     {
         bundle.note["training"] = json!({ "metres": training.metres[0], "limit": training.limit });
     }
@@ -232,7 +234,7 @@ fn strongest(side: &ViewPane, image: &Image) -> Value {
 /// Returns the link of the nearest transmitter received by `receiver`, with its distance in metres.
 fn nearest(loaded: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
     let samples = loaded.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
-    let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.tx, tx)));
+    let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.position(), tx)));
     all.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
@@ -250,7 +252,7 @@ fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reque
     let mut bundle = TensorBundle::new(json!({ "strongest": strongest(side, &image) }));
     if side.setup.task.is_scalar {
         let mut all = vec![Real::NAN; side.setup.receivers.len()];
-        for other in loaded.data.links_of(&[loaded.data.links[i].transmitter]) {
+        for other in loaded.data.links_of(&[loaded.data.links[i].location]) {
             all[loaded.data.links[other].receiver] = loaded.data.image(other).pixels[0];
         }
         bundle.put("powers", &[all.len()], all);
@@ -273,14 +275,14 @@ fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reques
     let [columns, rows] = [width, height].map(|side| (side / step).round().max(1.0) as usize);
     let query = |k: usize| {
         let at = |cell: usize, axis: usize| corners[0][axis] + step * (cell as f64 + 0.5);
-        Query::at([at(k % columns, 0), at(k / columns, 1), z], receiver)
+        side.setup.query([at(k % columns, 0), at(k / columns, 1), z], receiver)
     };
     let queries: Vec<Query<'_>> = (0..rows * columns).map(query).collect();
     let level = |image: &Image| side.setup.task.level(image) as Real;
     let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
-    let places: Vec<[f64; 3]> = queries.iter().map(|query| query.tx).collect();
+    let places: Vec<[f64; 3]> = queries.iter().map(Query::position).collect();
     if let Some(training) = predictor.ensemble().and_then(|ensemble| ensemble.training_distances(&places)) {
         let beyond = (0..places.len()).map(|k| u8::from(training.is_beyond(k)));
         bundle.put_bytes("extrapolated", &[rows, columns], beyond.collect());
@@ -297,9 +299,9 @@ fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Req
     }
     let fitted = side.locator(loaded, predictor).map_err(|why| bad_request(&why.to_string()))?;
     let (locator, data) = (fitted.borrow_dependent(), &loaded.data);
-    let transmitter = data.links[i].transmitter;
-    let truth = data.transmitters[transmitter].position;
-    let is_known = data.transmitters_of(&loaded.partition.train).contains(&transmitter);
+    let transmitter = data.links[i].location;
+    let truth = data.locations[transmitter].position();
+    let is_known = data.locations_of(&loaded.partition.train).contains(&transmitter);
     let observation = locator.observations(data, &[transmitter]).concat();
     let located = locator.locate_without(&observation, is_known.then_some(truth));
     let mut bundle = TensorBundle::new(json!({

@@ -73,7 +73,7 @@ impl DataSurvey {
         let mut data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested_split(&data)?;
         let clouds = clouds(folder);
-        if let Some((_, points)) = clouds.first().filter(|_| data.camera.is_none()) {
+        if let Some((_, points)) = clouds.first().filter(|_| data.camera().is_none()) {
             data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();
         }
         warn_of_findings(&data, Some(&partition), observer)?;
@@ -90,7 +90,7 @@ impl DataSurvey {
 
     /// Batch size: the number of training transmitters, at most `most`.
     pub(crate) fn batch(&self, most: usize) -> usize {
-        let train = self.partition.train.iter().map(|&i| self.data.links[i].transmitter);
+        let train = self.partition.train.iter().map(|&i| self.data.links[i].location);
         train.collect::<BTreeSet<_>>().len().clamp(1, most)
     }
 
@@ -122,7 +122,7 @@ impl DataSurvey {
             );
         }
         notes.extend(self.data.task().has_pixels.then(|| match &self.clouds[..] {
-            _ if self.data.camera.is_some() => match self.data.scene.points.len() {
+            _ if self.data.camera().is_some() => match self.data.scene.points.len() {
                 0 => "The model has no points: Gaussians start at random amid the camera positions.".into(),
                 points => format!("Gaussians start on the points of the model ({points})."),
             },
@@ -152,7 +152,7 @@ pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
     }
     let cells = |edge: f64| {
         let cell = |tx: [f64; 3]| tx.map(|v| (v / edge).floor() as i64);
-        data.samples().map(|s| cell(s.tx)).collect::<BTreeSet<_>>().len()
+        data.samples().map(|s| cell(s.position())).collect::<BTreeSet<_>>().len()
     };
     let edge = EDGES.into_iter().find(|&edge| cells(edge) >= CELLS).map(|edge| format!("Voxel(size_m: {edge})"));
     let choices = edge.into_iter().chain(["TimeBlock()".into(), "Random()".into()]);

@@ -22,7 +22,7 @@ pub(super) fn table(
     partition: &Partition,
 ) -> Result<String> {
     let known = partition.known();
-    let samples = Samples::new(locator, data, data.transmitters_of(&partition.test));
+    let samples = Samples::new(locator, data, data.locations_of(&partition.test));
     let mut entries = vec![samples.entry("model", locator.choice, located)];
     if let Some((choice, kriged)) = kriged(data, known, &samples.observations)? {
         let entry = samples.entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
@@ -41,7 +41,7 @@ pub(super) fn table(
 
 /// Errors of the validation samples, with a verdict; empty without any.
 pub(super) fn on_validation(locator: &Locator<'_>, data: &Dataset, known: FittingSet<'_>) -> String {
-    let samples = Samples::new(locator, data, evenly(&data.transmitters_of(known.validation), EXPECTED));
+    let samples = Samples::new(locator, data, evenly(&data.locations_of(known.validation), EXPECTED));
     if samples.transmitters.is_empty() {
         return String::new();
     }
@@ -78,7 +78,7 @@ impl Samples<'_> {
     }
 
     fn truth(&self, k: usize) -> [f64; 3] {
-        self.data.transmitters[self.transmitters[k]].position
+        self.data.locations[self.transmitters[k]].position()
     }
 
     /// Samples located with fingerprints of `predictor`, unless the choice does not use it.
@@ -109,8 +109,8 @@ impl Samples<'_> {
 
     /// Compares the first entry with the best of the others, and with the centre if it is not better than that.
     fn verdict(&self, entries: &[Entry]) -> String {
-        let places = self.transmitters.iter().map(|t| self.data.transmitters[*t]);
-        let blocks = Blocks::new(&places.clone().map(|tx| (tx.id, Some(tx.position))).collect());
+        let places = self.transmitters.iter().map(|t| self.data.locations[*t]);
+        let blocks = Blocks::new(&places.clone().map(|tx| (tx.id, Some(tx.position()))).collect());
         let compare = |other: &Entry| {
             let differences = entries[0].errors.iter().zip(&other.errors).map(|(own, other)| own - other);
             let differences = places.clone().map(|tx| tx.id).zip(differences);

@@ -87,11 +87,12 @@ pub(super) fn layers(
 ) -> Vec<MapLayer> {
     let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty(model.task(), r, of)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
+    let setup = &model.models().next().expect("one or more").stages.setup;
     let places: Vec<usize> = (0..grid.len()).collect();
     for some in places.chunks((STEP / receivers.len().max(1)).max(1)) {
         progress(some[0]);
         let queries: Vec<Query<'static>> =
-            some.iter().flat_map(|&k| receivers.iter().map(move |&r| Query::at(grid.place(k), r))).collect();
+            some.iter().flat_map(|&k| receivers.iter().map(move |&r| setup.query(grid.place(k), r))).collect();
         let summaries: Vec<Summary> = queries
             .par_chunks(CALL)
             .flat_map_iter(|queries| model.predict_many(queries))

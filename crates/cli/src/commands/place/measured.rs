@@ -71,7 +71,7 @@ pub(super) fn choose(
         format!(
             "{} of {} links are missing and count as {} dBm, the weakest power of the data",
             grouped(matrix.missing as i64),
-            grouped((total * data.transmitters.len()) as i64),
+            grouped((total * data.locations.len()) as i64),
             fixed(matrix.weakest, 1)
         ),
     ];
@@ -84,7 +84,7 @@ pub(super) fn choose(
     let above = |r: &usize| receiver(r).1;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
     let powers: Vec<&[f64]> = chosen.iter().map(|&r| &held_out[r][..]).collect();
-    let transmitters = test.iter().filter(|_| data.placed).map(|&t| flat(data.transmitters[t].position)).collect();
+    let transmitters = test.iter().filter(|_| data.placed).map(|&t| flat(data.locations[t].position())).collect();
     let map = CoverageMap {
         title: format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1)),
         transmitters,
@@ -99,13 +99,13 @@ pub(super) fn choose(
 /// Transmitters for the choice and for its score: the official split, otherwise a random fifth is held out.
 fn split(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
-        let [train, test] = [train, test].map(|links| data.transmitters_of(links));
+        let [train, test] = [train, test].map(|links| data.locations_of(links));
         let test: Vec<usize> = test.into_iter().filter(|t| train.binary_search(t).is_err()).collect();
         if !train.is_empty() && !test.is_empty() {
             return ([train, test], "official split".into());
         }
     }
-    let mut all: Vec<usize> = (0..data.transmitters.len()).collect();
+    let mut all: Vec<usize> = (0..data.locations.len()).collect();
     rng::shuffle(&mut rng::stream(seed, "place split", 0), &mut all);
     let train = all.split_off(all.len().div_ceil(HELD_OUT));
     let parts = [train, all].map(|mut part| {
@@ -130,10 +130,10 @@ impl Matrix {
     fn new(data: &Dataset) -> Option<Self> {
         let values = data.observations.powers()?;
         let weakest = values.iter().map(|v| *v as f64).fold(f64::INFINITY, f64::min);
-        let (receivers, transmitters) = (data.scene.receivers.len(), data.transmitters.len());
+        let (receivers, transmitters) = (data.scene.receivers.len(), data.locations.len());
         let mut powers = vec![vec![weakest; transmitters]; receivers];
         for (link, power) in data.links.iter().zip(values) {
-            powers[link.receiver][link.transmitter] = *power as f64;
+            powers[link.receiver][link.location] = *power as f64;
         }
         Some(Self { powers, weakest, missing: (receivers * transmitters).saturating_sub(data.links.len()) })
     }

@@ -106,7 +106,7 @@ fn measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
         let pose = |receiver: &pwrfgs_core::Receiver| data.scene.origin.world_pose(receiver.pose).position;
         return Ok(Places {
             title: data.title.clone(),
-            known: data.transmitters.iter().map(|transmitter| transmitter.position).collect(),
+            known: data.locations.iter().map(pwrfgs_core::Location::position).collect(),
             receivers: data.scene.receivers.iter().map(pose).collect(),
             candidates: Vec::new(),
             data: Some(data),

@@ -5,7 +5,7 @@ use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::text::field;
 use pwrfgs::model::{Interval, Prepared};
 use pwrfgs_core::files::{GrowingFile, NewFolder};
-use pwrfgs_core::{Error, Image, ImagePlane, Number, Real, Result, Task, gains_of};
+use pwrfgs_core::{End, Error, Image, ImagePlane, Number, Pose, Real, Result, Task, gains_of};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 
@@ -14,14 +14,15 @@ const COMPLEX: &str = "<c8";
 /// Suffix of files with the standard deviation of an ensemble.
 const SPREAD: &str = "-spread";
 
-/// Row of `predictions.csv`: transmitter and receiver.
+/// Row of `predictions.csv`: pose of the moving end, and receiver.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PredictionRow<'a> {
     /// Number of the row, from 1.
     pub(super) number: usize,
-    pub(super) tx: [f64; 3],
-    /// Orientation of a moving receiver.
-    pub(super) orientation: Option<[f64; 4]>,
+    /// Pose of the moving end.
+    pub(super) pose: Pose,
+    /// Whether the row has the orientation, of a moving receiver.
+    pub(super) has_orientation: bool,
     pub(super) receiver: usize,
     /// Name of the receiver; none for spectra at a single receiver.
     pub(super) name: Option<&'a str>,
@@ -32,12 +33,17 @@ pub(super) struct PredictionRow<'a> {
 /// Name of the last column of `predictions.csv`.
 const DISTANCE: &str = "training_distance_m";
 
+/// Names of the columns of the positions of a transmitter or the poses of a receiver.
+fn pose_columns(moving: End) -> &'static str {
+    if moving.is_receiver() { "x,y,z,qx,qy,qz,qw" } else { "x,y,z" }
+}
+
 impl PredictionRow<'_> {
     /// First columns of the row.
     fn begin(&self) -> String {
-        let ([x, y, z], number) = (self.tx, self.number);
+        let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
         let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
-        let turn = self.orientation.map_or_else(String::new, |turn| turn.map(|v| format!(",{v}")).concat());
+        let turn = if self.has_orientation { orientation.map(|v| format!(",{v}")).concat() } else { String::new() };
         format!("{number},{x},{y},{z}{turn}{name}")
     }
 
@@ -87,7 +93,7 @@ pub(super) fn writer<'a>(
     } else if task.is_complex {
         Box::new(Channels::begin(folder, model, count)?)
     } else {
-        Box::new(Powers { has_spread: model.models().count() > 1, has_interval })
+        Box::new(Powers { moving: model.moving(), has_spread: model.models().count() > 1, has_interval })
     })
 }
 
@@ -95,8 +101,7 @@ pub(super) fn writer<'a>(
 struct Spectra<'a> {
     plane: &'a ImagePlane,
     has_names: bool,
-    /// Whether rows have orientations of a moving receiver.
-    has_turns: bool,
+    moving: End,
     has_interval: bool,
     stacks: Vec<GrowingFile>,
 }
@@ -110,7 +115,7 @@ impl<'a> Spectra<'a> {
         let stack = |(name, _)| folder.stack(&format!("{name}.npy"), &npy_header(Number::F32, &size));
         let stacks = names.into_iter().filter(|(_, is_written)| folder.stacked && *is_written).map(stack);
         let stacks = stacks.collect::<Result<_>>()?;
-        Ok(Self { plane, has_names: model.receivers().len() > 1, has_turns: model.moves(), has_interval, stacks })
+        Ok(Self { plane, has_names: model.receivers().len() > 1, moving: model.moving(), has_interval, stacks })
     }
 }
 
@@ -118,8 +123,8 @@ impl Writer for Spectra<'_> {
     fn header(&self) -> String {
         let receiver = if self.has_names { "receiver," } else { "" };
         let bound = if self.has_interval { "ssim_bound," } else { "" };
-        let turn = if self.has_turns { "qx,qy,qz,qw," } else { "" };
-        format!("row,x,y,z,{turn}{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
+        let pose = pose_columns(self.moving);
+        format!("row,{pose},{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
     }
 
     fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
@@ -164,6 +169,7 @@ fn line(plane: &ImagePlane, row: &PredictionRow<'_>, drawn: &PredictionImage) ->
 
 /// Writer of received powers.
 struct Powers {
+    moving: End,
     /// Whether there is a column with the standard deviation of an ensemble.
     has_spread: bool,
     /// Whether there are columns with the ends of an interval.
@@ -174,7 +180,8 @@ impl Writer for Powers {
     fn header(&self) -> String {
         let spread = if self.has_spread { "spread_db," } else { "" };
         let interval = if self.has_interval { "lower_dbm,upper_dbm," } else { "" };
-        format!("row,x,y,z,receiver,dbm,{spread}{interval}ms,{DISTANCE}\n")
+        let pose = pose_columns(self.moving);
+        format!("row,{pose},receiver,dbm,{spread}{interval}ms,{DISTANCE}\n")
     }
 
     fn take(&mut self, _: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
@@ -193,6 +200,7 @@ impl Writer for Powers {
 /// Writer of channels.
 struct Channels {
     task: Task,
+    moving: End,
     stacks: Vec<GrowingFile>,
 }
 
@@ -206,13 +214,13 @@ impl Channels {
                 stacks.push(folder.stack("spread.npy", &npy_header(Number::F32, &size))?);
             }
         }
-        Ok(Self { task: model.task(), stacks })
+        Ok(Self { task: model.task(), moving: model.moving(), stacks })
     }
 }
 
 impl Writer for Channels {
     fn header(&self) -> String {
-        format!("row,x,y,z,receiver,db,ms,{DISTANCE}\n")
+        format!("row,{},receiver,db,ms,{DISTANCE}\n", pose_columns(self.moving))
     }
 
     fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {

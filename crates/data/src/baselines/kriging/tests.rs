@@ -70,9 +70,9 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     // Each value is drawn given those before it: exact, but slow.
     let mut pixels: Vec<Vec<f64>> = Vec::new();
     for i in 0..count {
-        let places: Vec<Place> = samples[..i].iter().map(|s| correlation.scaled(in_space(s.tx))).collect();
-        let solution =
-            (i > 0).then(|| solve(correlation, Mean::Unknown, &places, correlation.scaled(in_space(samples[i].tx))));
+        let places: Vec<Place> = samples[..i].iter().map(|s| correlation.scaled(in_space(s.position()))).collect();
+        let solution = (i > 0)
+            .then(|| solve(correlation, Mean::Unknown, &places, correlation.scaled(in_space(samples[i].position()))));
         let (weights, variance) = solution.map_or((vec![], 1.0 + correlation.noise), |s| (s.weights, s.variance));
         let pixel = |k: usize| {
             let mean: f64 = weights.iter().enumerate().map(|(j, w): (usize, &f64)| w * pixels[j][k]).sum();

@@ -54,7 +54,7 @@ fn uplink_is_feature_and_downlink_is_observation() {
     let close = |found: &[Real], numbers: [f64; 4]| {
         assert!(found.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{found:?}");
     };
-    close(data.query(3).features, [24.0, 26.0, 25.0, 27.0]);
+    close(data.query(3).features.unwrap(), [24.0, 26.0, 25.0, 27.0]);
     close(&data.image(3).pixels, [28.0, 30.0, 29.0, 31.0]);
     assert_eq!(data.official, Some((vec![0, 1, 4, 5], vec![2, 3])));
     let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
@@ -70,7 +70,7 @@ fn uplink_is_feature_and_downlink_is_observation() {
     assert!(shown.to_string().contains("has no transmitter positions"), "{shown}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
     let placed = folder.load().unwrap();
-    assert!(placed.placed && placed.sample(3).tx == [4.0, 5.0, 6.0]);
+    assert!(placed.placed && placed.sample(3).position() == [4.0, 5.0, 6.0]);
     // In double precision it is the same.
     let mut double =
         String::from_utf8_lossy(&npy_header_as("<c8", &[3, 2, 4])[6..]).replace("<c8'", "<c16'").into_bytes();

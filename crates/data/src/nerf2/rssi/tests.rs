@@ -47,11 +47,11 @@ impl Folder {
 fn reads_valid_rssi_folder() {
     let data = Folder::new().try_load().unwrap();
     assert_eq!(data.scene.receivers[1], Receiver::new("b", Pose { position: [4.0, 5.0, 6.5], ..Pose::IDENTITY }));
-    let link = |transmitter, receiver| Link { transmitter, receiver };
+    let link = |location, receiver| Link { location, receiver };
     assert_eq!(data.links, [link(0, 1), link(1, 0), link(2, 0), link(2, 1)]);
     let powers: Vec<Real> = (0..4).map(|i| data.image(i).pixels[0]).collect();
     assert_eq!(powers, [-60.5, -71.0, -73.0, -62.0]);
-    assert_eq!((data.sample(3).id, data.sample(3).tx), (2, [7.0, 8.0, 9.0]));
+    assert_eq!((data.sample(3).id, data.sample(3).position()), (2, [7.0, 8.0, 9.0]));
     assert_eq!(data.official, Some((vec![0, 2, 3], vec![1])));
     assert!(data.placed && !data.is_simulated());
 }

@@ -86,8 +86,8 @@ fn draw(run: &LoadedRun<'_>, sources: &[MappedSource], names: [&'static str; 2],
             outside += 1;
         }
     }
-    for receiver in &scene.receivers {
-        plan.receiver(&mut canvas, flat(scene.origin.world_pose(receiver.pose).position));
+    for pose in scene.fixed_ends().into_iter().filter(|_| scene.has_distances()) {
+        plan.receiver(&mut canvas, flat(scene.origin.world_pose(pose).position));
     }
     plan.axes(&mut canvas);
     (FloorPlan::widened(&canvas, WIDTH), outside)
