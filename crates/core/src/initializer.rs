@@ -1,6 +1,9 @@
 //! `Initializer`: initial Gaussians.
 
-use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Real, Result, Scene, Task, plugin_kind, rng::Rng};
+use crate::{
+    Dataset, Demand, GaussianCloud, ImagePlane, Method, Progress, Real, Requirement, Result, Scene, Task, plugin_kind,
+    rng::Rng,
+};
 use std::sync::atomic::AtomicBool;
 
 /// Inputs of an initialiser that reads observations.
@@ -77,6 +80,17 @@ pub trait Initializer: crate::plugin::PluginObject {
     /// task.
     fn supports(&self, task: Task) -> bool {
         true
+    }
+
+    /// Returns what it requires of data and method beside the task.
+    fn requires(&self) -> &'static [Requirement] {
+        &[]
+    }
+
+    /// Returns its demands, for [`compatible`](crate::compatible()).
+    fn demand(&self) -> Demand {
+        let supports = Task::ALL.map(|task| self.supports(task));
+        Demand { field: "initializer", plugin: self.typetag_name(), supports, requires: self.requires() }
     }
 
     /// Rejects invalid settings when the pipeline is read.

@@ -1,6 +1,6 @@
 //! `Metric`: quality of predictions.
 
-use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
+use crate::{Dataset, Demand, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
@@ -21,6 +21,12 @@ pub trait Metric: crate::plugin::PluginObject {
     /// Returns whether it supports observations of `task`. Metrics of the model support every task.
     fn supports(&self, task: Task) -> bool {
         true
+    }
+
+    /// Returns its demands, for [`compatible`](crate::compatible()).
+    fn demand(&self) -> Demand {
+        let supports = Task::ALL.map(|task| self.supports(task));
+        Demand { field: "metrics", plugin: self.typetag_name(), supports, requires: &[] }
     }
 
     /// Returns the number of test samples that it needs at once, which determines the memory of an evaluation.

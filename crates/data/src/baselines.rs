@@ -211,14 +211,6 @@ impl Baseline for Zero {
         "zero".into()
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if self.supports(data.task()) {
-            return Ok(());
-        }
-        let what = format!("Zero() is a baseline for channels, but {} holds {}", data.title, data.task().plural);
-        Err(Error::Config(format!("{what}; use MeanSpectrum()")))
-    }
-
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         all_of(known)?;

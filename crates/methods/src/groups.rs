@@ -3,8 +3,8 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, End, GaussianCloud,
-    LinkInputs, MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
+    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, LinkInputs,
+    MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
@@ -243,25 +243,4 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
     locations.dedup(); // links are in the order of their locations
     let position = |i: usize| data.scene.origin.local(data.locations[i].position());
     deformation.start(Conditions::from(&locations.into_iter().map(position).collect::<Vec<_>>()), network);
-}
-
-/// Rejects several receivers if the network reads the receiver position, and several carriers if it reads none.
-pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
-    let carriers = setup.carriers().len();
-    if carriers > 0 && !deformation.traits().reads_carrier {
-        return Err(format!(
-            "the data have {carriers} carriers, but the deformation ignores them; use Factored(carrier: 2) or Mlp(carrier: 2)"
-        ));
-    }
-    let receivers = match (setup.moving, setup.receivers.len()) {
-        (End::Receiver, _) => "the receiver moves".into(),
-        (End::Transmitter, count @ 2..) => format!("the data have {count} receivers"),
-        (End::Transmitter, _) => return Ok(()),
-    };
-    if deformation.traits().reads_receiver {
-        return Err(format!(
-            "the deformation depends on the receiver position, but {receivers}; use Factored() or Mlp()"
-        ));
-    }
-    Ok(())
 }

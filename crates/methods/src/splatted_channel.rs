@@ -163,17 +163,10 @@ impl Method for SplattedChannel {
         Cost { per_gaussian, per_term: own.kept_per_term, pixels: setup.numbers(), ..Cost::default() }
     }
 
-    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
-        if !setup.task.is_complex {
-            return Err(format!("method: SplattedChannel predicts channels, but the data are {}", setup.task.plural));
-        }
-        groups::check_receivers(&*self.deformation, setup)?;
-        if setup.receivers.iter().any(|own| own.antennas.len() != setup.receivers[0].antennas.len()) {
-            return Err("receivers have different numbers of antennas; give all of them the same number".into());
-        }
+    fn layout(&self, setup: &MeasurementSetup) -> Layout {
         let mut layout = self.deformation.layout();
         layout.weights.push(WeightSpec { decays: false, ..WeightSpec::zeros(OFFSETS, vec![setup.receivers.len()]) });
-        Ok(layout)
+        layout
     }
 
     fn drawable(&self, _: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {

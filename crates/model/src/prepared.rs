@@ -4,8 +4,8 @@ mod derivative;
 
 use crate::{Model, Residuals, Stages};
 use pwrfgs_core::{
-    Cache, Call, End, GaussianCloud, Image, ImagePlane, Parameters, PixelSubset, Predict, Query, Real, Receiver,
-    StageTimes, Task,
+    Cache, Call, End, GaussianCloud, Image, ImagePlane, MeasurementSetup, Parameters, PixelSubset, Predict, Query,
+    Real, Receiver, StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -56,9 +56,14 @@ impl<'a> Prepared<'a> {
         self.members.iter().map(|member| member.model)
     }
 
+    /// Returns receivers and measurement type.
+    pub fn setup(&self) -> &'a MeasurementSetup {
+        &self.members[0].model.stages.setup
+    }
+
     /// Returns the image plane.
     pub fn plane(&self) -> &'a ImagePlane {
-        &self.members[0].model.stages.plane
+        &self.setup().plane
     }
 
     /// Returns the type of the observations.
@@ -74,11 +79,6 @@ impl<'a> Prepared<'a> {
     /// Returns the end that moves.
     pub fn moving(&self) -> End {
         self.members[0].model.stages.setup.moving
-    }
-
-    /// Returns the subcarrier frequencies, Hz; empty if the observations are not channels.
-    pub fn frequencies(&self) -> &'a [f64] {
-        &self.members[0].model.stages.setup.frequencies_hz
     }
 
     /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the

@@ -9,14 +9,13 @@
 //! ones.
 
 use crate::loss::Objective;
-use crate::plan::contexts;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op, values};
 use pwrfgs_core::{
     Call, CloudStats, Error, Gate, GaussianCloud, LinkInputs, MeasurementSetup, MethodTraits, MethodVjp, Parameters,
-    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs,
+    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs, contexts,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;

@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
+use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
 pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -295,16 +295,6 @@ impl Observations {
     pub fn channels(&self) -> Option<&Channels> {
         if let Self::Channels(channels) = self { Some(channels) } else { None }
     }
-
-    /// Returns the spectra, for code that supports no other type.
-    ///
-    /// # Errors
-    /// [`Error::Config`] with `who` for other types.
-    pub fn pictures(&self, subject: &str) -> Result<&Spectra> {
-        let have = self.task().plural;
-        self.spectra()
-            .ok_or_else(|| Error::Config(format!("{subject} needs spatial spectra, and these data are {have}")))
-    }
 }
 
 #[cfg(test)]
@@ -337,7 +327,7 @@ mod tests {
         assert!(channels.fault().unwrap().starts_with("channels[1, 1, 1] is"));
         channels.gains.pop();
         assert!(channels.fault().unwrap().contains("11 gains are not a multiple of 2 antennas"));
-        assert!(two().fault().is_none() && two().pictures("`inspect`").is_err());
+        assert!(two().fault().is_none() && two().spectra().is_none());
     }
 
     #[test]

@@ -2,13 +2,13 @@
 
 use super::received::{self, PathLossLaws};
 use super::survey::SurveyRequest;
-use super::{BlendedSignals, Geometry, ReceiverView, Splatting, check_kind, check_together};
+use super::{BlendedSignals, Geometry, ReceiverView, Splatting};
 use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Activated, Appearance, Cache, Call, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud, Layout,
-    MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, Parameters, PassStatistics, Real, StageTimes, WeightSpec,
-    cached, sigmoid,
+    Activated, Appearance, Cache, Call, Cost, Dataset, DeformationInputs, Deltas, Elevation, ForwardOutput,
+    GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Misfit, Needs, Parameters,
+    PassStatistics, Real, StageTimes, WeightSpec, cached, sigmoid,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -135,25 +135,6 @@ impl Splatting {
         (ForwardOutput { numbers: all, cache }, times)
     }
 
-    fn check_frame(&self, setup: &MeasurementSetup) -> Result<(), String> {
-        check_kind(self.readout, setup.task)?;
-        if !setup.task.has_pixels && self.calibration == Calibration::AsReleased {
-            let what = setup.task.plural;
-            return Err(format!(
-                "calibration: AsReleased supports only spectra, but the data are {what}; use Physical"
-            ));
-        }
-        groups::check_receivers(&*self.deformation, setup)?;
-        let sky = self.whole_sky(setup)?;
-        if setup.moving.is_receiver() && sky.angles.is_none() && sky.camera.is_none() {
-            return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
-        }
-        if !setup.carriers().is_empty() {
-            self.rasterizer.check_carriers()?;
-        }
-        check_together(&*self.rasterizer, self.readout, self.calibration, &sky)
-    }
-
     pub(super) fn terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
         let Call { setup, parameters: p, links, .. } = *call;
         let (network, pose) = (self.parts(setup, p.weights).0, setup.pose());
@@ -170,7 +151,10 @@ impl Method for Splatting {
             inputs: self.deformation.traits().inputs,
             appearance: Appearance::Ellipsoids,
             projector: Some(&self.projector),
+            rasterizer: Some(&self.rasterizer),
             deformation: Some(&self.deformation),
+            channels: self.readout.channels(),
+            shows_colours: self.calibration == Calibration::AsReleased,
             supports_existence_gate: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
@@ -186,8 +170,7 @@ impl Method for Splatting {
         Cost { per_gaussian: own.kept_per_gaussian, per_term: own.kept_per_term, pixels, ..Cost::default() }
     }
 
-    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
-        self.check_frame(setup)?;
+    fn layout(&self, setup: &MeasurementSetup) -> Layout {
         let mut layout = self.deformation.layout();
         if self.laws(setup) > 0 {
             let receivers = setup.receivers.len();
@@ -195,7 +178,20 @@ impl Method for Splatting {
                 .weights
                 .extend(LAW.map(|name| WeightSpec { decays: false, ..WeightSpec::zeros(name, vec![receivers]) }));
         }
-        Ok(layout)
+        layout
+    }
+
+    fn plane<'a>(&self, setup: &'a MeasurementSetup) -> Result<Cow<'a, ImagePlane>, Misfit> {
+        let Readout::ReceivedPower { sky_deg, filter_deg2 } = self.readout else {
+            return Ok(Cow::Borrowed(&setup.plane));
+        };
+        self.readout.check().map_err(Misfit::Plugin)?;
+        // Both poles have a row, so that the cells cover the sphere.
+        let (width, height, side) = (360 / sky_deg as usize, 180 / sky_deg as usize + 1, f64::from(sky_deg));
+        let whole = Elevation { first: -90.0, last: 90.0 + side };
+        let mut sky = self.projector.plane_of(width, height, whole).or(Err(Misfit::PartOfSky))?;
+        sky.sampling.filter = Some(filter_deg2 / (side * side) as Real);
+        Ok(Cow::Owned(sky))
     }
 
     /// Returns the rows that may be visible for any output of the network: gate open, opacity above the limit of the

@@ -255,7 +255,7 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
     assert!(
         try_fit(&data, &[LeftOutBy::All, LeftOutBy::NoMember, LeftOutBy::NoMember], false)
             .to_string()
-            .contains("no transmitter positions")
+            .contains("`Kriged` needs transmitter positions")
     );
 }
 
