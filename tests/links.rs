@@ -194,7 +194,7 @@ fn batch_predictions_equal_single_predictions_after_reload() {
             assert_eq!((image.width, image.height), (data.width, data.height));
             assert_eq!(*image, model.predict(data.query(i)), "{name}: link {i}");
             // The mean of two that are alike; spectra are clamped before.
-            let image = if data.task().has_pixels { image.clone().clamped() } else { image.clone() };
+            let image = data.task().shown(image.clone());
             assert_eq!(image.pixels, both.pixels, "{name}: link {i}");
         }
         for (ready, many) in [(ready, many), (ensemble.prepare(), both)] {

@@ -70,7 +70,7 @@ fn places(plane: &ImagePlane, width: usize) -> impl Iterator<Item = usize> {
 }
 
 #[test]
-fn strided_image_has_pixels_of_whole_image() {
+fn strided_image_keeps_pixels_of_whole_image() {
     let cloud = narrow_and_wide();
     let close = if size_of::<Real>() == 8 { 1e-11 } else { 2e-4 };
     every_way(|way, stages| {

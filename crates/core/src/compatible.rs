@@ -90,8 +90,8 @@ fn other_task(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Option<Misfit> {
 }
 
 fn check_demand(demand: &Demand, parts: &Parts<'_>) -> Result<(), Misfit> {
-    let Demand { field, plugin, supports, requires } = *demand;
-    let other = parts.task.filter(|task| !supports[*task as usize]);
+    let Demand { field, plugin, tasks, requires } = *demand;
+    let other = parts.task.filter(|task| !tasks.contains(task));
     refuse(other.map(|task| Misfit::PluginTask(field, plugin, task)))?;
     let unmet = requires.iter().find(|requirement| !is_met(**requirement, parts));
     refuse(unmet.map(|requirement| Misfit::Unmet(field, plugin, *requirement)))

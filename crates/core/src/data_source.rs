@@ -99,9 +99,9 @@ pub trait Baseline: crate::plugin::PluginObject {
         self.name()
     }
 
-    /// Returns whether it predicts observations of `task`.
-    fn supports(&self, task: Task) -> bool {
-        true
+    /// Returns the measurement types that it predicts.
+    fn tasks(&self) -> &'static [Task] {
+        &Task::ALL
     }
 
     /// Returns what it requires of the data beside the task.
@@ -111,8 +111,7 @@ pub trait Baseline: crate::plugin::PluginObject {
 
     /// Returns its demands, for [`compatible`](crate::compatible()).
     fn demand(&self) -> Demand {
-        let supports = Task::ALL.map(|task| self.supports(task));
-        Demand { field: "baselines", plugin: self.typetag_name(), supports, requires: self.requires() }
+        Demand { field: "baselines", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }
 
     /// Checks whether the baseline supports the observations of `data`: its demands, by default. Commands call this before

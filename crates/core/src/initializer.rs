@@ -76,10 +76,9 @@ pub trait Initializer: crate::plugin::PluginObject {
         None
     }
 
-    /// Returns whether it supports observations of `task`. An initialiser that reads no observations supports every
-    /// task.
-    fn supports(&self, task: Task) -> bool {
-        true
+    /// Returns the measurement types that it supports: all, if it reads no observations.
+    fn tasks(&self) -> &'static [Task] {
+        &Task::ALL
     }
 
     /// Returns what it requires of data and method beside the task.
@@ -89,8 +88,7 @@ pub trait Initializer: crate::plugin::PluginObject {
 
     /// Returns its demands, for [`compatible`](crate::compatible()).
     fn demand(&self) -> Demand {
-        let supports = Task::ALL.map(|task| self.supports(task));
-        Demand { field: "initializer", plugin: self.typetag_name(), supports, requires: self.requires() }
+        Demand { field: "initializer", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }
 
     /// Rejects invalid settings when the pipeline is read.

@@ -18,15 +18,14 @@ pub trait Metric: crate::plugin::PluginObject {
         Ok(())
     }
 
-    /// Returns whether it supports observations of `task`. Metrics of the model support every task.
-    fn supports(&self, task: Task) -> bool {
-        true
+    /// Returns the measurement types that it supports: all, for metrics of the model.
+    fn tasks(&self) -> &'static [Task] {
+        &Task::ALL
     }
 
     /// Returns its demands, for [`compatible`](crate::compatible()).
     fn demand(&self) -> Demand {
-        let supports = Task::ALL.map(|task| self.supports(task));
-        Demand { field: "metrics", plugin: self.typetag_name(), supports, requires: &[] }
+        Demand { field: "metrics", plugin: self.typetag_name(), tasks: self.tasks(), requires: &[] }
     }
 
     /// Returns the number of test samples that it needs at once, which determines the memory of an evaluation.

@@ -54,8 +54,8 @@ pub struct Demand {
     pub field: &'static str,
     /// Name of the plugin.
     pub plugin: &'static str,
-    /// Whether it supports each of [`Task::ALL`].
-    pub supports: [bool; 3],
+    /// Measurement types that it supports.
+    pub tasks: &'static [Task],
     /// Further requirements.
     pub requires: &'static [Requirement],
 }
@@ -231,7 +231,7 @@ pub enum Misfit {
 impl Demand {
     /// Creates the requirements of a plugin for every task.
     pub fn of(field: &'static str, plugin: &'static str, requires: &'static [Requirement]) -> Self {
-        Self { field, plugin, supports: [true; 3], requires }
+        Self { field, plugin, tasks: &Task::ALL, requires }
     }
 }
 

@@ -42,7 +42,7 @@ impl Baseline for MeanSpectrum {
     }
 
     fn name_for(&self, task: Task) -> String {
-        if task.has_pixels { self.name() } else { "mean of the receiver".into() }
+        task.mean_name.into()
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -217,7 +217,7 @@ impl Baseline for Zero {
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_complex
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Channel]
     }
 }

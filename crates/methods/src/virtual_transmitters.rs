@@ -319,8 +319,8 @@ impl Initializer for MatchingPursuit {
         Ok(one.map(|seconds| seconds * self.searches as f64))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_complex
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Channel]
     }
 
     fn requires(&self) -> &'static [Requirement] {

@@ -74,7 +74,7 @@ impl Residuals {
     ) -> Result<Self> {
         let data = known.data;
         settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::NoMember))?;
-        let mut grid = CoarseGrid::new(ensemble.plane(), if data.task().has_pixels { settings.stride } else { 1 });
+        let mut grid = CoarseGrid::new(ensemble.plane(), data.task().stride(settings.stride));
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
         while grid.stride > 1 && grid.lost(&examples) > LOST {
             grid = CoarseGrid::new(ensemble.plane(), grid.stride / 2);
@@ -250,7 +250,7 @@ impl<'a> Samples<'a> {
         let receiver = self.receivers[data.links[links[*own.first()?]].receiver].pose.position;
         let own: Vec<usize> = own.iter().copied().filter(|&k| Some(left_out_by[k]) != left_out).collect();
         let point = |&k: &usize| (log_distance(self.places[k].map(|v| v as f64), receiver), self.observed[k] as f64);
-        let is_fitted = data.task().is_scalar && own.len() >= LEAST_LINKS;
+        let is_fitted = data.task().has_path_loss && own.len() >= LEAST_LINKS;
         is_fitted.then(|| (PathLoss::fit(&own.iter().map(point).collect::<Vec<_>>()), receiver))
     }
 
@@ -294,7 +294,7 @@ impl<'a> Samples<'a> {
         values: impl Fn(usize, usize) -> Vec<Real> + Sync,
     ) -> HeldOutCases {
         let scaled = |c: usize, k: usize| values(c, k).into_iter().map(|v| v / scales[self.receiver_of(k)]).collect();
-        let mean = if self.known.data.task().is_scalar { Mean::Zero } else { Mean::Unknown };
+        let mean = if self.known.data.task().has_path_loss { Mean::Zero } else { Mean::Unknown };
         HeldOutCases::new(cases, mean, |k| place(self.places[k]), scaled)
     }
 

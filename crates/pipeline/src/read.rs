@@ -165,7 +165,7 @@ impl Pipeline {
 
 /// First field of splats with a value other than its default, although [`Pipeline::method`] does not use it.
 fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
-    if pipeline.method.is_some() || !task.is_complex {
+    if pipeline.method.is_some() || pipeline.method().traits().rasterizer.is_some() {
         return None;
     }
     let Pipeline { projector, rasterizer, calibration, readout, .. } = pipeline;

@@ -182,8 +182,8 @@ pub(crate) fn plane_of_pass(
 /// Returns every `stride`-th row and column, from an offset drawn by the random stream of this name and number; all
 /// values if the data are not spectra.
 fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
-    let stride = plan.training.stride;
-    if stride == 1 || !task.has_pixels {
+    let stride = task.stride(plan.training.stride);
+    if stride == 1 {
         return whole.clone();
     }
     let offset = stream.map_or([0, 0], |(name, number)| {

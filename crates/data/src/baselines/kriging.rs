@@ -116,7 +116,7 @@ pub struct Trend<'a> {
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
     pub fn of(data: &'a Dataset, links: &[usize]) -> Self {
-        let has_distances = data.task().is_scalar && data.scene.has_distances();
+        let has_distances = data.task().has_path_loss && data.scene.has_distances();
         Self { data, law: has_distances.then(|| PathLoss::fit(&points(data, links))) }
     }
 

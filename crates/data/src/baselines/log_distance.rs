@@ -65,8 +65,8 @@ impl Baseline for LogDistance {
         Ok(Box::new(PathLosses { data, of_each, borrowed }))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_scalar
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Power]
     }
 }
 

@@ -3,8 +3,7 @@
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Task, evenly,
-    ssim,
+    Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, evenly,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -185,7 +184,7 @@ impl<'a> Lookup<'a> {
             taken = until;
             let scale = self.data.observations.full_scale() * total;
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
-            likeness(self.data.task(), &Image { pixels, ..truth }, &truth)
+            self.data.task().likeness(&Image { pixels, ..truth }, &truth)
         };
         choices.iter().map(score).collect()
     }
@@ -198,16 +197,6 @@ fn coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
         None if moving.is_receiver() => query.pose.coordinates().to_vec(),
         None => query.position().to_vec(),
     }
-}
-
-/// Similarity of prediction and observation; higher is better.
-fn likeness(task: Task, predicted: &Image, truth: &Image) -> f64 {
-    let errors = || predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| *p as f64 - *t as f64);
-    if task.has_pixels {
-        return ssim::evaluation(&predicted.clamped(), truth);
-    }
-    let size = |e: f64| if task.is_complex { e * e } else { e.abs() };
-    -errors().map(size).sum::<f64>()
 }
 
 impl Predict for Lookup<'_> {

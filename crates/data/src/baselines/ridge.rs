@@ -137,7 +137,9 @@ mod tests {
         let samples: Vec<Sample> = (0..30).flat_map(|k| [at(k, 0), at(k, 1)]).collect();
         let powers = samples.iter().map(|s| power(s.id as usize, s.receiver)).collect();
         let data = Dataset::of_links("x", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
-        assert!(Ridge::default().fit(&data, FittingSet::train(&[0])).err().unwrap().to_string().contains("data have none"));
+        assert!(
+            Ridge::default().fit(&data, FittingSet::train(&[0])).err().unwrap().to_string().contains("data have none")
+        );
         let values = samples.iter().flat_map(|s| x[s.id as usize]).collect();
         let features = Some(Features { width: 2, values });
         let data = Dataset { features, ..data };

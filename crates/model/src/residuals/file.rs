@@ -66,7 +66,7 @@ impl ResidualsNote {
     pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
         let Self { stride, neighbours, receivers } = self;
         super::Kriged { stride, neighbours, folds: false }.check().map_err(|why| format!("residuals: {why}"))?;
-        if !setup.task.has_pixels && stride != 1 {
+        if setup.task.stride(stride) != stride {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
         }
         if setup.moving.is_receiver() {
@@ -122,7 +122,7 @@ impl ProcessNote {
                 "residuals: length scales of {scales_m:?} m and noise of {noise}, expected at least {LEAST:e}"
             ));
         }
-        if path_loss.is_some_and(|law| !task.is_scalar || !law.iter().all(|v| v.abs() <= MOST_DB)) {
+        if path_loss.is_some_and(|law| !task.has_path_loss || !law.iter().all(|v| v.abs() <= MOST_DB)) {
             return Err(format!("residuals: a path loss of {path_loss:?} for {}", task.plural));
         }
         let [x, y, z] = scales_m;
