@@ -26,9 +26,9 @@ impl ReceiverGroup {
     pub(crate) fn all(LinkInputs { receivers, pairs: links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
         for (row, state) in receivers.iter().enumerate() {
-            let own: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
-            let together = if share { own.len().max(1) } else { 1 };
-            groups.extend(own.chunks(together).map(|part| Self {
+            let of_receiver: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
+            let together = if share { of_receiver.len().max(1) } else { 1 };
+            groups.extend(of_receiver.chunks(together).map(|part| Self {
                 state: *state,
                 row,
                 links: part.to_vec(),
@@ -89,9 +89,9 @@ impl ReceiverGroup {
     }
 
     /// Writes rows to the positions of its links.
-    pub(crate) fn scatter(&self, own: &[Real], numbers: usize, all: &mut [Real]) {
-        for (own, link) in own.chunks_exact(numbers).zip(&self.links) {
-            all[link * numbers..][..numbers].copy_from_slice(own);
+    pub(crate) fn scatter(&self, values: &[Real], numbers: usize, all: &mut [Real]) {
+        for (values, link) in values.chunks_exact(numbers).zip(&self.links) {
+            all[link * numbers..][..numbers].copy_from_slice(values);
         }
     }
 
@@ -110,27 +110,27 @@ impl ReceiverGroup {
         &self,
         deltas: &Deltas,
         n: usize,
-        own: &mut ActivationVjp,
+        grads: &mut ActivationVjp,
         vjp: impl FnOnce(&Deltas, Range<usize>, &mut ActivationVjp) -> T,
     ) -> T {
         let (terms, batch) = self.terms(deltas, n);
         // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
-        let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
-        let gradients = vjp(&terms, batch, own);
+        let all = copied.then(|| std::mem::replace(&mut grads.deltas, terms.zeros_like()));
+        let gradients = vjp(&terms, batch, grads);
         if let Some(all) = all {
-            let part = std::mem::replace(&mut own.deltas, all);
-            self.add_back(&part, &mut own.deltas, n);
+            let part = std::mem::replace(&mut grads.deltas, all);
+            self.add_back(&part, &mut grads.deltas, n);
         }
         gradients
     }
 
     fn copy(&self, deltas: &Deltas, n: usize) -> Deltas {
-        fn rows<T: Copy>(of: &[T], rows: &[usize], n: usize) -> Vec<T> {
-            if of.is_empty() {
+        fn rows<T: Copy>(column: &[T], rows: &[usize], n: usize) -> Vec<T> {
+            if column.is_empty() {
                 Vec::new()
             } else {
-                rows.iter().flat_map(|b| of[b * n..][..n].iter().copied()).collect()
+                rows.iter().flat_map(|b| column[b * n..][..n].iter().copied()).collect()
             }
         }
         let Deltas { scales, quats, signals } = deltas;
@@ -142,12 +142,12 @@ impl ReceiverGroup {
     }
 
     /// Adds derivatives of copied terms to the rows of origin.
-    fn add_back(&self, own: &Deltas, all: &mut Deltas, n: usize) {
-        for (own, all) in own.columns().into_iter().zip(all.columns_mut()) {
-            let width = own.len() / (self.rows.len() * n).max(1);
+    fn add_back(&self, copied: &Deltas, all: &mut Deltas, n: usize) {
+        for (copied, all) in copied.columns().into_iter().zip(all.columns_mut()) {
+            let width = copied.len() / (self.rows.len() * n).max(1);
             for (k, b) in self.rows.iter().enumerate() {
                 let into = all.iter_mut().skip(b * n * width).take(n * width);
-                into.zip(&own[k * n * width..]).for_each(|(sum, d): (&mut Real, &Real)| *sum += d);
+                into.zip(&copied[k * n * width..]).for_each(|(sum, d): (&mut Real, &Real)| *sum += d);
             }
         }
     }

@@ -75,8 +75,8 @@ fn groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
     let position = |i: &usize| txs.get(links.pairs[*i].location).copied();
     let with_positions = |group: ReceiverGroup| {
-        let own = group.links.iter().filter_map(position).collect();
-        (group, own)
+        let positions = group.links.iter().filter_map(position).collect();
+        (group, positions)
     };
     ReceiverGroup::all(links, true).into_iter().map(with_positions).collect()
 }
@@ -116,8 +116,8 @@ impl Method for VirtualTransmitters {
             let antennas = array(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
-            let own = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
-            group.scatter(&own, setup.numbers(), &mut numbers);
+            let channels = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
+            group.scatter(&channels, setup.numbers(), &mut numbers);
         }
         ForwardOutput { numbers, cache: None as Cache }
     }
@@ -127,22 +127,22 @@ impl Method for VirtualTransmitters {
         for (group, positions) in groups(links) {
             let antennas = array(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
-            let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
+            let d_gains = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
             let at_once = if sums.positions.is_none() { positions.len() } else { 1 };
             let of_each = at_once * antennas.len() * frequencies.len();
-            let parts = positions.chunks(at_once.max(1)).zip(own.chunks(of_each.max(1))).zip(&group.links);
+            let parts = positions.chunks(at_once.max(1)).zip(d_gains.chunks(of_each.max(1))).zip(&group.links);
             for ((positions, d), link) in parts {
                 let part = ChannelInputs { positions, antennas: &antennas, frequencies: &frequencies };
-                let found = field_vjp(p.cloud, p.gate, &part, d);
-                for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
+                let d_field = field_vjp(p.cloud, p.gate, &part, d);
+                for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(d_field.cloud.columns()) {
                     sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
                 }
-                sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
+                sums.gate.iter_mut().zip(&d_field.gate).for_each(|(sum, d)| *sum += d);
                 if let Some(d_positions) = &mut sums.positions {
                     let d_position = &mut d_positions[links.pairs[*link].location];
-                    found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
+                    d_field.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }
         }
@@ -303,11 +303,11 @@ impl Initializer for MatchingPursuit {
             let options = self.options(input, seed);
             let report_progress =
                 &mut |sources: usize| (input.progress)(search * self.most + sources.min(self.most), total);
-            let found = pursue(&observed.links(), &observed.channel, &options, input.stop, report_progress);
+            let sources = pursue(&observed.links(), &observed.channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
-            all.extend(found.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
+            all.extend(sources.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
         }
         all.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
         Ok(all.to_cloud())

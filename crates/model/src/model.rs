@@ -33,8 +33,8 @@ impl Model {
 
     /// Returns the centres `[N,3]`, metres from `origin`.
     pub fn means_from(&self, origin: Origin) -> Vec<[Real; 3]> {
-        let own = self.stages.origin;
-        let moved = |mean: &[Real; 3]| if own == origin { *mean } else { origin.local(own.world(*mean)) };
+        let from = self.stages.origin;
+        let moved = |mean: &[Real; 3]| if from == origin { *mean } else { origin.local(from.world(*mean)) };
         self.cloud.means.iter().map(moved).collect()
     }
 

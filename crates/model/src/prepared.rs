@@ -99,7 +99,7 @@ impl<'a> Prepared<'a> {
         let query = query.into();
         let (pictures, times) = self.pictures(query);
         let count = pictures.len() as Real;
-        let clamped: Vec<Image> = pictures.iter().map(|own| self.task().shown(own.clone())).collect();
+        let clamped: Vec<Image> = pictures.iter().map(|prediction| self.task().shown(prediction.clone())).collect();
         let mean = mean(pictures, self.task());
         let mut deviation = Image::zeros(mean.width, mean.height);
         if clamped.len() > 1 {
@@ -154,10 +154,10 @@ impl<'a> Prepared<'a> {
         assert_eq!(numbers.len(), queries.len() * of_each, "numbers of {} observations", queries.len());
         for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * of_each)) {
             if let ([member], None) = (self.members.as_slice(), self.residuals) {
-                let (found, _) = member.numbers(group);
+                let (predictions, _) = member.numbers(group);
                 // If `numbers` is new memory, its first access takes longer than the copy.
                 let copy = |(to, from): (&mut [Real], &[Real])| to.copy_from_slice(from);
-                numbers.par_chunks_mut(of_each).zip(found.par_chunks(of_each)).for_each(copy);
+                numbers.par_chunks_mut(of_each).zip(predictions.par_chunks(of_each)).for_each(copy);
                 continue;
             }
             for (image, numbers) in self.predict_many(group).iter().zip(numbers.chunks_exact_mut(of_each)) {
@@ -201,7 +201,7 @@ impl Predict for Prepared<'_> {
 
     /// That of the residual process; `None` without residual processes.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        self.residuals.map(|own| own.deviation(query, self.members[0].model.stages.origin))
+        self.residuals.map(|residuals| residuals.deviation(query, self.members[0].model.stages.origin))
     }
 }
 

@@ -168,10 +168,10 @@ fn networks_read_the_carrier_if_it_is_set() {
     let (means, txs) = (points(5, "means"), points(2, "txs"));
     for (deaf, hearing) in deaf.iter().zip(&hearing) {
         assert_eq!((deaf.traits().reads_carrier, hearing.traits().reads_carrier), (false, true));
-        let run = |own: &dyn Deformation, carriers: &[Real]| {
-            let weights = own.layout().init(&mut rng::stream(1, "init", 0));
+        let run = |deformation: &dyn Deformation, carriers: &[Real]| {
+            let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
             let txs = Conditions::from(&txs).at_carriers(carriers);
-            flat(&own.forward(&DeformationInputs::new(&weights, &means, txs, &POSE), &None))
+            flat(&deformation.forward(&DeformationInputs::new(&weights, &means, txs, &POSE), &None))
         };
         assert_eq!(run(&**deaf, &[-1.0, 1.0]), run(&**deaf, &[]));
         assert_ne!(run(&**hearing, &[-1.0, 1.0]), run(&**hearing, &[]));

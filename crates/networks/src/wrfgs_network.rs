@@ -185,8 +185,8 @@ impl WrfgsLayers {
         for sum in &sums {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
             self.branch.tx_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());
-            if let (Some(d_txs), Some(own)) = (&mut d_txs, &sum.txs) {
-                dense::add(d_txs.as_flattened_mut(), own.as_flattened());
+            if let (Some(d_txs), Some(d_txs_of_pass)) = (&mut d_txs, &sum.txs) {
+                dense::add(d_txs.as_flattened_mut(), d_txs_of_pass.as_flattened());
             }
         }
         if let Some(d_means) = d_means {

@@ -48,8 +48,8 @@ impl TextFault {
 
     /// Creates the fault for a `field` that does not fit the others; at the data if the field was omitted.
     pub(crate) fn of(field: &str, message: String, tree: &RonTree) -> Self {
-        let place = tree.field(field).or_else(|| tree.field("data"));
-        Self { message, at: place.map(|place| place.span.start), hint: TypeHint::Never }
+        let value = tree.field(field).or_else(|| tree.field("data"));
+        Self { message, at: value.map(|value| value.span.start), hint: TypeHint::Never }
     }
 }
 
@@ -110,7 +110,7 @@ impl Pipeline {
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
         }
-        if self.baselines.iter().any(|own| own.is_external()) {
+        if self.baselines.iter().any(|baseline| baseline.is_external()) {
             self.check_external(data, &self.partition(data)?.test).map_err(|error| named("baselines", error))?;
         }
         for metric in &self.metrics {
@@ -124,11 +124,13 @@ impl Pipeline {
     /// # Errors
     /// Missing or invalid predictions, or two baselines of one name.
     pub fn check_external(&self, data: &Dataset, test: &[usize]) -> Result<(), Error> {
-        let count_of = |name: &str| self.baselines.iter().filter(|own| own.name_for(data.task()) == name).count();
-        for own in self.baselines.iter().filter(|own| own.is_external()) {
-            let twice = || Error::Config(format!("two baselines are called `{}`; rename the predictions", own.name()));
-            (count_of(&own.name()) == 1).then_some(()).ok_or_else(twice)?;
-            own.check_test(data, test)?;
+        let count_of =
+            |name: &str| self.baselines.iter().filter(|baseline| baseline.name_for(data.task()) == name).count();
+        for baseline in self.baselines.iter().filter(|baseline| baseline.is_external()) {
+            let twice =
+                || Error::Config(format!("two baselines are called `{}`; rename the predictions", baseline.name()));
+            (count_of(&baseline.name()) == 1).then_some(()).ok_or_else(twice)?;
+            baseline.check_test(data, test)?;
         }
         Ok(())
     }
@@ -150,14 +152,14 @@ impl Pipeline {
         let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
             let name = shortened(&self.name);
-            let what = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
-            return Err(("name".into(), what));
+            let problem = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
+            return Err(("name".into(), problem));
         }
-        self.readout.check().map_err(|what| ("readout".into(), what))?;
+        self.readout.check().map_err(|problem| ("readout".into(), problem))?;
         if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {
-            let what = "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
+            let problem = "method: `Splatting` is problem the fields projector, rasterizer, deformation, calibration and readout \
                         say; leave `method` out";
-            return Err(("method".into(), what.into()));
+            return Err(("method".into(), problem.into()));
         }
         Ok(())
     }
@@ -224,7 +226,7 @@ mod tests {
                 assert!(text.contains(name), "{data}: {text}");
             }
             let given = parse(&format!("name: \"a\", data: {data}, initializer: Random(), baselines: [], metrics: []"));
-            assert!(given.is_ok_and(|own| own.baselines.is_empty() && own.metrics.is_empty()), "{data}");
+            assert!(given.is_ok_and(|pipeline| pipeline.baselines.is_empty() && pipeline.metrics.is_empty()), "{data}");
         }
     }
 

@@ -73,7 +73,7 @@ impl Nerf2 {
         emission: &'a [Real],
     ) -> Vec<RayGroup<'a>> {
         let Call { setup, links: inputs, .. } = *call;
-        let of = |receiver: usize| {
+        let group = |receiver: usize| {
             let links = inputs.pairs.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
             let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.location)).collect();
             if links.is_empty() {
@@ -81,8 +81,8 @@ impl Nerf2 {
             }
             Some(match call.pixels {
                 PixelSubset::Each(places) => {
-                    let own = links.iter().map(|(k, _)| places[*k]).collect();
-                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Each(own)), emission);
+                    let pixels = links.iter().map(|(k, _)| places[*k]).collect();
+                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Each(pixels)), emission);
                     RayGroup { receiver, walk, links: GroupLinks::Own(links) }
                 }
                 pixels => RayGroup {
@@ -92,7 +92,7 @@ impl Nerf2 {
                 },
             })
         };
-        (0..setup.receivers.len()).filter_map(of).collect()
+        (0..setup.receivers.len()).filter_map(group).collect()
     }
 
     /// Converts sums `[L, pixels or bands]` to observations.
@@ -265,7 +265,7 @@ impl Method for Nerf2 {
         if bytes > MOST_CACHED {
             return None;
         }
-        let of = |receiver: usize| {
+        let chunks_of_sky = |receiver: usize| {
             let walk = self.walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
             let chunks: Vec<Range<usize>> = walk.chunks().collect();
             let shared = |trunk_activations: &mut TrunkActivations, rays: &Range<usize>| {
@@ -273,7 +273,7 @@ impl Method for Nerf2 {
             };
             chunks.par_iter().map_init(TrunkActivations::default, shared).collect()
         };
-        let ready: Ready = (0..setup.receivers.len()).map(of).collect();
+        let ready: Ready = (0..setup.receivers.len()).map(chunks_of_sky).collect();
         Some(Arc::new(ready))
     }
 

@@ -109,10 +109,10 @@ impl Splatting {
             let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
             let blended = &drawing.render.pixels;
             let blended = if is_training { self.shown(blended) } else { Cow::Borrowed(blended.as_slice()) };
-            let own = self.read_out(call, &view, &group, &blended);
+            let observations = self.read_out(call, &view, &group, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-            (own, seconds, is_training.then_some((view, drawing)), group)
+            (observations, seconds, is_training.then_some((view, drawing)), group)
         };
         let groups = ReceiverGroup::all(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
@@ -165,9 +165,14 @@ impl Method for Splatting {
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
-        let (sky, own) = (self.sky(setup), self.deformation.traits());
+        let (sky, deformation) = (self.sky(setup), self.deformation.traits());
         let pixels = sky.width * sky.height;
-        Cost { per_gaussian: own.kept_per_gaussian, per_term: own.kept_per_term, pixels, ..Cost::default() }
+        Cost {
+            per_gaussian: deformation.kept_per_gaussian,
+            per_term: deformation.kept_per_term,
+            pixels,
+            ..Cost::default()
+        }
     }
 
     fn layout(&self, setup: &MeasurementSetup) -> Layout {
@@ -203,8 +208,8 @@ impl Method for Splatting {
         }
         let mut visible = vec![setup.moving.is_receiver(); cloud.len()];
         for ReceiverView { pose, plane } in self.views(setup) {
-            let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
-            visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
+            let seen = self.projector.sees(&cloud.means, &pose, &plane.whole());
+            visible.iter_mut().zip(seen).for_each(|(any, seen)| *any |= seen);
         }
         let min_drawn_opacity = self.rasterizer.min_drawn_opacity();
         let drawn = |i: &usize| {
@@ -225,7 +230,7 @@ impl Method for Splatting {
         let (network, laws) = self.parts(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        let (mut own, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
+        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets
@@ -238,8 +243,8 @@ impl Method for Splatting {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
                 group.distances_vjp(setup, links, d_distances, d_positions);
             }
-            let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
-                self.draw_vjp(view, drawing, &p, terms, &d_blended, own)
+            let (d, d_primitives) = group.terms_vjp(deltas, n, &mut grads, |terms, _, grads| {
+                self.draw_vjp(view, drawing, &p, terms, &d_blended, grads)
             });
             sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
             if let (Some(positions), true) = (&mut sums.positions, setup.moving.is_receiver()) {
@@ -253,7 +258,7 @@ impl Method for Splatting {
         }
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
-        groups::vjp(&*self.deformation, &inputs, &own, sums);
+        groups::vjp(&*self.deformation, &inputs, &grads, sums);
     }
 
     fn survey(&self, call: &Call<'_>, truths: &[Real], needs: &Needs) -> PassStatistics {

@@ -39,9 +39,9 @@ impl Prepared<'_> {
             return None;
         }
         let observed: Vec<ForwardOutput> = self.members.iter().map(|member| member.forward(query)).collect();
-        let image = |own: &ForwardOutput| {
+        let image = |output: &ForwardOutput| {
             let (width, height) = (self.plane().width, self.plane().height);
-            Image { width, height, pixels: own.numbers.clone() }
+            Image { width, height, pixels: output.numbers.clone() }
         };
         let predicted = mean(observed.iter().map(image).collect(), task);
         let corrected = self.corrected(predicted.clone(), query);

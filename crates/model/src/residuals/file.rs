@@ -55,7 +55,7 @@ impl ResidualsNote {
         Self {
             stride: residuals.grid.stride,
             neighbours: residuals.neighbours,
-            receivers: residuals.processes.iter().map(|own| own.as_ref().map(process)).collect(),
+            receivers: residuals.processes.iter().map(|fitted| fitted.as_ref().map(process)).collect(),
         }
     }
 
@@ -94,15 +94,22 @@ impl ResidualsNote {
         let mut first = 0;
         let mut process = |(note, receiver): (Option<ProcessNote>, &Receiver)| -> Result<_, String> {
             let Some(note) = note else { return Ok(None) };
-            let own = first..first + note.links;
-            first = own.end;
+            let links_of_process = first..first + note.links;
+            first = links_of_process.end;
             let values = match &stored {
-                ResidualValues::Exact(all) => ResidualValues::Exact(all[own.start * of_each..own.end * of_each].into()),
-                ResidualValues::Short(all, units) => {
-                    ResidualValues::Short(all[own.start * of_each..own.end * of_each].into(), units[own.clone()].into())
+                ResidualValues::Exact(all) => {
+                    ResidualValues::Exact(all[links_of_process.start * of_each..links_of_process.end * of_each].into())
                 }
+                ResidualValues::Short(all, units) => ResidualValues::Short(
+                    all[links_of_process.start * of_each..links_of_process.end * of_each].into(),
+                    units[links_of_process.clone()].into(),
+                ),
             };
-            Ok(Some(ResidualProcess::new(note.fitted(setup.task, receiver)?, places[own].to_vec(), values)))
+            Ok(Some(ResidualProcess::new(
+                note.fitted(setup.task, receiver)?,
+                places[links_of_process].to_vec(),
+                values,
+            )))
         };
         let processes = receivers.into_iter().zip(&setup.receivers).map(&mut process).collect::<Result<_, _>>()?;
         Ok(Residuals { grid, neighbours, processes })

@@ -71,8 +71,8 @@ impl Kriged {
         if is_left_out {
             return Ok(());
         }
-        let what = "residuals: the model trains on all known links, so its residuals are too small; give the split a \
+        let problem = "residuals: the model trains on all known links, so its residuals are too small; give the split a \
                     `validation` share, such as 0.1, or in an experiment with `join: true` write `Kriged(folds: true)`";
-        Err(Error::Config(what.into()))
+        Err(Error::Config(problem.into()))
     }
 }
