@@ -51,7 +51,9 @@ pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
 pub use compatible::{Parts, TrainingNumbers, compatible};
 pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched, check_receivers};
-pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, KEPT_BYTES, LinearPart};
+pub use deformation::{
+    Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, KEPT_BYTES, LinearPart,
+};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};

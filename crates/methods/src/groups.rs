@@ -3,8 +3,8 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, GaussianCloud, LinkInputs,
-    MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
+    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, DeformationVjp, Deltas, GaussianCloud,
+    LinkInputs, MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
 };
 use std::borrow::Cow;
 use std::ops::Range;
@@ -180,20 +180,20 @@ pub(crate) fn terms(
 pub(crate) fn vjp(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,
-    own: &ActivationVjp,
+    grads: &ActivationVjp,
     sums: &mut MethodVjp,
 ) {
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
-    if !own.deltas.is_empty() {
-        let d_network = &mut sums.weights[..inputs.weights.len()];
-        let d_txs = sums.positions.as_deref_mut();
-        deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means), d_txs);
+    if !grads.deltas.is_empty() {
+        let weights = &mut sums.weights[..inputs.weights.len()];
+        let (means, positions) = (Some(&mut d_means[..]), sums.positions.as_deref_mut());
+        deformation.vjp(inputs, &grads.deltas, DeformationVjp { weights, means, positions });
     }
-    for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
-        sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+    for ((_, _, sum), (_, _, column)) in sums.cloud.columns_mut().zip(grads.cloud.columns()) {
+        sum.iter_mut().zip(column).for_each(|(sum, d)| *sum += d);
     }
     sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
-    sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
+    sums.gate.iter_mut().zip(&grads.gate).for_each(|(sum, d)| *sum += d);
 }
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
