@@ -148,11 +148,11 @@ impl Facts {
     /// Same as [`Self::read`].
     pub fn finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
         let Some(facts) = Self::read(folder)? else { return Ok(None) };
-        let stands = |name: &str| folder.join(name).is_file();
-        let marked = |name: &&str| facts.files.contains_key(*name);
-        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands)
-            && (!facts.report || stands(REPORT))
-            && REMADE.into_iter().filter(marked).all(stands);
+        let exists = |name: &str| folder.join(name).is_file();
+        let is_sealed = |name: &&str| facts.files.contains_key(*name);
+        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(exists)
+            && (!facts.report || exists(REPORT))
+            && REMADE.into_iter().filter(is_sealed).all(exists);
         let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some());
         Ok(scores.map(|scores| (scores, facts)))
     }
@@ -181,12 +181,12 @@ impl Facts {
     /// # Errors
     /// The file is damaged or missing.
     pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
-        let Some(mark) = self.files.get(name) else { return Ok(()) };
+        let Some(expected) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);
-        let found = match if_found(&path, files::read(&path))? {
-            Some(bytes) if FileDigest::of(&bytes) == *mark => return Ok(()),
-            Some(bytes) if bytes.len() as u64 == mark.bytes => "its content differs".to_owned(),
-            Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), mark.bytes),
+        let problem = match if_found(&path, files::read(&path))? {
+            Some(bytes) if FileDigest::of(&bytes) == *expected => return Ok(()),
+            Some(bytes) if bytes.len() as u64 == expected.bytes => "its content differs".to_owned(),
+            Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), expected.bytes),
             None => "it is missing".into(),
         };
         let advice = if REMADE.contains(&name) {
@@ -194,7 +194,7 @@ impl Facts {
         } else {
             "copy it again, or remove the folder and run again"
         };
-        Err(Error::input(&path, format!("does not match {FACTS}: {found}; {advice}")))
+        Err(Error::input(&path, format!("does not match {FACTS}: {problem}; {advice}")))
     }
 
     /// Updates the largest resident memory.
@@ -220,7 +220,7 @@ pub(crate) fn now() -> String {
 
 /// Formats seconds since 1970 as a Gregorian date.
 fn rfc3339(seconds: u64) -> String {
-    let (mut days, rest) = (seconds / 86_400, seconds % 86_400);
+    let (mut days, second_of_day) = (seconds / 86_400, seconds % 86_400);
     let leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
     let mut year = 1970;
     while days >= 365 + u64::from(leap(year)) {
@@ -236,7 +236,7 @@ fn rfc3339(seconds: u64) -> String {
         days -= length;
         month += 1;
     }
-    let (hours, minutes, seconds) = (rest / 3600, rest / 60 % 60, rest % 60);
+    let (hours, minutes, seconds) = (second_of_day / 3600, second_of_day / 60 % 60, second_of_day % 60);
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
 }
 
@@ -271,8 +271,8 @@ fn kib(text: &str, name: &str) -> Option<u64> {
 
 /// Remaining memory of the control group (version 2), if limited.
 fn control_group() -> Option<u64> {
-    let own = files::read_string("/proc/self/cgroup").ok()?;
-    let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
+    let groups = files::read_string("/proc/self/cgroup").ok()?;
+    let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
     let number =
         |file: &str| files::read_string(format!("/sys/fs/cgroup{path}/{file}")).ok()?.trim().parse::<u64>().ok();
     Some(number("memory.max")?.saturating_sub(number("memory.current")?))

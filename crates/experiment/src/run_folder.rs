@@ -29,7 +29,7 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Scores and facts of the finished run in `path`, including its report if `reported`.
+    /// Reads scores and facts of the finished run in `path`, including its report if `reported`.
     ///
     /// # Errors
     /// Same as [`Facts::read`].
@@ -38,7 +38,7 @@ impl RunState {
         Ok(end.filter(|(_, facts)| facts.report || !reported))
     }
 
-    /// Same as `finished`, with all files verified.
+    /// Reads the scores as `finished` does, with all files verified.
     ///
     /// # Errors
     /// A damaged or missing file.
@@ -59,17 +59,17 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// State of `path` for the run of this pipeline; read-only.
+    /// Determines the state of `path` for the run of this pipeline; read-only.
     ///
     /// # Errors
     /// It is not a folder, or it holds other files or a run of another pipeline.
     pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<RunState> {
-        let own = path.join(PIPELINE);
-        match files::if_found(&own, files::read_string(&own))? {
-            Some(text) => compare(path, &own, &text, pipeline),
+        let file = path.join(PIPELINE);
+        match files::if_found(&file, files::read_string(&file))? {
+            Some(text) => compare(path, &file, &text, pipeline),
             None => match refuse_foreign(path, "a run folder") {
                 // Another process has created the run since.
-                Err(_) if own.is_file() => Self::inspect(path, pipeline),
+                Err(_) if file.is_file() => Self::inspect(path, pipeline),
                 foreign => foreign.map(|()| RunState::New),
             },
         }
@@ -84,7 +84,7 @@ impl RunFolder {
         Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new, state) = locked(folder.path(), pipeline).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = lock(folder.path(), pipeline).map_err(|e| folder.named(e))?;
         remove_leftovers(folder.path());
         Ok(Self { folder, lock, is_new, state })
     }
@@ -121,7 +121,8 @@ impl RunFolder {
 
     /// Whether a process uses `path`.
     pub fn is_busy(path: &Path) -> bool {
-        files::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
+        files::open(path.join(PIPELINE))
+            .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// Whether this claim created the run: the folder contains only `pipeline.ron`.
@@ -129,22 +130,22 @@ impl RunFolder {
         self.is_new
     }
 
-    /// State of the folder when it was claimed.
+    /// Returns the state of the folder when it was claimed.
     pub(crate) fn state(&self) -> RunState {
         self.state
     }
 
-    /// Path for file access, independent of later renames of the folder.
+    /// Returns the path for file access, independent of later renames of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Path given by the user, for messages.
+    /// Returns the path given by the user, for messages.
     pub fn name(&self) -> &Path {
         self.folder.name()
     }
 
-    /// Path of a file in the folder.
+    /// Returns the path of a file in the folder.
     pub fn file(&self, name: &str) -> PathBuf {
         self.path().join(name)
     }
@@ -160,16 +161,16 @@ impl RunFolder {
 }
 
 /// Locks `pipeline.ron`, writing it if needed; returns whether it was written, and the state.
-fn locked(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
-    let own = folder.join(PIPELINE);
+fn lock(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
+    let file = folder.join(PIPELINE);
     loop {
-        let is_new = write_new(&own, pipeline.to_ron()?.as_bytes())?;
-        match files::try_lock(&own) {
+        let is_new = write_new(&file, pipeline.to_ron()?.as_bytes())?;
+        match files::try_lock(&file) {
             Ok(None) => return Err(Error::Busy(folder.into())),
             // The locked file may have been written by another process meanwhile.
             Ok(Some(lock)) => return RunFolder::inspect(folder, pipeline).map(|state| (lock, is_new, state)),
             Err(e) if e.kind() == ErrorKind::NotFound => {} // removed since it was written
-            Err(e) => return Err(Error::read(&own, e)),
+            Err(e) => return Err(Error::read(&file, e)),
         }
     }
 }
@@ -191,13 +192,13 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<
     };
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
-        Some((line, (there, here))) => Err(Error::Config(format!(
+        Some((line, (their_line, our_line))) => Err(Error::Config(format!(
             "{} holds a run of another pipeline: its {PIPELINE}:{} has `{}`, this one has `{}`; \
              choose another --out or remove the folder",
             folder.display(),
             line + 1,
-            strip_control(there).trim_end_matches(','),
-            strip_control(here).trim_end_matches(',')
+            strip_control(their_line).trim_end_matches(','),
+            strip_control(our_line).trim_end_matches(',')
         ))),
         None if theirs.lines().count() == ours.lines().count() => {
             Ok(if alike { RunState::Begun } else { RunState::ScoredOtherwise })
@@ -209,7 +210,7 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<
     }
 }
 
-/// `pipeline` with the baselines and metrics of `other`, which do not affect training.
+/// Returns `pipeline` with the baselines and metrics of `other`, which do not affect training.
 fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
     Pipeline { baselines: other.baselines.clone(), metrics: other.metrics.clone(), ..pipeline.clone() }
 }
