@@ -26,11 +26,12 @@ type Predictor<'a> = dyn Fn(&[Query<'_>], &(dyn Fn(usize) + Sync)) -> Vec<Image>
 /// Function that takes the predictions, observations and links of one chunk.
 type Visit<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
 
-/// Model or baseline to score.
+/// Model or baseline, and the metrics to score it by.
 #[derive(Clone, Copy)]
 struct ScoredPredictor<'a> {
     /// Name in messages.
     name: &'a str,
+    metrics: &'a [Plugin<dyn Metric>],
     predict: &'a Predictor<'a>,
     /// Facts for model metrics; `None` for a baseline.
     facts: Option<ModelFacts<'a>>,
@@ -78,6 +79,7 @@ impl<'a> EvaluationSet<'a> {
         let time = |query: Query<'_>| model.predict_timed(query).1;
         let predictor = ScoredPredictor {
             name,
+            metrics,
             predict: &|queries, done| {
                 let images = model.predict_many(queries);
                 done(queries.len());
@@ -86,7 +88,7 @@ impl<'a> EvaluationSet<'a> {
             facts,
             time: facts.is_some().then_some(&time),
         };
-        self.measure(predictor, metrics, session)
+        self.measure(predictor, session)
     }
 
     /// Measures the baseline called `name` by every metric.
@@ -113,18 +115,13 @@ impl<'a> EvaluationSet<'a> {
             };
             queries.par_iter().map(predict_one).collect()
         };
-        let predictor = ScoredPredictor { name, predict: &predict, facts: None, time: Some(&time) };
-        self.measure(predictor, metrics, session)
+        let predictor = ScoredPredictor { name, metrics, predict: &predict, facts: None, time: Some(&time) };
+        self.measure(predictor, session)
     }
 
-    /// Measures `predictor` by every metric, in the order of `metrics`.
-    fn measure(
-        &self,
-        predictor: ScoredPredictor<'_>,
-        metrics: &[Plugin<dyn Metric>],
-        session: &mut Session<'_>,
-    ) -> Result<Vec<Measurement>> {
-        let (name, stop) = (predictor.name, session.stop);
+    /// Measures a predictor by all its metrics, in their order.
+    fn measure(&self, predictor: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
+        let (ScoredPredictor { name, metrics, .. }, stop) = (predictor, session.stop);
         let evaluation = Evaluation { model: predictor.facts, ..Evaluation::of(self.data, self.plane) };
         let mut measurements: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
         let needs_all = metrics.iter().any(|m| m.scope() == Scope::All);

@@ -111,7 +111,7 @@ impl Machine {
 }
 
 impl Facts {
-    /// Facts of a run that resumes in `folder`.
+    /// Opens the facts of a run that starts or resumes in `folder`.
     pub(crate) fn open(folder: &Path, seed: u64) -> Result<Self> {
         let old = Self::read(folder)?.unwrap_or_else(|| Self { started: now(), ..Self::default() });
         Ok(Self {
@@ -142,7 +142,7 @@ impl Facts {
         })
     }
 
-    /// Scores and facts of a finished run.
+    /// Reads scores and facts of a finished run.
     ///
     /// # Errors
     /// Same as [`Self::read`].
@@ -212,7 +212,7 @@ impl Facts {
 /// Version of the program, such as `0.1.0 (1f0a2b3c4d)` with the start of the git commit that it was built from.
 pub const VERSION: &str = env!("PWRFGS_VERSION");
 
-/// Current time, such as `2026-11-21T09:49:19Z`.
+/// Returns the current time, such as `2026-11-21T09:49:19Z`.
 pub(crate) fn now() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     rfc3339(seconds)
@@ -240,20 +240,20 @@ fn rfc3339(seconds: u64) -> String {
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
 }
 
-/// Largest resident memory of this process, bytes; 0 if unavailable.
+/// Returns the largest resident memory of this process, bytes; 0 if unavailable.
 pub(crate) fn peak_memory() -> u64 {
     let status = files::read_string("/proc/self/status").unwrap_or_default();
     kib(&status, "VmHWM:").unwrap_or(0)
 }
 
-/// Memory available to this process, bytes: the minimum of free memory, the limit of the control group (a job of Slurm,
+/// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a job of Slurm,
 /// a container) and `ulimit -v`; `None` if unavailable.
 pub(crate) fn free_memory() -> Option<u64> {
     let machine = kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
     [machine, control_group(), address_space()].into_iter().flatten().min()
 }
 
-/// Load average of the machine over the last minute, and its number of cores; `None` if the system does not report it.
+/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does not report it.
 pub(crate) fn load_average() -> Option<(f64, usize)> {
     let text = files::read_string("/proc/loadavg").ok()?;
     let load = text.split_whitespace().next()?.parse().ok()?;
@@ -263,13 +263,13 @@ pub(crate) fn load_average() -> Option<(f64, usize)> {
     (cores > 0).then_some((load, cores))
 }
 
-/// Number after `name` in a file of lines such as `VmHWM:  1234 kB`.
+/// Reads the number after `name` in a file of lines such as `VmHWM:  1234 kB`.
 fn kib(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Remaining memory of the control group (version 2), if limited.
+/// Returns the remaining memory of the control group (version 2), if limited.
 fn control_group() -> Option<u64> {
     let groups = files::read_string("/proc/self/cgroup").ok()?;
     let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
@@ -278,7 +278,7 @@ fn control_group() -> Option<u64> {
     Some(number("memory.max")?.saturating_sub(number("memory.current")?))
 }
 
-/// Remaining address space of `ulimit -v`, if limited.
+/// Returns the remaining address space of `ulimit -v`, if limited.
 fn address_space() -> Option<u64> {
     let limits = files::read_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;

@@ -15,7 +15,7 @@ use crate::scores::CEILING;
 use crate::session::{Observer, Session, staged};
 use crate::statistics::Summary;
 use crate::text::{aligned, grouped, number, wrapped};
-use crate::training::trainer_within_memory;
+use crate::training::new_trainer;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::statistics::{median, quantile, sorted};
@@ -83,7 +83,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     pipeline.check_data(data)?;
     check_residuals(&pipeline, &split, false)?;
     let mut loaded_bytes = 0;
-    let trainer = trainer_within_memory(&pipeline, || {
+    let trainer = new_trainer(&pipeline, || {
         let trainer = Trainer::sketch(&pipeline.plan()?, data, partition)?;
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)

@@ -249,17 +249,17 @@ pub fn ceiling(
     let (lag, why) = choose_lag(data, &id_gaps(data, partition));
     let similarity = PairComparison::new(data, metrics, stop).similarity(lag, false)?;
     let estimate = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
-    let of: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
+    let ceilings: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
     let missing = similarity.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
-    let notes = match (of.is_empty(), similarity.metrics.first().map(|m| &m.at_zero)) {
+    let notes = match (ceilings.is_empty(), similarity.metrics.first().map(|m| &m.at_zero)) {
         (false, _) => {
             let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
-            ceiling_notes(data.task(), &similarity, lag, &why, &of).into_iter().chain(missing.map(by)).collect()
+            pair_notes(data.task(), &similarity, lag, &why, &ceilings).into_iter().chain(missing.map(by)).collect()
         }
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
     };
-    Ok(NoiseCeiling { of, notes })
+    Ok(NoiseCeiling { of: ceilings, notes })
 }
 
 /// Returns the difference of ids between each test sample and the nearest training or validation sample.
@@ -290,14 +290,8 @@ fn choose_lag(data: &Dataset, gaps: &[u32]) -> (PairLag, String) {
     }
 }
 
-/// Describes the pairs behind the ceilings of metrics, and their intervals.
-fn ceiling_notes(
-    task: Task,
-    pairs: &PairSimilarity,
-    lag: PairLag,
-    why: &str,
-    ceilings: &[MetricCeiling],
-) -> Vec<String> {
+/// Describes the pairs that the ceilings were estimated from, and the intervals of the ceilings.
+fn pair_notes(task: Task, pairs: &PairSimilarity, lag: PairLag, why: &str, ceilings: &[MetricCeiling]) -> Vec<String> {
     let meaning = task.ceiling.note;
     let is_perfect = task.ceiling.share < 1.0; // the row is that of the perfect predictor already
     let more = if is_perfect { "" } else { "; a perfect predictor of the mean could reach a little more" };

@@ -1,7 +1,6 @@
 //! `RunFolder`: one folder per run, locked by one process at a time.
 
 use crate::facts::Facts;
-use crate::findings::Finding;
 use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed};
 use crate::input;
 use crate::load::SplitData;
@@ -89,27 +88,21 @@ impl RunFolder {
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Opens `run.json` for another start on `data` with `findings`; for a joined model with the folders of its `members`. Replaces
-    /// `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since earlier
+    /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
+    /// Replaces `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since earlier
     /// checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///
     /// # Errors
     /// A damaged `run.json`; [`Error::Write`], the old file is then unchanged.
-    pub(crate) fn begin(
-        &mut self,
-        pipeline: &Pipeline,
-        SplitData { data, partition }: &SplitData,
-        findings: Vec<Finding>,
-        members: Vec<String>,
-    ) -> Result<Facts> {
+    pub(crate) fn begin(&mut self, pipeline: &Pipeline, split: &SplitData, new: Facts) -> Result<Facts> {
         let facts = Facts {
-            data: data.title.clone(),
-            simulated: data.is_simulated(),
-            samples: partition.sizes(),
-            findings,
-            members,
+            data: split.data.title.clone(),
+            simulated: split.data.is_simulated(),
+            samples: split.partition.sizes(),
+            findings: new.findings,
+            members: new.members,
             ..Facts::open(self.path(), pipeline.seed)?
         };
         facts.write(self.path())?;

@@ -119,7 +119,7 @@ fn attempt(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let facts = folder.begin(pipeline, &split, findings, Vec::new());
+    let facts = folder.begin(pipeline, &split, Facts { findings, ..Facts::default() });
     let facts = folder.settle(facts)?;
     let ended = run.complete(trainer, &folder, facts);
     folder.settle(ended).map(Some)

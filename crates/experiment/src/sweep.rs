@@ -152,68 +152,65 @@ fn join(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<RunOutcome
         Err(Error::Busy(_)) => return Ok(None),
         folder => folder?,
     };
-    let ended = join_in(plan, pipeline, &mut folder, session);
+    let ended = plan.join_in(pipeline, &mut folder, session);
     folder.settle(ended).map(Some)
 }
 
-/// Joins the models in a claimed folder and scores the result, unless the same model with these scores exists.
-fn join_in(
-    plan: &SweepPlan,
-    pipeline: &Pipeline,
-    folder: &mut RunFolder,
-    session: &mut Session<'_>,
-) -> Result<RunOutcome> {
-    let begun = Instant::now();
-    let mut ensemble = assemble(plan)?;
-    let bytes = file::ensemble_to_bytes(&ensemble);
-    // Residual processes and calibration of the same members are kept.
-    if let Ok(kept) = file::read_ensemble(&folder.file(MODEL_FILE))
-        && file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes
-    {
-        ensemble = kept;
-    }
-    let bytes = file::ensemble_to_bytes(&ensemble);
-    let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
-    if Facts::read(folder.path())?.is_some_and(is_joined)
-        && let Some(scores) = folder.state().verified(folder.path(), session.page.is_some())?
-    {
-        return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
-    }
-    let (split, findings) = load_with_findings(pipeline, Path::new(""), session.observer)?;
-    pipeline.check_data(&split.data)?;
-    let members = plan.runs.iter().map(|run| run.folder.clone()).collect();
-    let mut facts = folder.begin(pipeline, &split, findings, members)?;
-    add_members(plan, &mut facts)?;
-    let mut run = ActiveRun { pipeline, split: &split, session, begun };
-    match run.score_joined(ensemble, folder, facts) {
-        Err(Error::Stopped) => Ok(RunOutcome::Unscored),
-        scores => Ok(RunOutcome::Finished { scores: scores?.into(), already: false }),
-    }
-}
-
-/// Reads the trained models, in the order of the plan.
-fn assemble(plan: &SweepPlan) -> Result<Ensemble> {
-    let member = |(index, run): (usize, &PlannedRun)| {
-        let folder = plan.folder_of(index);
-        if let Some(facts) = Facts::read(&folder)? {
-            facts.verify_file(&folder, MODEL_FILE)?;
+impl SweepPlan {
+    /// Joins the models in a claimed folder and scores the result, unless the same model with these scores exists.
+    fn join_in(&self, pipeline: &Pipeline, folder: &mut RunFolder, session: &mut Session<'_>) -> Result<RunOutcome> {
+        let begun = Instant::now();
+        let mut ensemble = self.assemble()?;
+        let bytes = file::ensemble_to_bytes(&ensemble);
+        // Residual processes and calibration of the same members are kept.
+        if let Ok(kept) = file::read_ensemble(&folder.file(MODEL_FILE))
+            && file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes
+        {
+            ensemble = kept;
         }
-        Ok((run.member_name(), file::read(&folder.join(MODEL_FILE))?))
-    };
-    let members = plan.runs.iter().enumerate().map(member).collect::<Result<_>>()?;
-    Ensemble::named(members).map_err(Error::Config)
-}
-
-/// Sums steps and training seconds of all runs into the facts of the joined model.
-fn add_members(plan: &SweepPlan, facts: &mut Facts) -> Result<()> {
-    (facts.steps, facts.training_seconds) = (0, 0.0);
-    for index in 0..plan.runs.len() {
-        let member = Facts::read(&plan.folder_of(index))?.unwrap_or_default();
-        facts.steps += member.steps;
-        facts.training_seconds += member.training_seconds;
-        facts.peak_memory_bytes = facts.peak_memory_bytes.max(member.peak_memory_bytes);
+        let bytes = file::ensemble_to_bytes(&ensemble);
+        let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
+        if Facts::read(folder.path())?.is_some_and(is_joined)
+            && let Some(scores) = folder.state().verified(folder.path(), session.page.is_some())?
+        {
+            return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
+        }
+        let (split, findings) = load_with_findings(pipeline, Path::new(""), session.observer)?;
+        pipeline.check_data(&split.data)?;
+        let members = self.runs.iter().map(|run| run.folder.clone()).collect();
+        let mut facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() })?;
+        self.add_members(&mut facts)?;
+        let mut run = ActiveRun { pipeline, split: &split, session, begun };
+        match run.score_joined(ensemble, folder, facts) {
+            Err(Error::Stopped) => Ok(RunOutcome::Unscored),
+            scores => Ok(RunOutcome::Finished { scores: scores?.into(), already: false }),
+        }
     }
-    Ok(())
+
+    /// Reads the trained models, in the order of the plan.
+    fn assemble(&self) -> Result<Ensemble> {
+        let member = |(index, run): (usize, &PlannedRun)| {
+            let folder = self.folder_of(index);
+            if let Some(facts) = Facts::read(&folder)? {
+                facts.verify_file(&folder, MODEL_FILE)?;
+            }
+            Ok((run.member_name(), file::read(&folder.join(MODEL_FILE))?))
+        };
+        let members = self.runs.iter().enumerate().map(member).collect::<Result<_>>()?;
+        Ensemble::named(members).map_err(Error::Config)
+    }
+
+    /// Sums steps and training seconds of all runs into the facts of the joined model.
+    fn add_members(&self, facts: &mut Facts) -> Result<()> {
+        (facts.steps, facts.training_seconds) = (0, 0.0);
+        for index in 0..self.runs.len() {
+            let member = Facts::read(&self.folder_of(index))?.unwrap_or_default();
+            facts.steps += member.steps;
+            facts.training_seconds += member.training_seconds;
+            facts.peak_memory_bytes = facts.peak_memory_bytes.max(member.peak_memory_bytes);
+        }
+        Ok(())
+    }
 }
 
 impl ActiveRun<'_, '_> {

@@ -36,7 +36,7 @@ impl<'a> ActiveRun<'a, '_> {
             let restored = Trainer::restore(&pipeline.plan()?, data, partition, &bytes);
             restored.map(Some).map_err(|e| Error::input(&path, format!("{e}; remove it to start again")))
         };
-        trainer_within_memory(pipeline, || {
+        new_trainer(pipeline, || {
             if let Some(folder) = held
                 && let Some(trainer) = folder.settle(restored(folder))?
             {
@@ -88,10 +88,7 @@ impl<'a> ActiveRun<'a, '_> {
 ///
 /// # Errors
 /// Too little memory, or errors of `make`.
-pub(crate) fn trainer_within_memory<'a>(
-    pipeline: &Pipeline,
-    make: impl FnOnce() -> Result<Trainer<'a>>,
-) -> Result<Trainer<'a>> {
+pub(crate) fn new_trainer<'a>(pipeline: &Pipeline, make: impl FnOnce() -> Result<Trainer<'a>>) -> Result<Trainer<'a>> {
     let needed = if pipeline.method.is_some() { 0 } else { network_bytes(&*pipeline.deformation) };
     refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")?;
     let trainer = make()?;

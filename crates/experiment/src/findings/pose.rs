@@ -201,6 +201,7 @@ const ROWS: Flip = (
 );
 
 impl PoseVerdict {
+    /// Concludes from the angles: a flip first, then another reading of the numbers, then a rotation.
     fn of(check: &PoseCheck) -> Self {
         if check.flip().is_some() {
             return Self::Flipped;

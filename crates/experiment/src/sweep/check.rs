@@ -11,7 +11,7 @@ use crate::run_folder::RunFolder;
 use crate::samples::data_key;
 use crate::scores::ScoreTable;
 use crate::session::Observer;
-use crate::training::trainer_within_memory;
+use crate::training::new_trainer;
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_train::Trainer;
@@ -134,7 +134,7 @@ fn initialize_each<R>(
             scored.try_for_each(|pipeline| pipeline.check_data(&split.data)).map_err(named)?;
             plan.joined.iter().try_for_each(|joined| check_residuals(joined, split, true)).map_err(named)?;
             let sketch = || Trainer::sketch(&pipeline.plan()?, &split.data, &split.partition);
-            let trainer = trainer_within_memory(pipeline, sketch).map_err(named)?;
+            let trainer = new_trainer(pipeline, sketch).map_err(named)?;
             results.push(visit(run, trainer).map_err(named)?);
         }
     }

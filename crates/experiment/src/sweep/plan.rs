@@ -74,7 +74,7 @@ impl SweepPlan {
         Self::of(&Experiment::parse(&text, path)?, (path, &text), None, set, out)
     }
 
-    /// As [`Self::read`], for an `experiment` of the file `path` with this `text`; `base` replaces its base pipeline.
+    /// Creates all runs as [`Self::read`] does, for an `experiment` of the file `path` with this `text`; `base` replaces its base pipeline.
     ///
     /// # Errors
     /// As [`Self::read`].
