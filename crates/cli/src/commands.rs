@@ -105,7 +105,7 @@ impl Command {
         &self,
         threads: Option<usize>,
         verbosity: Verbosity,
-        program: impl FnOnce() -> clap::Command,
+        program: fn() -> clap::Command,
     ) -> Result<u8> {
         match self {
             Self::Run(run) => return run::run(run, verbosity),

@@ -93,9 +93,9 @@ pub fn run(arguments: &[OsString]) -> u8 {
 
 /// Rejects arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
 fn check_utf8(arguments: &[OsString]) -> Result<()> {
-    let here = std::env::current_dir().unwrap_or_default().into_os_string();
-    let mut all = arguments.iter().skip(1).chain([&here]);
-    all.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
+    let current = std::env::current_dir().unwrap_or_default().into_os_string();
+    let mut texts = arguments.iter().skip(1).chain([&current]);
+    texts.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
         let text = text.to_string_lossy().into_owned();
         Err(Error::Config(format!("{text}: not UTF-8; rename the file or folder")))
     })

@@ -35,7 +35,7 @@ pub(crate) struct DocItem {
     pub(crate) value: Result<Value, String>,
 }
 
-/// All chapters, in the order of the fields of a pipeline.
+/// Lists all chapters, in the order of the fields of a pipeline.
 pub(crate) fn chapters() -> Vec<DocChapter> {
     let pipeline = example();
     let mut settings = Vec::new();
@@ -65,13 +65,13 @@ pub(crate) fn chapters() -> Vec<DocChapter> {
         about: "Settings of a pipeline that are not plugins.".into(),
         topics: settings,
     };
-    let mut all = vec![whole, settings];
-    all.extend(plugins);
-    all.push(experiment());
-    all
+    let mut chapters = vec![whole, settings];
+    chapters.extend(plugins);
+    chapters.push(experiment_chapter());
+    chapters
 }
 
-/// Pipeline with only the required fields.
+/// Returns a pipeline with only the required fields.
 pub(crate) fn example() -> Result<Value, String> {
     let required = Pipeline::REQUIRED.map(|(field, value)| format!("{field}: {value}")).join(", ");
     let pipeline =
@@ -79,14 +79,14 @@ pub(crate) fn example() -> Result<Value, String> {
     Value::new(to_ron(&pipeline))
 }
 
-/// Chapter of all plugins of one kind and the types of their fields.
+/// Creates the chapter of all plugins of one kind and the types of their fields.
 fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> DocChapter {
     let mut topics = Vec::new();
     let mut types = Vec::new();
     for member in (family.members)() {
         let value = member.text.and_then(Value::new);
         if let Some(docs) = member.docs {
-            parts(docs.fields(), value.as_ref().ok(), &mut types);
+            collect_fields(docs.fields(), value.as_ref().ok(), &mut types);
         }
         topics.push(DocItem { name: member.name.into(), fields: Vec::new(), docs: member.docs, value });
     }
@@ -94,8 +94,8 @@ fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> Do
     DocChapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
 }
 
-/// Chapter of the experiment file.
-fn experiment() -> DocChapter {
+/// Creates the chapter of the experiment file.
+fn experiment_chapter() -> DocChapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
     collect(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
@@ -108,9 +108,9 @@ fn experiment() -> DocChapter {
 
 /// Collects the type of `field` and, recursively, the types of its fields, each once.
 fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
-    if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
-        if !known.fields.contains(&field) {
-            known.fields.push(field);
+    if let Some(topic) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
+        if !topic.fields.contains(&field) {
+            topic.fields.push(field);
         }
         return;
     }
@@ -121,12 +121,12 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
         value: value.cloned().ok_or_else(|| "a required field has no default".into()),
     });
     match docs.body {
-        DocBody::Fields(fields) => parts(fields, value, topics),
-        DocBody::Variants(variants) => variants.iter().for_each(|v| parts(v.fields, None, topics)),
+        DocBody::Fields(fields) => collect_fields(fields, value, topics),
+        DocBody::Variants(variants) => variants.iter().for_each(|v| collect_fields(v.fields, None, topics)),
     }
 }
 
-fn parts(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
+fn collect_fields(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
     for field in fields {
         if let DocKind::Of(docs) = inner(&field.kind) {
             let inside = value.and_then(|v| v.part(field.name));
@@ -135,7 +135,7 @@ fn parts(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<Do
     }
 }
 
-/// Kind inside options, lists and maps.
+/// Returns the kind inside options, lists and maps.
 fn inner(kind: &DocKind) -> DocKind {
     match kind {
         DocKind::Optional(kind) | DocKind::List(kind) | DocKind::Map(kind) => inner(kind),

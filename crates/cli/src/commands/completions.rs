@@ -62,10 +62,10 @@ pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
 
 /// Rejects an existing file unless it is an earlier version of the same page, by its title.
 fn refuse_other_file(path: &Path) -> Result<()> {
-    let Ok(found) = path.symlink_metadata() else { return Ok(()) };
+    let Ok(metadata) = path.symlink_metadata() else { return Ok(()) };
     let title = format!(".TH {} ", path.file_stem().unwrap_or_default().display());
     let is_title = |text: String| text.lines().any(|line| line.starts_with(&title));
-    if found.is_file() && files::read_string(path).is_ok_and(is_title) {
+    if metadata.is_file() && files::read_string(path).is_ok_and(is_title) {
         return Ok(());
     }
     Err(Error::input(path, "not a manual page of pwrfgs, and not replaced; choose another --out or move the file"))

@@ -54,7 +54,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
             .into_iter()
             .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
             .collect();
-    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| spelt(path)).collect();
+    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| normalise(path)).collect();
     names.sort_unstable();
     names.dedup();
     if names.len() < files.len() {
@@ -66,11 +66,11 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         check_positions(&model)?;
     }
     if arguments.ply.is_some() && model.gaussians() == 0 {
-        let what = "model without Gaussians cannot be exported as PLY; use --npz";
-        return Err(Error::input(&arguments.model, what));
+        let problem = "model without Gaussians cannot be exported as PLY; use --npz";
+        return Err(Error::input(&arguments.model, problem));
     }
     // All files are made before the first one is written: a failed export writes nothing.
-    let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
+    let contents: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
@@ -78,17 +78,17 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
             "positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"
         ));
     }
-    for ((path, _), bytes) in files.iter().zip(made) {
+    for ((path, _), bytes) in files.iter().zip(contents) {
         create(path, &bytes)?;
-        let what =
+        let content =
             if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
-        verbosity.note(&format!("{what} in {}", path.display()));
+        verbosity.note(&format!("{content} in {}", path.display()));
     }
     Ok(())
 }
 
 /// Normalises the path of a file that does not exist yet, such as `./a.npz`.
-fn spelt(path: &Path) -> PathBuf {
+fn normalise(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())
 }

@@ -65,8 +65,9 @@ pub(crate) struct Import {
 }
 
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
-    let own_name = || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-    let name = arguments.name.clone().unwrap_or_else(own_name);
+    let folder_name =
+        || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+    let name = arguments.name.clone().unwrap_or_else(folder_name);
     if let Some(path) = &arguments.links {
         return import_links(arguments, path, &name, verbosity);
     }

@@ -77,16 +77,17 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
 #[cfg(feature = "raytrace")]
 fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     if arguments.source.is_dir() {
-        let what = "no data found; name a data folder (layouts: docs/data.md), or a scene";
-        return Err(Error::input(&arguments.source, what));
+        let problem = "no data found; name a data folder (layouts: docs/data.md), or a scene";
+        return Err(Error::input(&arguments.source, problem));
     }
     scene::choose(arguments, stop, progress)
 }
 
 #[cfg(not(feature = "raytrace"))]
 fn simulated(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Outcome> {
-    let what = "no data found, and this build has no scenes; name a data folder, or build with the feature `raytrace`";
-    Err(Error::input(&arguments.source, what))
+    let problem =
+        "no data found, and this build has no scenes; name a data folder, or build with the feature `raytrace`";
+    Err(Error::input(&arguments.source, problem))
 }
 
 /// Choice of receivers.
@@ -115,7 +116,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// Table with notes.
+    /// Formats the table with notes.
     fn table(&self) -> String {
         let mut lines = vec![[&["choice".to_owned()], &self.header[..]].concat()];
         lines

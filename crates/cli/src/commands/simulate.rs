@@ -91,9 +91,9 @@ pub(crate) enum SimulateFormat {
 }
 
 impl Simulate {
-    /// Observation and layout of the files.
+    /// Returns observation and layout of the files.
     fn output_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
-        let refuse = |what: &str| Err(Error::Config(what.into()));
+        let refuse = |problem: &str| Err(Error::Config(problem.into()));
         let is_channel = matches!(self.layout, SimulateFormat::Channels | SimulateFormat::Csi);
         if self.npy && self.layout != SimulateFormat::Spectra {
             return refuse("--npy: supported only for spectra; remove --npy or --layout");
@@ -175,7 +175,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
 fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
     let (scene, out) = (&recipe.scene, arguments.out.display());
     let receivers = scene.receivers().count();
-    let (things, source) = match layout {
+    let (things, plugin) = match layout {
         OutputLayout::Pictures => ("spectra", "Nerf2Spectrum"),
         OutputLayout::Array => ("spectra", "Arrays"),
         OutputLayout::Rssi => ("powers", "Nerf2Rssi"),
@@ -183,36 +183,36 @@ fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout
         OutputLayout::Csi => ("channels", "Nerf2Csi"),
         OutputLayout::DeepMimo => ("users", ""),
     };
-    let one = receivers == 1 || layout == OutputLayout::Rssi;
+    let has_one_folder = receivers == 1 || layout == OutputLayout::Rssi;
     // Several receivers have a folder each; the first is shown.
-    let root = if one { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
+    let root = if has_one_folder { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
     let carriers = scene.carriers_hz.len().max(1);
     let count = recipe.samples * receivers * carriers;
-    let at = match (receivers, carriers) {
+    let ends = match (receivers, carriers) {
         (1, 1) => String::new(),
         (1, _) => format!(" at {carriers} carriers"),
         _ => format!(" at {receivers} receivers"),
     };
-    let how = match layout {
+    let plugin = match layout {
         OutputLayout::DeepMimo => {
             let pair = if receivers == 1 { "" } else { ", pair=(0, 0, 1)" };
             let (users, name) = (recipe.samples, &scene.name);
-            let text = format!("{users} simulated users of {name}{at} in {out} after {seconds:.1} s");
+            let text = format!("{users} simulated users of {name}{ends} in {out} after {seconds:.1} s");
             return format!("{text}; in Python: pwrfgs.convert.from_deepmimo(\"{out}\"{pair})");
         }
         OutputLayout::Pictures | OutputLayout::Array => {
             let points = root.join(folder::POINTS);
-            format!("{source}(root: \"{}\", points: \"{}\")", root.display(), points.display())
+            format!("{plugin}(root: \"{}\", points: \"{}\")", root.display(), points.display())
         }
         OutputLayout::Csi => {
             let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
             let (root, carrier) = (root.display(), scene.carrier_hz);
-            format!("{source}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")
+            format!("{plugin}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")
         }
-        _ => format!("{source}(root: \"{}\")", root.display()),
+        _ => format!("{plugin}(root: \"{}\")", root.display()),
     };
     format!(
-        "{count} simulated {things} of {}{at} in {out} after {seconds:.1} s; in a pipeline: data: {how}",
+        "{count} simulated {things} of {}{ends} in {out} after {seconds:.1} s; in a pipeline: data: {plugin}",
         scene.name
     )
 }

@@ -52,13 +52,13 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     if let Some(file) = &arguments.save {
         return save(&arguments.sides, file, verbosity);
     }
-    let sides = RunProgress::during(verbosity, |progress| open(&arguments.sides, progress))?;
+    let sides = RunProgress::during(verbosity, |progress| open_panes(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
         // Only the address on stdout, for pipes.
         _ = output::result(&format!("{address}\n"));
         verbosity.note("open this address in a browser; stop with Ctrl-C or by closing the page");
-        if arguments.open && !opened(address) {
+        if arguments.open && !open_browser(address) {
             output::note("cannot start a browser; open the address yourself");
         }
     };
@@ -82,7 +82,8 @@ fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-fn open(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
+/// Opens the models, or a model and a baseline, side by side.
+fn open_panes(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
     let mut first = ViewPane::open(Path::new(&named[0]), progress)?;
     show_walls(&mut first)?;
     let second = match named.get(1) {
@@ -120,7 +121,7 @@ fn parse_baseline(text: &str) -> Result<Plugin<dyn Baseline>> {
 }
 
 /// Opens `address` in the default browser; returns whether that succeeded.
-fn opened(address: &str) -> bool {
+fn open_browser(address: &str) -> bool {
     let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let mut browser = Command::new(program);
     browser.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());

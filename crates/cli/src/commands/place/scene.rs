@@ -13,6 +13,7 @@ use std::sync::atomic::AtomicBool;
 /// Largest number of receivers.
 const MOST: usize = 3;
 
+/// Chooses receivers by ascent over the floor of a scene, beside the best position on a grid.
 pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     let count = arguments.count;
     if count > MOST {
@@ -24,11 +25,12 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     if !arguments.no_grid {
         floor.check_grid()?;
         if candidates < count {
-            let what = format!("--count {count}: the grid has {candidates} receiver positions; give a smaller --step");
-            return Err(Error::Config(what));
+            let problem =
+                format!("--count {count}: the grid has {candidates} receiver positions; give a smaller --step");
+            return Err(Error::Config(problem));
         }
     }
-    let found = staged(progress, "ascent", |_| floor.ascend(count, arguments.seed, stop))?;
+    let ascent = staged(progress, "ascent", |_| floor.ascend(count, arguments.seed, stop))?;
     let at = |[x, y]: [f64; 2]| (String::new(), [x, y, floor.mount()]);
     let line = |coverage: f64, positions: usize, links: usize| {
         vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
@@ -36,9 +38,9 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     let mut choices = vec![Choice {
         short: "ascent",
         name: "ascent".into(),
-        receivers: found.receivers.iter().map(|own| at(*own)).collect(),
-        coverage: found.coverage,
-        cells: line(found.coverage, found.positions, found.links),
+        receivers: ascent.receivers.iter().map(|point| at(*point)).collect(),
+        coverage: ascent.coverage,
+        cells: line(ascent.coverage, ascent.positions, ascent.links),
     }];
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
@@ -56,8 +58,8 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
             coverage: best.coverage,
             cells: line(best.coverage, candidates, links),
         });
-        let of = |subset: &Vec<usize>| coverage_of(&grid, subset);
-        let random = mean(random_subsets(candidates, count, RANDOM, arguments.seed).iter().map(of));
+        let subsets = random_subsets(candidates, count, RANDOM, arguments.seed);
+        let random = mean(subsets.iter().map(|subset| coverage_of(&grid, subset)));
         choices.push(Choice {
             short: "",
             name: format!("random, mean of {RANDOM} (seed {})", arguments.seed),
@@ -67,18 +69,18 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
         });
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",
-            fixed(found.coverage - best.coverage, 2),
-            grouped(found.links as i64),
+            fixed(ascent.coverage - best.coverage, 2),
+            grouped(ascent.links as i64),
             grouped(links as i64)
         ));
     }
-    let above = |[x, y, _]: &[f64; 3]| [*x, *y];
-    let powers: Vec<&[f64]> = found.powers.iter().map(Vec::as_slice).collect();
+    let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
+    let powers: Vec<&[f64]> = ascent.powers.iter().map(Vec::as_slice).collect();
     let map = CoverageMap {
-        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(found.coverage, 1)),
-        transmitters: floor.transmitters.iter().map(above).collect(),
+        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(ascent.coverage, 1)),
+        transmitters: floor.transmitters.iter().map(flat).collect(),
         powers: strongest(&powers),
-        selected: found.receivers,
+        selected: ascent.receivers,
         others: Vec::new(),
     };
     let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
