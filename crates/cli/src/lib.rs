@@ -62,8 +62,8 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(&std::env::args_os().collect::<Vec<_>>()))
 }
 
-/// Same as [`main`] for these arguments, of which the first is the path of the program; returns the exit code. Invalid
-/// arguments and `--help` end the process.
+/// Runs the program as [`main`] does for these arguments, of which the first is the path of the program; returns the
+/// exit code. Invalid arguments and `--help` end the process.
 pub fn run(arguments: &[OsString]) -> u8 {
     keep_memory();
     if let Err(error) = check_utf8(arguments) {

@@ -51,8 +51,8 @@ pub(crate) fn set_program(path: Option<&OsString>) {
     }
 }
 
-/// Returns the path of the program, for a command line that starts it again. The Python package is called by a script, and the
-/// executable of the process is then the interpreter.
+/// Returns the path of the program, for a command line that starts it again. The Python package is called by a script,
+/// and the executable of the process is then the interpreter.
 pub(crate) fn program() -> Result<PathBuf> {
     let failed = |e| Error::Config(format!("cannot find the path of this program: {e}"));
     PROGRAM.get().map_or_else(|| std::env::current_exe().map_err(failed), |called| Ok(called.clone()))

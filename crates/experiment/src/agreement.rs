@@ -22,8 +22,8 @@ pub struct Agreement {
     scores: Vec<f64>,
     /// Level of the intervals, and number of links outside; `None` if the model has no calibration.
     intervals: Option<(f64, usize)>,
-    /// Numbers of transmitters that are extrapolations, and that are farther from the training positions than the length of
-    /// their site, and the limits in metres; `None` if the model has no training positions.
+    /// Numbers of transmitters that are extrapolations, and that are farther from the training positions than the
+    /// length of their site, and the limits in metres; `None` if the model has no training positions.
     positions: Option<[(usize, f64); 2]>,
     transmitters: usize,
 }
@@ -71,8 +71,8 @@ impl Agreement {
         })
     }
 
-    /// Whether most links that should lie inside the intervals of the model lie outside, or most transmitters outside its
-    /// site, where intervals are wide. False for a model without calibration.
+    /// Whether most links that should lie inside the intervals of the model lie outside, or most transmitters outside
+    /// its site, where intervals are wide. False for a model without calibration.
     pub fn is_far(&self) -> bool {
         // With few calibration blocks, the level is low and many links of right data lie outside.
         let count = self.scores.len() as f64;
@@ -94,7 +94,8 @@ fn count_distant(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> 
 }
 
 impl std::fmt::Display for Agreement {
-    /// Writes `SSIM 0.931 (median; 0.902 to 0.957, 10 % to 90 %), 3 of 150 spectra outside the 99 % intervals of the model`.
+    /// Writes `SSIM 0.931 (median; 0.902 to 0.957, 10 % to 90 %), 3 of 150 spectra outside the 99 % intervals of the
+    /// model`.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [low, middle, high] = [0.1, 0.5, 0.9].map(|q| number(quantile(&self.scores, q)));
         write!(f, "{} {middle} (median; {low} to {high}, 10 % to 90 %)", self.task.headline.name)?;

@@ -174,7 +174,8 @@ impl<'a> EvaluationSet<'a> {
         time(self.data.query(self.part[next]))
     }
 
-    /// Predicts the samples chunk by chunk and passes predictions and observations to `visit`; `progress` counts samples.
+    /// Predicts the samples chunk by chunk and passes predictions and observations to `visit`; `progress` counts
+    /// samples.
     fn predict_chunks(
         &self,
         predict: &Predictor<'_>,

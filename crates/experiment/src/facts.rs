@@ -246,14 +246,15 @@ pub(crate) fn peak_memory() -> u64 {
     kib(&status, "VmHWM:").unwrap_or(0)
 }
 
-/// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a job of Slurm,
-/// a container) and `ulimit -v`; `None` if unavailable.
+/// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a
+/// job of Slurm, a container) and `ulimit -v`; `None` if unavailable.
 pub(crate) fn free_memory() -> Option<u64> {
     let machine = kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
     [machine, control_group(), address_space()].into_iter().flatten().min()
 }
 
-/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does not report it.
+/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
+/// not report it.
 pub(crate) fn load_average() -> Option<(f64, usize)> {
     let text = files::read_string("/proc/loadavg").ok()?;
     let load = text.split_whitespace().next()?.parse().ok()?;

@@ -258,7 +258,8 @@ fn list_splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
     [(pipeline.split.clone(), name + " *")].into_iter().chain(others).collect()
 }
 
-/// Formats one line per split: sizes, distance and the mean of the first metric of every baseline, then the noise ceiling.
+/// Formats one line per split: sizes, distance and the mean of the first metric of every baseline, then the noise
+/// ceiling.
 ///
 /// # Errors
 /// If a baseline or a metric refuses, or a spectrum cannot be read.

@@ -19,8 +19,8 @@ const LEVELS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, LEVEL, 0.95];
 type LinkScores = BTreeMap<usize, HeldOutScores>;
 
 impl ActiveRun<'_, '_> {
-    /// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train on,
-    /// or intervals do not support the observations.
+    /// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train
+    /// on, or intervals do not support the observations.
     ///
     /// # Errors
     /// A prediction that is not finite, a spectrum that cannot be read, or [`Error::Stopped`].
@@ -100,8 +100,8 @@ impl<'a> Calibrator<'a> {
         IntervalCalibration::new(&blocks)
     }
 
-    /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`, a row
-    /// per test link; empty with too few blocks.
+    /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`,
+    /// a row per test link; empty with too few blocks.
     ///
     /// # Errors
     /// As [`calibrated`].

@@ -70,7 +70,8 @@ pub fn warn_of_findings(
     Ok(findings)
 }
 
-/// Describes number and size of the observations: `33,600 received powers at 21 receivers`, `1,000 channels of 16 antennas x 16 subcarriers`, `980 spectra of 360 x 90 pixels`.
+/// Describes number and size of the observations: `33,600 received powers at 21 receivers`, `1,000 channels of 16
+/// antennas x 16 subcarriers`, `980 spectra of 360 x 90 pixels`.
 pub fn observed(data: &Dataset) -> String {
     let (task, receivers) = (data.task(), data.scene.receivers.len());
     let size = task.size_text((data.width, data.height)).map_or_else(String::new, |size| format!(" of {size}"));

@@ -66,7 +66,8 @@ impl Record {
         })
     }
 
-    /// Returns a key that is equal for runs that differ only in names and training seed, and for copies of one joined model.
+    /// Returns a key that is equal for runs that differ only in names and training seed, and for copies of one joined
+    /// model.
     ///
     /// # Errors
     /// As [`Pipeline::to_ron`].
@@ -161,8 +162,8 @@ pub struct Confidence {
 }
 
 impl Confidence {
-    /// Computes the Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are unrelated; NaN if
-    /// all are equal.
+    /// Computes the Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are
+    /// unrelated; NaN if all are equal.
     pub fn rank_correlation(&self) -> f64 {
         correlation(&ranks(&self.spreads), &ranks(&self.errors))
     }

@@ -203,8 +203,8 @@ fn ceiling_scores(task: Task, values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| task.ceiling.share * v).collect()
 }
 
-/// Selects the pairs for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly equal
-/// distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
+/// Selects the pairs for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly
+/// equal distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
 fn select_closest(pairs: &[SamplePair]) -> Vec<SamplePair> {
     let within = &pairs[..pairs.partition_point(|pair| pair.distance <= REACH_M)];
     let first = &within[..within.len().min(CLOSEST)];

@@ -13,15 +13,14 @@ use pwrfgs_pipeline::Pipeline;
 pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bool) -> Result<()> {
     let Some(residuals) = &pipeline.residuals else { return Ok(()) };
     if residuals.folds && !joined {
-        let problem =
-            "residuals: `folds` needs an experiment with `join: true`; write `Kriged()`, or join several models";
-        return Err(Error::Config(problem.into()));
+        let advice = "write `Kriged()`, or join several models";
+        return Err(Error::Config(format!("residuals: `folds` needs an experiment with `join: true`; {advice}")));
     }
     residuals.check_data(&split.data, residuals.folds || !split.partition.validation.is_empty())
 }
 
-/// Lists the links that members did not train on: one list per member if a sweep gave each of `folds` members a fold, otherwise one
-/// list, the validation set, for all members.
+/// Lists the links that members did not train on: one list per member if a sweep gave each of `folds` members a fold,
+/// otherwise one list, the validation set, for all members.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
@@ -33,7 +32,8 @@ pub(crate) fn left_out(pipeline: &Pipeline, split: &SplitData, folds: usize) -> 
 }
 
 impl ActiveRun<'_, '_> {
-    /// Fits residual processes of the trained ensemble to all known links, if the pipeline selects them and it has none.
+    /// Fits residual processes of the trained ensemble to all known links, if the pipeline selects them and it has
+    /// none.
     /// `folds` is the number of members of a joined sweep, 1 for a model of one run.
     ///
     /// # Errors

@@ -89,8 +89,8 @@ impl RunFolder {
     }
 
     /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
-    /// Replaces `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since earlier
-    /// checksums and baselines may become invalid.
+    /// Replaces `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since
+    /// earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///

@@ -51,8 +51,8 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
     }
 }
 
-/// Scores a `model` that no run has trained, as a run of `pipeline` in the new folder `out`: with scores and report, but
-/// without a training curve.
+/// Scores a `model` that no run has trained, as a run of `pipeline` in the new folder `out`: with scores and report,
+/// but without a training curve.
 ///
 /// # Errors
 /// As [`run`]; a folder that holds another run.

@@ -17,8 +17,9 @@ pub fn data_key(pipeline: &Pipeline) -> String {
     format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
-/// Writes the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the nearest other
-/// training transmitter in metres (empty if there is none). With several receivers a row is a link: its number, as in
+/// Writes the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
+/// nearest other training transmitter in metres (empty if there is none). With several receivers a row is a link: its
+/// number, as in
 /// `scores.csv`, is the first column, and the receiver name follows the id.
 /// `intervals` are those of the test samples, which add columns; empty without intervals.
 pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
@@ -54,8 +55,8 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
     out
 }
 
-/// Returns the distance from the transmitter of each link to the nearest other transmitter with a training link, metres; infinity
-/// if there is none. Zero if the link is not a training link but another link of its transmitter is.
+/// Returns the distance from the transmitter of each link to the nearest other transmitter with a training link,
+/// metres; infinity if there is none. Zero if the link is not a training link but another link of its transmitter is.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     let positions: Vec<[Real; 3]> = data.locations.iter().map(|t| data.scene.origin.local(t.position())).collect();
     let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].location).collect();

@@ -36,8 +36,8 @@ impl ScoreTable {
         Some(format!("{} (model minus baseline, mean {} {arrow})", row.sentence(), headline.name))
     }
 
-    /// Formats aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The best
-    /// value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
+    /// Formats aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The
+    /// best value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
     pub fn to_text(&self) -> String {
         let name = |name: &String| format!("{name}{}", if self.oracles.contains(name) { " †" } else { "" });
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));

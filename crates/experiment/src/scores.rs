@@ -218,8 +218,8 @@ impl Scores {
         Some(self.ids.iter().copied().zip(self.samples(predictor, key)?.iter().copied()).collect())
     }
 
-    /// Computes paired differences between the model and each baseline, by the metrics that [`is_compared`] selects; `positions`
-    /// are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
+    /// Computes paired differences between the model and each baseline, by the metrics that [`is_compared`] selects;
+    /// `positions` are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
     pub(crate) fn paired(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
         let blocks = Blocks::new(positions);
         let (_, measurements) = self.predictors.first()?;

@@ -177,8 +177,8 @@ pub struct Blocks {
 }
 
 impl Blocks {
-    /// Creates the blocks of test samples from their positions by id, metres. If any position is unknown, each sample is a
-    /// block.
+    /// Creates the blocks of test samples from their positions by id, metres. If any position is unknown, each sample
+    /// is a block.
     pub fn new(positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Self {
         let all_known: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
         let single =

@@ -36,10 +36,11 @@ pub(crate) struct Check {
 
 /// Load average per core above which the machine is busy.
 const IDLE: f64 = 0.25;
-/// Upper over lower quartile of the times of equal steps above which the spread is printed; short steps spread on an idle
-/// machine too.
+/// Upper over lower quartile of the times of equal steps above which the spread is printed; short steps spread on an
+/// idle machine too.
 const STEADY: f64 = 1.25;
 
+/// Runs `pwrfgs check`.
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
     let (file, _) = pipeline_path(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
@@ -160,6 +161,7 @@ pub(crate) struct Inspect {
     pub(crate) set: Vec<String>,
 }
 
+/// Runs `pwrfgs inspect`.
 pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     let text = RunProgress::during(verbosity, |progress| {
         let (pipeline, data) = open_data(&arguments.data, &arguments.set, progress)?;
@@ -170,8 +172,8 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     output::result(&text?)
 }
 
-/// Opens the pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that folder;
-/// also returns its data.
+/// Opens the pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that
+/// folder; also returns its data.
 fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pipeline, Dataset)> {
     let mut load = |source: &Plugin<dyn DataSource>| staged(observer, "spectra", |bar| source.load(Path::new(""), bar));
     let Some(source) = recognise(path) else {

@@ -52,6 +52,7 @@ pub(crate) struct Compare {
     pub(crate) split_csv: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs compare`.
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
     let mut plan = plan_methods(arguments, &survey, verbosity)?;
@@ -63,7 +64,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);
     }
-    let external = read_predictions(arguments, &plan, (&survey.data, &partition))?;
+    let external = arguments.read_predictions(&plan, (&survey.data, &partition))?;
     // Baselines and predictions are equal for all methods: the runs of the first method score them.
     let first = plan.runs[0].combination;
     for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
@@ -82,8 +83,8 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     sweep::run_here(&plan, &runs, 1, (external.first().map(|baseline| baseline.name()).as_deref(), verbosity))
 }
 
-/// Plans the runs of the methods that support the data, all with the same split. A method that was not named and cannot predict the
-/// data is left out, with a note.
+/// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
+/// cannot predict the data is left out, with a note.
 fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Result<SweepPlan> {
     let experiment = experiment(arguments, &survey.data)?;
     let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
@@ -101,7 +102,7 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
         if !is_named && !arguments.methods.is_empty() {
             continue;
         }
-        match arguments.plan_of(method, &experiment, &base, survey) {
+        match arguments.plan(method, &experiment, &base, survey) {
             Ok(mut plan) => match &mut whole {
                 Some(whole) => {
                     let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
@@ -137,13 +138,7 @@ fn experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
 
 impl Compare {
     /// Plans the runs of one method, checked with the data.
-    fn plan_of(
-        &self,
-        method: &str,
-        experiment: &Experiment,
-        base: &Pipeline,
-        survey: &DataSurvey,
-    ) -> Result<SweepPlan> {
+    fn plan(&self, method: &str, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
         let axis = &experiment.axes[0];
         let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
         let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
@@ -156,14 +151,40 @@ impl Compare {
         for PlannedRun { pipeline, .. } in &mut plan.runs {
             let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
             let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
-            pipeline.set_all(
-                &[vec![batch], if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() }].concat(),
-            )?;
+            let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
+            pipeline.set_all(&[vec![batch], rays].concat())?;
         }
         let pipeline = &plan.runs[0].pipeline;
         pipeline.check_data(data)?;
         Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
         Ok(plan)
+    }
+
+    /// Reads and checks the predictions of other programs.
+    fn read_predictions(&self, plan: &SweepPlan, split: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
+        let (data, partition) = split;
+        let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
+        let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
+        let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
+        let mut baselines = Vec::new();
+        for text in &self.predictions {
+            let refuse = |problem: &str| Error::Config(format!("--predictions {text}: {problem}"));
+            let (name, root) = text
+                .split_once('=')
+                .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
+                .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
+            if taken.iter().any(|other| other == name) {
+                return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
+            }
+            taken.push(name.to_owned());
+            let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
+            let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
+            let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
+            predictions.check_test(data, &partition.test)?;
+            predictions.seal(data)?;
+            baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
+        }
+        Ok(baselines)
     }
 }
 
@@ -184,8 +205,8 @@ fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room, this length is
-/// the unit.
+/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room,
+/// this length is the unit.
 fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
@@ -202,39 +223,7 @@ fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
 fn applicable_baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
     let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
     let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
-    let is_applicable = |baseline: &Plugin<dyn Baseline>| {
-        baseline.supports(data.task()) && !baseline.is_external() && baseline.check_data(data).is_ok()
-    };
-    texts.filter_map(|text| Plugin::parse(&text).ok()).filter(is_applicable).collect()
-}
-
-/// Reads and checks the predictions of other programs.
-fn read_predictions(
-    arguments: &Compare,
-    plan: &SweepPlan,
-    split: (&Dataset, &Partition),
-) -> Result<Vec<Plugin<dyn Baseline>>> {
-    let (data, partition) = split;
-    let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
-    let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
-    let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
-    let mut baselines = Vec::new();
-    for text in &arguments.predictions {
-        let refuse = |problem: &str| Error::Config(format!("--predictions {text}: {problem}"));
-        let (name, root) = text
-            .split_once('=')
-            .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
-            .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
-        if taken.iter().any(|other| other == name) {
-            return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
-        }
-        taken.push(name.to_owned());
-        let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
-        let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
-        let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
-        predictions.check_test(data, &partition.test)?;
-        predictions.seal(data)?;
-        baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
-    }
-    Ok(baselines)
+    let baselines = texts.filter_map(|text| Plugin::<dyn Baseline>::parse(&text).ok());
+    let baselines = baselines.filter(|baseline| baseline.supports(data.task()) && !baseline.is_external());
+    baselines.filter(|baseline| baseline.check_data(data).is_ok()).collect()
 }

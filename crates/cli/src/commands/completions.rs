@@ -29,12 +29,14 @@ pub(crate) struct Man {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs completions`.
 pub(crate) fn completions(arguments: &Completions, mut program: Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut program, "pwrfgs", &mut script);
     output::result(&String::from_utf8_lossy(&script))
 }
 
+/// Runs `pwrfgs man`.
 pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
     command.build();
     let failed = |path: &Path| {

@@ -37,6 +37,7 @@ pub(crate) struct Compress {
     pub(crate) bits: Bits,
 }
 
+/// Runs `pwrfgs compress`.
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;

@@ -123,6 +123,7 @@ const PUBLIC: [PublicData; 5] = [
     },
 ];
 
+/// Runs `pwrfgs data`.
 pub(crate) fn data(arguments: &Data, verbosity: Verbosity) -> Result<()> {
     let text = match &arguments.action {
         None => list_sets(),

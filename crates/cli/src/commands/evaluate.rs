@@ -44,6 +44,7 @@ pub(crate) struct Evaluate {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs evaluate`.
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
     let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
     let ensemble = read_models(&models)?;

@@ -46,6 +46,7 @@ pub(crate) struct Export {
     pub(crate) tx: Option<String>,
 }
 
+/// Runs `pwrfgs export`.
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let tx = arguments.tx.as_deref().map(|text| position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
@@ -80,8 +81,8 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     }
     for ((path, _), bytes) in files.iter().zip(contents) {
         create(path, &bytes)?;
-        let content =
-            if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
+        let count = model.gaussians();
+        let content = if count == 0 { "the network".into() } else { format!("{count} Gaussians") };
         verbosity.note(&format!("{content} in {}", path.display()));
     }
     Ok(())

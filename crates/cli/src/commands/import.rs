@@ -64,6 +64,7 @@ pub(crate) struct Import {
     pub(crate) simulated: bool,
 }
 
+/// Runs `pwrfgs import`.
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let folder_name =
         || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());

@@ -54,8 +54,8 @@ const POWERS: &str = "ble";
 const CHANNELS: &str = "office-channel";
 const UPLINKS: &str = "uplink";
 
-/// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the centre
-/// of a Gaussian together, so what it learns of a lobe in one direction holds for others.
+/// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the
+/// centre of a Gaussian together, so what it learns of a lobe in one direction holds for others.
 const MOVING_LOBES: [&str; 4] = [
     "deformation=Mlp(depth: 4, width: 96, position_frequencies: 2, tx_frequencies: 2, tx_hidden: 64, tx_features: 32, \
      skip: None, outputs: Signals)",
@@ -85,6 +85,7 @@ const TURNING_ARRAY: [&str; 4] = [
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
+/// Runs `pwrfgs init`.
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
     let exists = || Error::input(&out, "file exists and is not overwritten; set another file with --out");
@@ -131,13 +132,7 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
             spectrum_settings(survey, cloud, &mut set)
         }
         _ if survey.data.task().is_scalar => {
-            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site, in random directions: along
-            // the axes, maps have stripes.
-            let longest = extent(&survey.data).max(1.0).ceil();
-            let shortest = (longest / 8.0).min(2.0);
-            set.push(format!(
-                "deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)"
-            ));
+            set.push(tx_wavelengths(&survey.data));
             (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
         }
         Some(width) => {
@@ -156,19 +151,17 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
     };
     set.push(format!("training.batch={}", survey.batch(batch)));
     set.push(format!("baselines=[{baselines}]"));
-    let start = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
-    let mut pipeline = Pipeline::parse(start.expect("the facade registers its pipelines").source, out)?;
+    let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
+    let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;
     Ok(pipeline)
 }
 
-/// Adds the settings for spectra to `set`; `cloud` is the path of a point cloud, as RON. Returns the shipped pipeline to
-/// start from, the batch size and the baselines.
-fn spectrum_settings(
-    survey: &DataSurvey,
-    cloud: Option<String>,
-    set: &mut Vec<String>,
-) -> (&'static str, usize, &'static str) {
+/// Shipped pipeline to start from, largest batch size, and baselines as RON.
+type Template = (&'static str, usize, &'static str);
+
+/// Adds the settings for spectra to `set`; `cloud` is the path of a point cloud, as RON.
+fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
     let stride = survey.stride();
     set.push(format!("training.stride={stride}"));
     if stride == 1 {
@@ -195,6 +188,14 @@ fn spectrum_settings(
         set.push("deformation.carrier=2.0".into()); // several carriers
         (start, batch, "MeanSpectrum(), NearestCarrier(), NearestNeighbours(k: Auto), Kriging()")
     }
+}
+
+/// Returns the encoding of transmitter positions for received powers: wavelengths from the size of the site to 2 m, or to
+/// an eighth of a small site, in random directions, since maps have stripes if these are along the axes.
+fn tx_wavelengths(data: &Dataset) -> String {
+    let longest = extent(data).max(1.0).ceil();
+    let shortest = (longest / 8.0).min(2.0);
+    format!("deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)")
 }
 
 /// Returns settings for images of a camera.

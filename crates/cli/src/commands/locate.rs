@@ -15,7 +15,7 @@ use pwrfgs::localise::{Located, Locator, Region, SHARES};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Receiver, Result};
 use rayon::prelude::*;
 use serde_json::json;
 use std::fmt::Write as _;
@@ -87,16 +87,15 @@ impl Row {
     }
 }
 
+/// Runs `pwrfgs locate`.
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let prior = arguments.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
     let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
     if !path.is_file() {
-        return Err(Error::input(
-            &arguments.model,
-            format!("no {PIPELINE} next to this model; localisation needs its data"),
-        ));
+        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
+        return Err(Error::input(&arguments.model, problem));
     }
     let pipeline = read_pipeline(&path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
@@ -115,18 +114,14 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     }
     let expected = arguments.observations.is_some().then(|| scores::on_validation(&locator, &data, partition.known()));
     let locator = match prior {
-        Some(bounds) => locator
-            .within(move |position| bounds.holds(position))
-            .map_err(|e| Error::Config(format!("--prior: {e}")))?,
+        Some(bounds) => {
+            let inside = locator.within(move |position| bounds.holds(position));
+            inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
+        }
         None => locator,
     };
     let rows = match &arguments.observations {
-        Some(path) => {
-            let observed = observations::read(path, locator.features(), &data.scene.receivers)?;
-            let located: Vec<Located> = observed.par_iter().map(|observation| locator.locate(observation)).collect();
-            let named = |(k, located)| Row { name: format!("{:05}", k + 1), located, truth: None };
-            located.into_iter().enumerate().map(named).collect()
-        }
+        Some(path) => observed_rows(&locator, path, &data.scene.receivers)?,
         None => test_rows(&locator, &data, &partition, verbosity),
     };
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
@@ -171,6 +166,17 @@ fn summary(locator: &Locator<'_>) -> String {
         choice.sharpness,
         missing.map_or_else(String::new, |why| format!("; {why}"))
     )
+}
+
+/// Locates the observations of a file, in its order.
+fn observed_rows(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
+    let observed = observations::read(path, locator.features(), receivers)?;
+    let row = |(k, observation): (usize, &Vec<f32>)| Row {
+        name: format!("{:05}", k + 1),
+        located: locator.locate(observation),
+        truth: None,
+    };
+    Ok(observed.par_iter().enumerate().map(row).collect())
 }
 
 /// Locates the test samples.

@@ -76,6 +76,7 @@ pub(crate) struct Map {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs map`.
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let plane = MapPlane::parse(&arguments.plane)?;
     let bounds =
@@ -118,8 +119,8 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model of an earlier
-/// version has no training positions: the central 90 % of its Gaussians take their place.
+/// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model
+/// of an earlier version has no training positions: the central 90 % of its Gaussians take their place.
 ///
 /// # Errors
 /// The model has neither training positions nor Gaussians.
@@ -152,8 +153,8 @@ fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, sour
     )
 }
 
-/// Computes the distances to the nearest training position; extrapolations, and the training positions within the limit of the
-/// plane. `None` if unknown.
+/// Computes the distances to the nearest training position; extrapolations, and the training positions within the
+/// limit of the plane. `None` if unknown.
 fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
     let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
     let distances = ensemble.training_distances(&positions)?;

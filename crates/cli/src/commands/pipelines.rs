@@ -24,6 +24,7 @@ pub(crate) struct Pipelines {
     pub(crate) copy: Option<String>,
 }
 
+/// Runs `pwrfgs pipelines`.
 pub(crate) fn pipelines(arguments: &Pipelines) -> Result<()> {
     let [pipelines, experiments, scenes] =
         [ShippedFile::PIPELINES, ShippedFile::EXPERIMENTS, ShippedFile::SCENES].map(ShippedFile::all);

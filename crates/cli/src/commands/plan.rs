@@ -19,7 +19,7 @@ use pwrfgs_core::{Dataset, Error, Result, check_stopped};
 use source::{PlaceOptions, Places, read_places};
 use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Largest number of transmitters that a choice is scored on.
 const TESTED: usize = 500;
@@ -67,6 +67,7 @@ pub(crate) struct Plan {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs plan`.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
     let places = RunProgress::during(verbosity, |progress| read_places(&arguments.places, progress))?;
@@ -88,7 +89,7 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     });
     check_stopped(&stop)?;
     let mut choices = choices(&survey, &plan, arguments.seed);
-    let gain = RunProgress::during(verbosity, |progress| score(&mut choices, &places, &stop, progress))?;
+    let gain = RunProgress::during(verbosity, |progress| score(&mut choices, &places, progress))?;
     write(&folder, &places, &plan, &choices[0].variances)?;
     folder.publish()?;
     output::result(&table(&choices, gain, &plan.correlation, &places))?;
@@ -176,21 +177,17 @@ fn choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     orders.into_iter().map(choice).collect()
 }
 
-/// Scores Kriging from each choice, if the candidates are measured. Returns the gain of the plan over the regular choice.
-fn score(
-    choices: &mut [Choice],
-    places: &Places,
-    stop: &AtomicBool,
-    progress: &mut RunProgress,
-) -> Result<Option<Difference>> {
+/// Scores Kriging from each choice, if the candidates are measured. Returns the gain of the plan over the regular
+/// choice.
+fn score(choices: &mut [Choice], places: &Places, progress: &mut RunProgress) -> Result<Option<Difference>> {
     let Some(data) = places.data.as_ref().filter(|_| places.measured.is_empty()) else { return Ok(None) };
     let test = test_links(data, choices);
     if test.is_empty() {
         return Ok(None);
     }
-    let total = choices.len();
+    let (stop, total) = (stop_flag(), choices.len());
     for (k, choice) in choices.iter_mut().enumerate() {
-        check_stopped(stop)?;
+        check_stopped(&stop)?;
         progress.on_stage("scoring", k, total);
         choice.scores = kriging_scores(data, &choice.order, &test)?;
     }
@@ -198,8 +195,8 @@ fn score(
     Ok(gain(data, &test, &choices[0], &choices[1]))
 }
 
-/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of positions; neighbours and the
-/// links of one transmitter are not independent.
+/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of
+/// positions; neighbours and the links of one transmitter are not independent.
 fn gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));

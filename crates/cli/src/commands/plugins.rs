@@ -42,6 +42,7 @@ const WIDTH: usize = 110;
 /// Characters per line of the list of all names.
 const NARROW: usize = 100;
 
+/// Runs `pwrfgs plugins`.
 pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
     let chapters = chapters();
     let text = match &arguments.name {

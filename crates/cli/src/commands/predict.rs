@@ -75,6 +75,7 @@ pub(crate) struct Predict {
     pub(crate) no_png: bool,
 }
 
+/// Runs `pwrfgs predict`.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages.setup;
@@ -129,16 +130,14 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
 /// Reads the positions or poses of the end that moves, at which to predict.
 fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
+    let refuse =
+        |end: &str, advice: &str| Err(Error::Config(format!("the {end} of this model moves; give its {advice}")));
     let of_transmitters = tx.is_some() || tx_csv.is_some();
     if of_transmitters && moving.is_receiver() {
-        let problem =
-            "the receiver of this model moves; give its poses with --rx-pose or --rx-pose-csv instead of --tx";
-        return Err(Error::Config(problem.into()));
+        return refuse("receiver", "poses with --rx-pose or --rx-pose-csv instead of --tx");
     }
     if !of_transmitters && !moving.is_receiver() {
-        let problem =
-            "the transmitter of this model moves; give its positions with --tx or --tx-csv instead of --rx-pose";
-        return Err(Error::Config(problem.into()));
+        return refuse("transmitter", "positions with --tx or --tx-csv instead of --rx-pose");
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
         (Some(text), ..) => Ok(vec![position("--tx", text)?.into()]),

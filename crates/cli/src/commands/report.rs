@@ -41,6 +41,7 @@ pub(crate) struct Report {
     pub(crate) reference: Option<String>,
 }
 
+/// Runs `pwrfgs report`.
 pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| arguments.runs[0].join(FOLDER));
     let study = Study::read(&arguments.runs)?;

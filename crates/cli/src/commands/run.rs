@@ -34,6 +34,7 @@ pub(crate) struct Run {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs run`.
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     let (file, folder) = pipeline_path(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
@@ -73,7 +74,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     }
 }
 
-/// Verdict on the model, and the commands that show more of its run.
+/// Writes the verdict on the model, and the commands that show more of its run.
 fn last_line(verdict: Option<String>, run: &Path) -> String {
     let commands = [(pwrfgs::PAGE.is_some(), "report"), (cfg!(feature = "viewer"), "view")];
     let commands = commands.iter().filter(|(is_built, _)| *is_built);

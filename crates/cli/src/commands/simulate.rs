@@ -140,6 +140,7 @@ pub(crate) struct ExportScene {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs export-scene`.
 pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
     let (meshes, out) = (mitsuba::export(&scene, &arguments.out)?, arguments.out.display());
@@ -148,6 +149,7 @@ pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Res
     Ok(())
 }
 
+/// Runs `pwrfgs simulate`.
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()> {
     let begun = Instant::now();
     let stop = stop_flag();

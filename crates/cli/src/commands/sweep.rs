@@ -84,6 +84,7 @@ fn shard(text: &str) -> Result<Shard, String> {
     }
 }
 
+/// Runs `pwrfgs sweep`.
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<u8> {
     let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
     let runs = select_runs(&plan, arguments)?;
@@ -149,7 +150,8 @@ fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
 }
 
-/// Performs `runs` in this process; `report` is the reference of paired differences in the last report, and the verbosity.
+/// Performs `runs` in this process; `report` is the reference of paired differences in the last report, and the
+/// verbosity.
 pub(super) fn run_here(plan: &SweepPlan, runs: &[usize], jobs: usize, report: (Option<&str>, Verbosity)) -> Result<u8> {
     let (reference, verbosity) = report;
     let stop = stop_flag();

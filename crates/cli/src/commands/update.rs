@@ -41,6 +41,7 @@ pub(crate) struct Update {
 /// Name of the finding that most links lie outside the intervals of the model.
 const FAR: &str = "far-from-model";
 
+/// Runs `pwrfgs update`.
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;

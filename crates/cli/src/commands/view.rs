@@ -48,6 +48,7 @@ pub(crate) struct View {
     pub(crate) save: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs view`.
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     if let Some(file) = &arguments.save {
         return save(&arguments.sides, file, verbosity);

@@ -126,8 +126,8 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     Some(check)
 }
 
-/// Returns the median angle after the rotation that fits best, that rotation, and its meaning; `moving` has the sightings of a moving
-/// receiver.
+/// Returns the median angle after the rotation that fits best, that rotation, and its meaning; `moving` has the
+/// sightings of a moving receiver.
 fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (f64, DQuat, Correction) {
     let turned = |pairs: &[DirectionPair], correction| {
         let rotation = best_rotation(pairs);

@@ -107,8 +107,9 @@ impl FittedLine {
         Some(Self { at_zero: mean - slope * distance, slope, mean, distance, spread })
     }
 
-    /// Estimates the standard deviation of `at_zero`. Pairs that share a block of samples are dependent: it uses the variance for dyads of
-    /// Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring samples as nodes.
+    /// Estimates the standard deviation of `at_zero`. Pairs that share a block of samples are dependent: it uses the
+    /// variance for dyads of Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring
+    /// samples as nodes.
     fn deviation(&self, pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> f64 {
         let samples = pairs.iter().fold(0, |most, pair| most.max(pair.later)) + 1;
         let length = (samples / BLOCKS).clamp(1, BLOCK);

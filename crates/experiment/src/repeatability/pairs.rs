@@ -64,8 +64,8 @@ impl SamplePair {
     }
 }
 
-/// Finds the pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of 8,192 samples
-/// with any other), and a random part of the distant ones.
+/// Finds the pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of
+/// 8,192 samples with any other), and a random part of the distant ones.
 pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     let receivers = data.by_receiver(0..data.len());
     let pairs_of = |links: &Vec<usize>| match lag {
@@ -138,8 +138,8 @@ pub(super) fn unrelated(data: &Dataset) -> Vec<SamplePair> {
     receivers.iter().flat_map(|links| draw_pairs(data, links, each)).collect()
 }
 
-/// Returns ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of their pairs
-/// in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
+/// Returns ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of
+/// their pairs in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
 pub(super) fn bins(pairs: &[SamplePair]) -> Vec<([f64; 2], Range<usize>)> {
     let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| edge(step, power)));
     let edges: Vec<f64> = [0.0].into_iter().chain(edges).collect();

@@ -99,9 +99,8 @@ fn family_name(label: &str) -> String {
 
 /// Returns the label without the words of its family.
 fn family_value(label: &str, family: &str) -> String {
-    let is_common =
-        |word: &&str| family.split_whitespace().any(|common| common.trim_matches(',') == word.trim_matches(','));
-    let words: Vec<&str> = label.split_whitespace().filter(|word| !is_common(word)).collect();
+    let common: Vec<&str> = family.split_whitespace().map(|word| word.trim_matches(',')).collect();
+    let words: Vec<&str> = label.split_whitespace().filter(|word| !common.contains(&word.trim_matches(','))).collect();
     words.join(" ").trim_matches([',', ' ']).to_owned()
 }
 
@@ -126,10 +125,8 @@ impl<'a> ParetoComparison<'a> {
         }
         let score = |variant: &StudyVariant| variant.score(headline.key);
         for &n in &numbers {
-            let score_at = |family: &VariantFamily<'_>| {
-                family.variants.iter().find(|v| gaussians(v) == Some(n)).and_then(|v| score(v))
-            };
-            let scores: Vec<Option<Spread>> = families.iter().map(score_at).collect();
+            let variants = families.iter().map(|family| family.variants.iter().find(|v| gaussians(v) == Some(n)));
+            let scores: Vec<Option<Spread>> = variants.map(|variant| score(variant?)).collect();
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
             for (family, score) in families.iter_mut().zip(&scores) {
                 let rank = |score: Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, score.mean)).count();

@@ -42,8 +42,8 @@ impl Setting {
 
     /// Whether a baseline has its predictions from another program.
     pub fn is_external(&self, name: &str) -> bool {
-        self.runs()
-            .any(|run| run.pipeline.baselines.iter().any(|baseline| baseline.is_external() && baseline.name() == name))
+        let mut baselines = self.runs().flat_map(|run| &run.pipeline.baselines);
+        baselines.any(|baseline| baseline.is_external() && baseline.name() == name)
     }
 
     /// Returns the score of a baseline by a metric, as the mean over all runs.
@@ -52,8 +52,8 @@ impl Setting {
         Some(Spread::of(&values)?.mean)
     }
 
-    /// Finds the first variant before number `k` whose models are identical, seed by seed: the difference in settings has no
-    /// effect.
+    /// Finds the first variant before number `k` whose models are identical, seed by seed: the difference in settings
+    /// has no effect.
     pub fn twin(&self, k: usize) -> Option<&StudyVariant> {
         let models = self.variants[k].models()?;
         self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&models))
@@ -133,7 +133,8 @@ pub(super) fn name_single_runs(runs: Vec<Record>) -> Result<Vec<(String, Record)
     Ok(all.into_iter().zip(runs).collect())
 }
 
-/// Returns the common start of all names, without the separator or `seed` before the difference: `init` of `init-0` and `init-1`.
+/// Returns the common start of all names, without the separator or `seed` before the difference: `init` of `init-0`
+/// and `init-1`.
 fn common_start(names: &[String]) -> String {
     let mut start = names[0].clone();
     while !names.iter().all(|name| name.starts_with(&start)) {
@@ -151,8 +152,8 @@ fn common_start(names: &[String]) -> String {
     start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
 }
 
-/// Returns a key of data and split: equal for runs whose scores are comparable. The validation share of a split does not affect
-/// the test set.
+/// Returns a key of data and split: equal for runs whose scores are comparable. The validation share of a split does
+/// not affect the test set.
 pub(super) fn setting_key(record: &Record) -> Result<Value> {
     let failed = |e| Error::input(&record.folder, format!("data and split cannot be compared: {e}"));
     let Pipeline { data, split, .. } = &record.pipeline;

@@ -29,9 +29,9 @@ pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> R
     Ok(runs)
 }
 
-/// Estimates the seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]); densification makes
-/// later steps slower. Finished runs take none; if another seed has finished, its time is used. NaN, with a warning, if
-/// the steps fail.
+/// Estimates the seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]);
+/// densification makes later steps slower. Finished runs take none; if another seed has finished, its time is used.
+/// NaN, with a warning, if the steps fail.
 ///
 /// # Errors
 /// Same as [`check`], whose checks it makes.

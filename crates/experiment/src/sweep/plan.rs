@@ -74,7 +74,8 @@ impl SweepPlan {
         Self::of(&Experiment::parse(&text, path)?, (path, &text), None, set, out)
     }
 
-    /// Creates all runs as [`Self::read`] does, for an `experiment` of the file `path` with this `text`; `base` replaces its base pipeline.
+    /// Creates all runs as [`Self::read`] does, for an `experiment` of the file `path` with this `text`; `base`
+    /// replaces its base pipeline.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -306,8 +307,8 @@ impl PlannedRun {
     }
 }
 
-/// Gives all `runs` the same split, or each a fold of it for residuals with `folds`, and returns the pipeline that scores
-/// their joined model `name`. Only that model has residuals and is compared with baselines.
+/// Gives all `runs` the same split, or each a fold of it for residuals with `folds`, and returns the pipeline that
+/// scores their joined model `name`. Only that model has residuals and is compared with baselines.
 ///
 /// # Errors
 /// Runs whose models cannot be joined.

@@ -141,7 +141,8 @@ impl DataSurvey {
     }
 }
 
-/// Suggests a split without leakage, as RON and applied: index files of the data, else cells of space, else a block of time.
+/// Suggests a split without leakage, as RON and applied: index files of the data, else cells of space, else a block of
+/// time.
 pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
     let split_by = |text: &str| -> Result<Partition> {
         let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;

@@ -77,9 +77,8 @@ fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
     let expected = inner.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     if header.shape.len() != inner.len() + 1 || header.shape[1..] != *inner || header.fortran {
         let order = if header.fortran { " in Fortran order" } else { "" };
-        let problem =
-            format!("has shape {}{order}; the model observes [B, {expected}] in C order", header.shape_text());
-        return Err(Error::input(path, problem));
+        let shape = header.shape_text() + order;
+        return Err(Error::input(path, format!("has shape {shape}; the model observes [B, {expected}] in C order")));
     }
     if header.shape[0] == 0 {
         return Err(Error::input(path, "holds no observation; give one row or more"));

@@ -24,7 +24,7 @@ pub(super) fn table(
     let fitting = partition.known();
     let samples = Samples::new(locator, data, data.locations_of(&partition.test));
     let mut entries = vec![samples.entry("model", locator.choice, located)];
-    if let Some((choice, kriged)) = locate_by_kriging(data, fitting, &samples.observations)? {
+    if let Some((choice, kriged)) = krige(data, fitting, &samples.observations)? {
         let entry = samples.entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
         entries.extend((entry.name != entries[0].name).then_some(entry));
     }
@@ -45,8 +45,8 @@ pub(super) fn on_validation(locator: &Locator<'_>, data: &Dataset, fitting: Fitt
     if samples.transmitters.is_empty() {
         return String::new();
     }
-    let located: Vec<Located> =
-        samples.observations.par_iter().map(|observation| locator.locate(observation)).collect();
+    let located = samples.observations.par_iter().map(|observation| locator.locate(observation));
+    let located: Vec<Located> = located.collect();
     let model = samples.entry("model", locator.choice, &located.iter().collect::<Vec<_>>());
     let [mean, median] = mean_and_median(model.errors.clone());
     let (count, median, mean) = (grouped(located.len() as i64), fixed(median, 3), fixed(mean, 3));
@@ -146,11 +146,7 @@ impl Entry {
 }
 
 /// Locates with Kriging in place of the model; `None` if it does not support the data.
-fn locate_by_kriging(
-    data: &Dataset,
-    fitting: FittingSet<'_>,
-    observations: &[Vec<f32>],
-) -> Result<Option<(Choice, Vec<Located>)>> {
+fn krige(data: &Dataset, fitting: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Option<(Choice, Vec<Located>)>> {
     let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
     if !kriging.supports(data.task()) || kriging.check_data(data).is_err() {
         return Ok(None);

@@ -91,7 +91,8 @@ impl PlaneBounds {
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Returns bounds around the central 90 % of `cloud` and all `receivers`; two metres wide if that is a single position.
+    /// Returns bounds around the central 90 % of `cloud` and all `receivers`; two metres wide if that is a single
+    /// position.
     pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {

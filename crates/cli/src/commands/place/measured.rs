@@ -6,7 +6,6 @@ use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
 use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::report::draw::survey::CoverageMap;
-use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{DataSource, Dataset, Error, Result, rng, statistics::mean};
 use std::path::Path;
 
@@ -14,11 +13,7 @@ use std::path::Path;
 const HELD_OUT: usize = 5;
 
 /// Chooses receivers by an exhaustive and a greedy search, and scores them on held-out transmitters.
-pub(super) fn choose(
-    arguments: &Place,
-    source: &Plugin<dyn DataSource>,
-    progress: &mut RunProgress,
-) -> Result<Outcome> {
+pub(super) fn choose(arguments: &Place, source: &dyn DataSource, progress: &mut RunProgress) -> Result<Outcome> {
     let (count, path) = (arguments.count, &arguments.source);
     let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
     let total = data.scene.receivers.len();
@@ -120,7 +115,8 @@ impl MeasuredPowers<'_> {
     }
 }
 
-/// Splits transmitters into those of the choice and those of its score: the official split, otherwise a random fifth is held out.
+/// Splits transmitters into those of the choice and those of its score: the official split, otherwise a random fifth
+/// is held out.
 fn split(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
         let [train, test] = [train, test].map(|links| data.locations_of(links));

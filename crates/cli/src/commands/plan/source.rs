@@ -52,7 +52,8 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Returns the candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into memory.
+    /// Returns the candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into
+    /// memory.
     pub(super) fn region(&self, inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
         let positions: Vec<[f64; 3]> = self.candidates.iter().copied().filter(|position| inside(*position)).collect();
         evenly(&positions, MOST_PAIRS / self.candidates.len().max(1))
@@ -115,9 +116,8 @@ fn read_measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     }
     // Sweeps and unfinished runs have errors of their own.
     if path.is_dir() && ![MODEL_FILE, PIPELINE, LISTING].iter().any(|name| path.join(name).is_file()) {
-        let problem =
-            "neither data nor a run found; name a data folder (layouts: docs/data.md), a run folder or a model file";
-        return Err(Error::input(path, problem));
+        let advice = "name a data folder (layouts: docs/data.md), a run folder or a model file";
+        return Err(Error::input(path, format!("neither data nor a run found; {advice}")));
     }
     let model = model_file(path)?;
     let ensemble = file::read_ensemble(&model)?;

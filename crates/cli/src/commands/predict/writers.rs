@@ -40,7 +40,7 @@ fn pose_columns(moving: End) -> &'static str {
 
 impl PredictionRow<'_> {
     /// Formats the first columns of the row.
-    fn first_columns(&self) -> String {
+    fn start(&self) -> String {
         let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
         let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
         let turn = if self.has_orientation { orientation.map(|v| format!(",{v}")).concat() } else { String::new() };
@@ -48,7 +48,7 @@ impl PredictionRow<'_> {
     }
 
     /// Formats the last columns of the row.
-    fn last_columns(&self, milliseconds: f64) -> String {
+    fn end(&self, milliseconds: f64) -> String {
         let distance = self.training_distance.map_or_else(String::new, |metres| format!("{metres:.3}"));
         format!("{milliseconds:.3},{distance}\n")
     }
@@ -162,17 +162,9 @@ fn spectrum_line(plane: &ImagePlane, row: &PredictionRow<'_>, drawn: &Prediction
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
     let angles = plane.azimuth_elevation_deg(column, line);
     let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
-    let bound = drawn
-        .interval
-        .as_ref()
-        .and_then(|interval| interval.ssim)
-        .map_or_else(String::new, |bound| format!("{bound:.4},"));
-    format!(
-        "{},{angles},{},{bound}{}",
-        row.first_columns(),
-        image.pixels[strongest],
-        row.last_columns(drawn.milliseconds)
-    )
+    let bound = drawn.interval.as_ref().and_then(|interval| interval.ssim);
+    let bound = bound.map_or_else(String::new, |bound| format!("{bound:.4},"));
+    format!("{},{angles},{},{bound}{}", row.start(), image.pixels[strongest], row.end(drawn.milliseconds))
 }
 
 /// Writer of received powers.
@@ -195,11 +187,11 @@ impl Writer for Powers {
     fn write(&mut self, _: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
         for (row, PredictionImage { image, spread, interval, milliseconds }) in rows {
             let ends = interval.iter().flat_map(|interval| [&interval.lower, &interval.upper]);
-            _ = write!(list, "{},", row.first_columns());
+            _ = write!(list, "{},", row.start());
             for value in std::iter::once(image).chain(spread).chain(ends) {
                 _ = write!(list, "{},", value.pixels[0]);
             }
-            *list += &row.last_columns(*milliseconds);
+            *list += &row.end(*milliseconds);
         }
         Ok(())
     }
@@ -245,13 +237,7 @@ impl Writer for Channels {
                 (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
                 _ => {}
             }
-            _ = write!(
-                list,
-                "{},{:.4},{}",
-                row.first_columns(),
-                self.task.level(image),
-                row.last_columns(*milliseconds)
-            );
+            _ = write!(list, "{},{:.4},{}", row.start(), self.task.level(image), row.end(*milliseconds));
         }
         Ok(())
     }

@@ -135,7 +135,8 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
 const LONG_SECONDS: f64 = 12.0 * 3600.0;
 const SLOWEST: usize = 3;
 
-/// Describes the estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest combinations.
+/// Describes the estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest
+/// combinations.
 pub(super) fn total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let total = seconds.iter().filter(|seconds| seconds.is_finite()).sum::<f64>() / jobs as f64;
     let mut text = format!(
@@ -150,9 +151,7 @@ pub(super) fn total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usi
         slowest.retain(|(run, seconds)| seconds.is_finite() && seen.insert(plan.runs[*run].combination));
         slowest.truncate(SLOWEST);
         text += "slowest runs; --only RUN runs one of the sweep\n";
-        let line = |&(run, seconds): &(usize, f64)| {
-            vec![plan.runs[run].folder.clone(), format!("about {}", duration(seconds))]
-        };
+        let line = |(run, s): &(usize, f64)| vec![plan.runs[*run].folder.clone(), format!("about {}", duration(*s))];
         text += &aligned(&slowest.iter().map(line).collect::<Vec<_>>(), 2);
     }
     text
