@@ -31,7 +31,7 @@ mod update;
 #[cfg(feature = "viewer")]
 mod view;
 
-pub(crate) use options::count;
+pub(crate) use options::parse_count;
 
 use crate::output::{SUCCESS, Verbosity};
 use clap::Subcommand;

@@ -65,6 +65,7 @@ pub(crate) fn listen() -> Result<()> {
 pub(crate) struct InterruptibleRun(());
 
 impl InterruptibleRun {
+    /// Counts one more running training until it is dropped.
     pub(crate) fn begin() -> Self {
         TRAININGS.fetch_add(1, Ordering::Relaxed);
         Self(())

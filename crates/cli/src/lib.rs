@@ -12,7 +12,7 @@ mod progress;
 mod reference;
 
 use clap::{ArgAction, CommandFactory as _, Parser};
-use commands::{Command, count};
+use commands::{Command, parse_count};
 use output::{FAILED, INTERRUPTED, INVALID, Verbosity};
 use pwrfgs_core::{Error, Result};
 use std::ffi::OsString;
@@ -37,7 +37,7 @@ struct Arguments {
     #[command(subcommand)]
     command: Command,
     /// Number of threads, without effect on results [default: all processors]
-    #[arg(long, global = true, value_name = "N", value_parser = count)]
+    #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
     /// Print only errors, warnings and results
     #[arg(short, long, global = true, action = ArgAction::SetTrue, conflicts_with = "verbose")]
@@ -48,6 +48,7 @@ struct Arguments {
 }
 
 impl Arguments {
+    /// Returns the amount of output that `--quiet` and `--verbose` select.
     fn verbosity(&self) -> Verbosity {
         match (self.quiet, self.verbose) {
             (true, _) => Verbosity::Quiet,

@@ -43,6 +43,7 @@ pub(crate) struct RunProgress {
 }
 
 impl RunProgress {
+    /// Creates the observer of a single run.
     pub(crate) fn new(verbosity: Verbosity) -> Self {
         let (pace, now) = (VecDeque::new(), Instant::now());
         Self {

@@ -41,13 +41,13 @@ pub(crate) fn chapters() -> Vec<DocChapter> {
     let mut settings = Vec::new();
     let mut plugins = Vec::new();
     for field in Docs::of::<Pipeline>().fields() {
-        match inner(&field.kind) {
+        match inner_kind(&field.kind) {
             DocKind::Plugin(kind) => {
                 plugins.extend(PluginFamily::find(kind).map(|family| plugin_chapter(family, field)));
             }
             DocKind::Of(docs) => {
                 let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
-                collect(docs, field.name, value.as_ref(), &mut settings);
+                collect_type(docs, field.name, value.as_ref(), &mut settings);
             }
             _ => {}
         }
@@ -98,7 +98,7 @@ fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> Do
 fn experiment_chapter() -> DocChapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
-    collect(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
+    collect_type(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
     if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
         slurm.value = Value::new(to_ron(&Slurm::default()));
     }
@@ -107,7 +107,7 @@ fn experiment_chapter() -> DocChapter {
 }
 
 /// Collects the type of `field` and, recursively, the types of its fields, each once.
-fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
+fn collect_type(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
     if let Some(topic) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
         if !topic.fields.contains(&field) {
             topic.fields.push(field);
@@ -128,17 +128,17 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
 
 fn collect_fields(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
     for field in fields {
-        if let DocKind::Of(docs) = inner(&field.kind) {
+        if let DocKind::Of(docs) = inner_kind(&field.kind) {
             let inside = value.and_then(|v| v.part(field.name));
-            collect(docs, field.name, inside.as_ref(), topics);
+            collect_type(docs, field.name, inside.as_ref(), topics);
         }
     }
 }
 
 /// Returns the kind inside options, lists and maps.
-fn inner(kind: &DocKind) -> DocKind {
+fn inner_kind(kind: &DocKind) -> DocKind {
     match kind {
-        DocKind::Optional(kind) | DocKind::List(kind) | DocKind::Map(kind) => inner(kind),
+        DocKind::Optional(kind) | DocKind::List(kind) | DocKind::Map(kind) => inner_kind(kind),
         other => other.clone(),
     }
 }

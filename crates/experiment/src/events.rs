@@ -49,6 +49,7 @@ impl Events {
         self.file.sync_data().map_err(|e| Error::write(&self.path, e))
     }
 
+    /// Appends the record of an encoded event.
     fn write(&mut self, event: &[u8]) -> Result<()> {
         self.file.write_all(&record(event)).map_err(|e| Error::write(&self.path, e))
     }

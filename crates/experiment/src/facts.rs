@@ -75,6 +75,7 @@ pub struct FileDigest {
 }
 
 impl FileDigest {
+    /// Computes size and checksum of the content of a file.
     pub(crate) fn of(bytes: &[u8]) -> Self {
         Self { bytes: bytes.len() as u64, sha256: digest(bytes) }
     }
@@ -215,11 +216,11 @@ pub const VERSION: &str = env!("PWRFGS_VERSION");
 /// Returns the current time, such as `2026-11-21T09:49:19Z`.
 pub(crate) fn now() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    rfc3339(seconds)
+    format_time(seconds)
 }
 
 /// Formats seconds since 1970 as a Gregorian date.
-fn rfc3339(seconds: u64) -> String {
+fn format_time(seconds: u64) -> String {
     let (mut days, second_of_day) = (seconds / 86_400, seconds % 86_400);
     let leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
     let mut year = 1970;
@@ -243,14 +244,14 @@ fn rfc3339(seconds: u64) -> String {
 /// Returns the largest resident memory of this process, bytes; 0 if unavailable.
 pub(crate) fn peak_memory() -> u64 {
     let status = files::read_string("/proc/self/status").unwrap_or_default();
-    kib(&status, "VmHWM:").unwrap_or(0)
+    read_kib(&status, "VmHWM:").unwrap_or(0)
 }
 
 /// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a
 /// job of Slurm, a container) and `ulimit -v`; `None` if unavailable.
 pub(crate) fn free_memory() -> Option<u64> {
-    let machine = kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
-    [machine, control_group(), address_space()].into_iter().flatten().min()
+    let machine = read_kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
+    [machine, free_in_control_group(), free_address_space()].into_iter().flatten().min()
 }
 
 /// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
@@ -265,13 +266,13 @@ pub(crate) fn load_average() -> Option<(f64, usize)> {
 }
 
 /// Reads the number after `name` in a file of lines such as `VmHWM:  1234 kB`.
-fn kib(text: &str, name: &str) -> Option<u64> {
+fn read_kib(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
 /// Returns the remaining memory of the control group (version 2), if limited.
-fn control_group() -> Option<u64> {
+fn free_in_control_group() -> Option<u64> {
     let groups = files::read_string("/proc/self/cgroup").ok()?;
     let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
     let number =
@@ -280,11 +281,11 @@ fn control_group() -> Option<u64> {
 }
 
 /// Returns the remaining address space of `ulimit -v`, if limited.
-fn address_space() -> Option<u64> {
+fn free_address_space() -> Option<u64> {
     let limits = files::read_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     let limit = line.split_whitespace().next()?.parse::<u64>().ok()?;
-    let used = kib(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
+    let used = read_kib(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
     Some(limit.saturating_sub(used))
 }
 
@@ -316,9 +317,9 @@ mod tests {
 
     #[test]
     fn dates_follow_the_calendar() {
-        assert_eq!(rfc3339(0), "1970-01-01T00:00:00Z");
-        assert_eq!(rfc3339(951_782_400), "2000-02-29T00:00:00Z");
-        assert_eq!(rfc3339(1_795_254_559), "2026-11-21T09:49:19Z");
+        assert_eq!(format_time(0), "1970-01-01T00:00:00Z");
+        assert_eq!(format_time(951_782_400), "2000-02-29T00:00:00Z");
+        assert_eq!(format_time(1_795_254_559), "2026-11-21T09:49:19Z");
     }
 
     #[test]
@@ -326,7 +327,7 @@ mod tests {
         if cfg!(target_os = "linux") {
             assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
         }
-        assert_eq!(kib("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
-        assert_eq!(kib("VmHWM: unlimited\n", "VmHWM:"), None);
+        assert_eq!(read_kib("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
+        assert_eq!(read_kib("VmHWM: unlimited\n", "VmHWM:"), None);
     }
 }

@@ -87,7 +87,7 @@ impl<'a> Calibrator<'a> {
     fn score(&self, predictor: &dyn Predict, links: &[usize], session: &mut Session<'_>) -> Result<LinkScores> {
         let task = self.split.data.task();
         let score = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
-        let scores = self.each("calibrating intervals", predictor, links, session, score)?;
+        let scores = self.score_links("calibrating intervals", predictor, links, session, score)?;
         Ok(links.iter().copied().zip(scores).collect())
     }
 
@@ -121,7 +121,7 @@ impl<'a> Calibrator<'a> {
             };
             factors.iter().map(of_level).collect::<Vec<_>>()
         };
-        let intervals = self.each("measuring intervals", predictor, test, session, measure)?;
+        let intervals = self.score_links("measuring intervals", predictor, test, session, measure)?;
         let blocks = self.pipeline.split.blocks(&self.split.data, test);
         let weight = |block: &Vec<usize>| 1.0 / (blocks.len() * block.len()) as f64;
         let weights: BTreeMap<usize, f64> =
@@ -146,7 +146,7 @@ impl<'a> Calibrator<'a> {
     }
 
     /// Passes the prediction of each link, as it is shown, its deviation and the measurement to `score`, in parallel.
-    fn each<T: Send>(
+    fn score_links<T: Send>(
         &self,
         stage: &str,
         predictor: &dyn Predict,
@@ -192,6 +192,7 @@ struct MeasuredInterval {
 }
 
 impl MeasuredInterval {
+    /// Compares an interval with its measurement; `score` is the SSIM of the prediction.
     fn of(interval: &Interval, truth: &Image, score: f64) -> Self {
         let Interval { lower, upper, ssim } = interval;
         let ends = || lower.pixels.iter().zip(&upper.pixels);

@@ -127,18 +127,18 @@ impl<'a> PairComparison<'a> {
     /// Measures one kind of pairs: the closest, and, for the whole `curve`, some of the others.
     fn similarity(&self, lag: PairLag, curve: bool) -> Result<PairSimilarity> {
         let data = self.data;
-        let pairs = pairs::find(data, lag);
+        let pairs = pairs::find_pairs(data, lag);
         // Measured pairs: the closest, some of every range of distances, and unrelated ones.
         let mut selected = select_closest(&pairs);
         let closest = selected.len();
         let mut ranges = Vec::new();
-        for (edges, range) in pairs::bins(&pairs).into_iter().filter(|_| curve) {
+        for (edges, range) in pairs::distance_bins(&pairs).into_iter().filter(|_| curve) {
             let first = selected.len();
             selected.extend(evenly(&pairs[range], A_BIN));
             ranges.push((edges, first..selected.len()));
         }
         let related = selected.len();
-        selected.extend(pairs::unrelated(data));
+        selected.extend(pairs::unrelated_pairs(data));
         let similarity = |measured: PairMetric| {
             let PairMetric { key, unit, goal, best, values } = measured;
             let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);

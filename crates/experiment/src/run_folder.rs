@@ -65,7 +65,7 @@ impl RunFolder {
     pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<RunState> {
         let file = path.join(PIPELINE);
         match files::if_found(&file, files::read_string(&file))? {
-            Some(text) => compare(path, &file, &text, pipeline),
+            Some(text) => compare_pipelines(path, &file, &text, pipeline),
             None => match refuse_foreign(path, "a run folder") {
                 // Another process has created the run since.
                 Err(_) if file.is_file() => Self::inspect(path, pipeline),
@@ -170,7 +170,7 @@ fn lock(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
 
 /// Compares the pipeline `theirs` of `file` in `folder` with `ours`. A run is identified by its training settings; the
 /// error names the first difference.
-fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
+fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
     let text = ours.to_ron()?;
     if theirs == text {
         return Ok(RunState::Begun);

@@ -45,7 +45,7 @@ pub enum RunOutcome {
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<RunOutcome> {
     let begun = Instant::now();
     loop {
-        if let Some(end) = attempt(pipeline, base, out, session, begun)? {
+        if let Some(end) = start_or_resume(pipeline, base, out, session, begun)? {
             return Ok(end);
         }
     }
@@ -78,7 +78,7 @@ pub fn score_model(
 }
 
 /// Runs or resumes the pipeline; `None` if another process has claimed it meanwhile, and the state must be read again.
-fn attempt(
+fn start_or_resume(
     pipeline: &Pipeline,
     base: &Path,
     out: &Path,

@@ -65,6 +65,7 @@ pub struct ScoreTable {
     pub task: Task,
 }
 
+/// Whether a task is omitted in `run.json`.
 fn is_default(task: &Task) -> bool {
     *task == Task::default()
 }
@@ -383,14 +384,17 @@ struct ScoreRow {
     value: Option<f64>,
 }
 
+/// Reads a number; `None` if the field is empty.
 fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
     number_unless("", &String::deserialize(field)?)
 }
 
+/// Reads a number; `None` for `n/a`.
 fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
     number_unless("n/a", &String::deserialize(field)?)
 }
 
+/// Parses a number, unless the text is `none`.
 fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
     (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is not a number")))).transpose()
 }

@@ -14,7 +14,7 @@ use crate::Record;
 use crate::folder::PIPELINE;
 use crate::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_core::{Error, Result};
-use setting::{Labels, listed, name_single_runs, setting_key, settings};
+use setting::{Labels, group_by_setting, listed, name_single_runs, setting_key};
 use std::path::{Path, PathBuf};
 
 /// Runs to compare.
@@ -77,7 +77,7 @@ impl Study {
             let missing = study.unfinished.len();
             return Err(Error::Config(format!("none of these {missing} runs has finished; run them first")));
         }
-        study.settings = settings(records)?;
+        study.settings = group_by_setting(records)?;
         Ok(study)
     }
 

@@ -33,6 +33,7 @@ pub fn duration(seconds: f64) -> String {
 /// Longest table cell, characters; longer cells are truncated, but not file names.
 const CELL: usize = 1_000;
 
+/// Truncates a cell that is too long.
 fn cut(cell: &str) -> String {
     match cell.char_indices().nth(CELL) {
         Some((end, _)) => format!("{}..", &cell[..end]),

@@ -1,7 +1,7 @@
 //! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
 
 use super::init::{DataSurvey, name_of, pipeline as pipeline_of};
-use super::options::{ChangeOptions, count};
+use super::options::{ChangeOptions, parse_count};
 use super::sweep;
 use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -37,7 +37,7 @@ pub(crate) struct Compare {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(crate) methods: Vec<String>,
     /// Number of seeds per method
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = count)]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = parse_count)]
     pub(crate) seeds: usize,
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
@@ -86,7 +86,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
 /// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
 /// cannot predict the data is left out, with a note.
 fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Result<SweepPlan> {
-    let experiment = experiment(arguments, &survey.data)?;
+    let experiment = read_experiment(arguments, &survey.data)?;
     let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
     if let Some(name) = arguments.methods.iter().find(|name| !labels.contains(&name.as_str())) {
         let near = did_you_mean(name, labels.iter().copied());
@@ -121,7 +121,7 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
 }
 
 /// Reads the shipped experiment with the methods for the task of `data`.
-fn experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
+fn read_experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
         None if data.task().is_scalar => "methods-powers",

@@ -169,6 +169,7 @@ fn check_folder(folder: &Path, verbosity: Verbosity) -> Result<String> {
     Ok(layout + &split_sizes(&data) + &digests.unwrap_or_else(none))
 }
 
+/// Describes the origin of the data.
 fn origin(data: &Dataset) -> &'static str {
     if data.is_simulated() { "simulated" } else { "measured" }
 }

@@ -1,6 +1,6 @@
 //! `pwrfgs export`: converts a trained model for splat viewers and Python.
 
-use super::options::{check_positions, position, read_models};
+use super::options::{check_positions, parse_position, read_models};
 use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
@@ -48,7 +48,7 @@ pub(crate) struct Export {
 
 /// Runs `pwrfgs export`.
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
-    let tx = arguments.tx.as_deref().map(|text| position("--tx", text)).transpose()?;
+    let tx = arguments.tx.as_deref().map(|text| parse_position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
     let files: Vec<(&Path, Writer)> =
         [(&arguments.ply, ply as Writer), (&arguments.npz, npz as Writer), (&arguments.half, half)]

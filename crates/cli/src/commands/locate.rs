@@ -110,9 +110,10 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     })?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => output::warning(why),
-        None => verbosity.note(&summary(&locator)),
+        None => verbosity.note(&describe_locator(&locator)),
     }
-    let expected = arguments.observations.is_some().then(|| scores::on_validation(&locator, &data, partition.known()));
+    let expected =
+        arguments.observations.is_some().then(|| scores::describe_validation(&locator, &data, partition.known()));
     let locator = match prior {
         Some(bounds) => {
             let inside = locator.within(move |position| bounds.holds(position));
@@ -121,30 +122,30 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         None => locator,
     };
     let rows = match &arguments.observations {
-        Some(path) => observed_rows(&locator, path, &data.scene.receivers)?,
-        None => test_rows(&locator, &data, &partition, verbosity),
+        Some(path) => locate_observed(&locator, path, &data.scene.receivers)?,
+        None => locate_test(&locator, &data, &partition, verbosity),
     };
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
-        write(folder.path(), &rows, &locator, &data, arguments.pictures)?;
+        write_files(folder.path(), &rows, &locator, &data, arguments.pictures)?;
         folder.publish()?;
         verbosity.note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
     }
     let table = match expected {
-        Some(expected) => positions_table(&rows) + &expected,
+        Some(expected) => format_positions(&rows) + &expected,
         None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &data, &partition)?,
     };
-    output::result(&(table + &region_notes(&rows, &locator)))
+    output::result(&(table + &describe_regions(&rows, &locator)))
 }
 
 /// Describes the number of regions with several parts, and what the regions are calibrated on.
-fn region_notes(rows: &[Row], locator: &Locator<'_>) -> String {
+fn describe_regions(rows: &[Row], locator: &Locator<'_>) -> String {
     let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
     let parts = regions.iter().map(|region| region.parts());
     let several = parts.clone().filter(|count| *count > 1).count();
     let mut text = String::new();
     if several > 0 {
-        let (all, most) = (regions.len(), parts.max().unwrap_or(0));
-        let counts = format!("regions with several parts: {several} of {all}, up to {most} parts");
+        let (count, most) = (regions.len(), parts.max().unwrap_or(0));
+        let counts = format!("regions with several parts: {several} of {count}, up to {most} parts");
         _ = writeln!(text, "{counts}; an estimate is the mode of the most probable part");
     }
     if !regions.is_empty() && locator.validates_between_training() {
@@ -155,7 +156,7 @@ fn region_notes(rows: &[Row], locator: &Locator<'_>) -> String {
 }
 
 /// Describes the chosen settings in one line.
-fn summary(locator: &Locator<'_>) -> String {
+fn describe_locator(locator: &Locator<'_>) -> String {
     let (choice, missing) = (locator.choice, locator.missing_regions());
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
     format!(
@@ -169,7 +170,7 @@ fn summary(locator: &Locator<'_>) -> String {
 }
 
 /// Locates the observations of a file, in its order.
-fn observed_rows(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
+fn locate_observed(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
     let observed = observations::read(path, locator.features(), receivers)?;
     let row = |(k, observation): (usize, &Vec<f32>)| Row {
         name: format!("{:05}", k + 1),
@@ -180,7 +181,7 @@ fn observed_rows(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> 
 }
 
 /// Locates the test samples.
-fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
+fn locate_test(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
     let test = data.locations_of(&partition.test);
     let observations = locator.observations(data, &test);
     RunProgress::during(verbosity, |progress| {
@@ -198,7 +199,7 @@ fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbo
 }
 
 /// Formats the table of estimated positions.
-fn positions_table(rows: &[Row]) -> String {
+fn format_positions(rows: &[Row]) -> String {
     let mut lines =
         vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
     for Row { name, located, .. } in rows {
@@ -215,7 +216,7 @@ fn positions_table(rows: &[Row]) -> String {
 }
 
 /// Writes list, outlines and images.
-fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
+fn write_files(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
     let write_file = |name: &str, bytes: &[u8]| {
         let path = folder.join(name);
         std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))

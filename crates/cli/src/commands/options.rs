@@ -58,7 +58,7 @@ pub(super) fn pipeline_path(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
 }
 
 /// Parses a number of threads or jobs.
-pub(crate) fn count(text: &str) -> Result<usize, String> {
+pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if COUNTS.contains(&count) => Ok(count),
         _ => Err(format!("expected a number from {} to {}", COUNTS.start(), COUNTS.end())),
@@ -66,16 +66,16 @@ pub(crate) fn count(text: &str) -> Result<usize, String> {
 }
 
 /// Parses `N` numbers separated by commas.
-pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+pub(super) fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     numbers?.try_into().ok()
 }
 
 /// Parses `x,y,z`, the value of `option`.
-pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
+pub(super) fn parse_position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong =
         || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
-    numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
+    parse_numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
 }
 
 /// Reads all models, files or run folders, as one ensemble; a file may contain several. Members of several files get
@@ -137,9 +137,9 @@ mod tests {
 
     #[test]
     fn positions_are_three_finite_numbers() {
-        assert_eq!(position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        assert_eq!(parse_position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
         for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2", "1,2,1e9"] {
-            assert!(position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
+            assert!(parse_position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
         }
     }
 

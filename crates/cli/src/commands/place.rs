@@ -75,6 +75,7 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
+/// Chooses receivers in a scene.
 #[cfg(feature = "raytrace")]
 fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     if arguments.source.is_dir() {
@@ -84,6 +85,7 @@ fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -
     scene::choose(arguments, stop, progress)
 }
 
+/// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 fn simulated(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Outcome> {
     let advice = "name a data folder, or build with the feature `raytrace`";

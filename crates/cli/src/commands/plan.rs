@@ -73,7 +73,7 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let places = RunProgress::during(verbosity, |progress| read_places(&arguments.places, progress))?;
     let total = places.candidates.len();
     check_count(arguments.count, total)?;
-    let region = region(arguments, &places)?;
+    let region = select_region(arguments, &places)?;
     let survey = Survey::new(&places.candidates, &region, &places.measured);
     let start = first_correlation(arguments, &places, &region)?;
     let folder = NewFolder::begin(&arguments.out)?;
@@ -88,15 +88,16 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
         })
     });
     check_stopped(&stop)?;
-    let mut choices = choices(&survey, &plan, arguments.seed);
+    let mut choices = list_choices(&survey, &plan, arguments.seed);
     let gain = RunProgress::during(verbosity, |progress| score(&mut choices, &places, progress))?;
     write(&folder, &places, &plan, &choices[0].variances)?;
     folder.publish()?;
-    output::result(&table(&choices, gain, &plan.correlation, &places))?;
+    output::result(&format_table(&choices, gain, &plan.correlation, &places))?;
     verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
     Ok(())
 }
 
+/// Rejects a number of positions that is 0 or larger than that of the candidates.
 fn check_count(count: usize, total: usize) -> Result<()> {
     if (1..=total).contains(&count) {
         return Ok(());
@@ -110,7 +111,7 @@ fn check_count(count: usize, total: usize) -> Result<()> {
 }
 
 /// Returns the candidates in the region to predict.
-fn region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
+fn select_region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
     let Some(text) = &arguments.region else { return Ok(places.region(|_| true)) };
     let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
     let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
@@ -154,13 +155,14 @@ struct Choice {
 }
 
 impl Choice {
+    /// Returns the mean variance over the region after all positions.
     fn variance(&self) -> f64 {
         self.variances.last().copied().unwrap_or(f64::NAN)
     }
 }
 
 /// Lists the plan, then choices of the same size to compare it with.
-fn choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
+fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     let (count, correlation) = (plan.order.len(), plan.correlation);
     let choice = |(name, order): (String, Vec<usize>)| Choice {
         name,
@@ -192,12 +194,12 @@ fn score(choices: &mut [Choice], places: &Places, progress: &mut RunProgress) ->
         choice.scores = kriging_scores(data, &choice.order, &test)?;
     }
     progress.finish();
-    Ok(gain(data, &test, &choices[0], &choices[1]))
+    Ok(mean_gain(data, &test, &choices[0], &choices[1]))
 }
 
 /// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of
 /// positions; neighbours and the links of one transmitter are not independent.
-fn gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
+fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));
     let blocks = Blocks::new(&samples().map(|sample| (sample.id, data.placed.then_some(sample.position()))).collect());
@@ -234,7 +236,7 @@ fn write(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f6
 }
 
 /// Formats the table of the choices, with the correlation and a comparison with the regular choice.
-fn table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
+fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
     let task = places.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
     let mut header = vec!["choice".to_owned(), "mean variance".into()];
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));

@@ -46,7 +46,7 @@ const NARROW: usize = 100;
 pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
     let chapters = chapters();
     let text = match &arguments.name {
-        _ if arguments.schema => schema(),
+        _ if arguments.schema => file_schema(),
         _ if arguments.markdown => markdown::page(&chapters),
         None => list_names(&chapters),
         Some(name) => describe(name, &chapters)?,
@@ -92,7 +92,7 @@ fn describe(name: &str, chapters: &[DocChapter]) -> Result<String> {
         let others = chapter.topics.iter().filter(|topic| is_kind && !topic.is_called(&requested));
         others.for_each(|topic| write_summary(&mut out, topic));
     }
-    if out.is_empty() { Err(unknown(name, chapters)) } else { Ok(out) }
+    if out.is_empty() { Err(unknown_name(name, chapters)) } else { Ok(out) }
 }
 
 /// Writes the name of a topic and the first sentence of its comment.
@@ -130,7 +130,7 @@ fn write_topic(out: &mut String, topic: &DocItem) {
 }
 
 /// Creates the error of an unknown name, with the nearest one.
-fn unknown(name: &str, chapters: &[DocChapter]) -> Error {
+fn unknown_name(name: &str, chapters: &[DocChapter]) -> Error {
     let names = chapters.iter().flat_map(|c| {
         let topics = c.topics.iter().flat_map(|t| t.fields.iter().copied().chain([t.name.as_str()]));
         topics.chain(c.field).chain([c.name.as_str()])
@@ -151,7 +151,7 @@ enum File {
 }
 
 /// Creates the JSON schema of pipeline and experiment files, for editors and programs.
-fn schema() -> String {
+fn file_schema() -> String {
     let mut schema = schema_for!(File).to_value();
     shorten(&mut schema);
     format!("{schema:#}\n")

@@ -2,7 +2,7 @@
 
 mod writers;
 
-use super::options::{check_positions, numbers, position, read_models, select_receivers};
+use super::options::{check_positions, parse_numbers, parse_position, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -140,11 +140,11 @@ fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
         return refuse("transmitter", "positions with --tx or --tx-csv instead of --rx-pose");
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
-        (Some(text), ..) => Ok(vec![position("--tx", text)?.into()]),
+        (Some(text), ..) => Ok(vec![parse_position("--tx", text)?.into()]),
         (_, Some(path), ..) => Ok(read_transmitters(path)?.into_iter().map(Pose::from).collect()),
         (.., Some(text), _) => {
             let refuse = |fault: &str| Err(Error::Config(format!("--rx-pose {text}: {fault}")));
-            let Some([x, y, z, orientation @ ..]) = numbers::<7>(text) else {
+            let Some([x, y, z, orientation @ ..]) = parse_numbers::<7>(text) else {
                 return refuse("expected x,y,z,qx,qy,qz,qw, such as 3.5,2.2,1.2,0,0,0,1 for no rotation");
             };
             let pose = Pose { position: [x, y, z], orientation };

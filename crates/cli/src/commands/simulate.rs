@@ -1,6 +1,6 @@
 //! `pwrfgs simulate` and `pwrfgs export-scene`: simulates a data set from a scene, and writes a scene for Sionna RT.
 
-use super::options::position;
+use super::options::parse_position;
 use crate::interrupt::stop_flag;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
@@ -154,7 +154,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
     let begun = Instant::now();
     let stop = stop_flag();
     let (observe, layout) = arguments.output_layout()?;
-    let receiver = arguments.receiver.as_deref().map(|text| position("--receiver", text)).transpose()?;
+    let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
     let mut recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
     recipe.scene = recipe.scene.with(arguments.carrier_hz, receiver)?;
     let recipe = recipe.observing(observe)?;
@@ -169,12 +169,12 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
             folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
         })
     })?;
-    verbosity.note(&summary(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
+    verbosity.note(&describe_data(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
     Ok(())
 }
 
 /// Describes the data set and the setting to train on it.
-fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
+fn describe_data(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
     let (scene, out) = (&recipe.scene, arguments.out.display());
     let receivers = scene.receivers().count();
     let (things, plugin) = match layout {

@@ -2,7 +2,7 @@
 
 mod table;
 
-use super::options::{ChangeOptions, count};
+use super::options::{ChangeOptions, parse_count};
 use crate::interrupt::stop_flag;
 use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -48,10 +48,10 @@ pub(crate) struct Sweep {
     #[arg(long, conflicts_with = "dry_run")]
     pub(crate) status: bool,
     /// Number of parallel runs, which share the threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = count)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_count)]
     pub(crate) jobs: usize,
     /// Run only part I of N, such as 2/5, for any scheduler
-    #[arg(long, value_name = "I/N", value_parser = shard)]
+    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     pub(crate) shard: Option<Shard>,
     /// Run only this run, by the name of its folder
     #[arg(long, value_name = "RUN", conflicts_with = "shard")]
@@ -76,7 +76,7 @@ pub(crate) struct Shard {
 }
 
 /// Parses `2/5`.
-fn shard(text: &str) -> Result<Shard, String> {
+fn parse_shard(text: &str) -> Result<Shard, String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     match parts {
         Some((index, count)) if (1..=count).contains(&index) => Ok(Shard { index, count }),
@@ -210,14 +210,14 @@ pub(super) fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: 
 }
 
 /// Submits to Slurm the runs that are not finished, running or queued.
-fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
+fn submit(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
     let queued = slurm::queued(plan)?;
-    let free = |run: &usize| {
+    let is_free = |run: &usize| {
         !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), RunStage::Running { .. })
     };
-    let runs: Vec<usize> = open.iter().copied().filter(free).collect();
-    let waiting = open.len() - runs.len();
+    let runs: Vec<usize> = unfinished.iter().copied().filter(is_free).collect();
+    let waiting = unfinished.len() - runs.len();
     if runs.is_empty() {
         output::result(&format!("nothing to submit: {waiting} runs are queued or running, the others are finished\n"))?;
         return Ok(SUCCESS);
@@ -252,13 +252,13 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
 
 #[cfg(test)]
 mod tests {
-    use super::{Shard, shard};
+    use super::{Shard, parse_shard};
 
     #[test]
     fn parses_shard_index_and_count() {
-        assert_eq!(shard("2/5"), Ok(Shard { index: 2, count: 5 }));
+        assert_eq!(parse_shard("2/5"), Ok(Shard { index: 2, count: 5 }));
         for wrong in ["0/5", "6/5", "2", "a/b", "1/0", "-1/2"] {
-            assert!(shard(wrong).is_err(), "{wrong}");
+            assert!(parse_shard(wrong).is_err(), "{wrong}");
         }
     }
 }

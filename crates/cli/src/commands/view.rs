@@ -51,7 +51,7 @@ pub(crate) struct View {
 /// Runs `pwrfgs view`.
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     if let Some(file) = &arguments.save {
-        return save(&arguments.sides, file, verbosity);
+        return save_page(&arguments.sides, file, verbosity);
     }
     let sides = RunProgress::during(verbosity, |progress| open_panes(&arguments.sides, progress))?;
     let stop = stop_flag();
@@ -67,7 +67,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Writes the room of a finished run as a page.
-fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
+fn save_page(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     let [run] = named else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
     if Path::new(run).is_file() {
         return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
@@ -104,6 +104,7 @@ fn show_walls(side: &mut ViewPane) -> Result<()> {
     Ok(())
 }
 
+/// Leaves the data as they are: surfaces need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 #[allow(clippy::unnecessary_wraps)] // same signature as above
 fn show_walls(_side: &mut ViewPane) -> Result<()> {

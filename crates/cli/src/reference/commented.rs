@@ -31,7 +31,7 @@ impl Value {
 
     /// Returns the RON text of a field, in one line.
     pub(super) fn field(&self, field: &DocField) -> Option<String> {
-        self.tree.field(field.name).map(|tree| short(Some(&field.kind), tree, &self.text))
+        self.tree.field(field.name).map(|tree| short_text(Some(&field.kind), tree, &self.text))
     }
 
     /// Returns the value of a field.
@@ -62,7 +62,7 @@ impl CommentStyle<'_> {
     /// Writes a tree of `text`; values that open get one line per inner field.
     fn write_tree(&self, tree: &RonTree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
         let RonBody::Fields(fields) = &tree.body else {
-            out.push_str(&compact(tree, text));
+            out.push_str(&compact_text(tree, text));
             return;
         };
         _ = writeln!(out, "{}(", tree.name.as_deref().unwrap_or_default());
@@ -71,7 +71,7 @@ impl CommentStyle<'_> {
         for (name, value) in fields.iter().filter(|(name, _)| (self.shows)(owner, name)) {
             let field = docs.and_then(|d| d.field(tree.name.as_deref(), name));
             if let Some(field) = field {
-                out.push_str(&comment(field, &inside));
+                out.push_str(&field_comment(field, &inside));
             }
             _ = write!(out, "{inside}{name}: ");
             let kind = field.map(|f| &f.kind);
@@ -87,7 +87,7 @@ impl CommentStyle<'_> {
                     }
                     _ = write!(out, "{inside}]");
                 }
-                _ => out.push_str(&short(kind, value, text)),
+                _ => out.push_str(&short_text(kind, value, text)),
             }
             out.push_str(",\n");
         }
@@ -96,7 +96,7 @@ impl CommentStyle<'_> {
 }
 
 /// Formats the comment of a field, with its type.
-fn comment(field: &DocField, indent: &str) -> String {
+fn field_comment(field: &DocField, indent: &str) -> String {
     let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
     wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
 }
@@ -115,24 +115,24 @@ fn docs_at(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Docs> {
 }
 
 /// Writes a value in one line; settings whose fields are all optional become `Name()`.
-fn short(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
+fn short_text(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
     match kind {
         Some(DocKind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
             format!("{}()", docs.name)
         }
-        _ => compact(tree, text),
+        _ => compact_text(tree, text),
     }
 }
 
 /// Writes a value in one line, with all fields.
-fn compact(tree: &RonTree, text: &str) -> String {
+fn compact_text(tree: &RonTree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
-    let list = |items: &[RonTree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
+    let list = |items: &[RonTree]| items.iter().map(|item| compact_text(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
         RonBody::Plain => tree.of(text).to_owned(),
         RonBody::Fields(fields) => {
             let fields: Vec<String> =
-                fields.iter().map(|(n, value)| format!("{n}: {}", compact(value, text))).collect();
+                fields.iter().map(|(n, value)| format!("{n}: {}", compact_text(value, text))).collect();
             format!("{name}({})", fields.join(", "))
         }
         RonBody::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),

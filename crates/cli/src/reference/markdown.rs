@@ -73,13 +73,16 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
                     } else {
                         default(field, value)
                     };
-                row(out, &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)]);
+                write_row(
+                    out,
+                    &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)],
+                );
             }
         }
         DocBody::Variants(variants) => {
             _ = writeln!(out, "\n| variant | description |\n|---|---|");
             for variant in variants {
-                row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
+                write_row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
             }
         }
     }
@@ -114,7 +117,8 @@ pub(crate) fn meaning(variant: &DocVariant) -> String {
     prose::line(variant.text) + &fields
 }
 
-fn row(out: &mut String, cells: &[&str]) {
+/// Writes the row of a table; bars in cells are escaped.
+fn write_row(out: &mut String, cells: &[&str]) {
     let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
     _ = writeln!(out, "| {} |", cells.join(" | "));
 }

@@ -164,6 +164,7 @@ fn median(pairs: &[DirectionPair], turn: DQuat) -> f64 {
     median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
 
+/// Returns the median of angles in radians, degrees.
 fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {
     statistics::median(angles.map(f64::to_degrees))
 }
@@ -237,6 +238,7 @@ impl PoseVerdict {
 }
 
 impl PoseCheck {
+    /// Whether the strongest direction follows the line of sight after the best rotation.
     fn follows(&self) -> bool {
         self.turned <= FOLLOWS * self.constant
     }

@@ -172,7 +172,7 @@ fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> 
 }
 
 /// Groups runs by setting and variant.
-pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
+pub(super) fn group_by_setting(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     let mut settings: Vec<(Value, Setting)> = Vec::new();
     let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
     for (labels, record) in records {
@@ -188,7 +188,7 @@ pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     for ((_, setting), group) in settings.iter_mut().zip(groups) {
         let splits = distinct(group.iter().map(|(_, record)| one_line(&record.pipeline.split)));
         setting.title = format!("{}; {}", setting.title, splits.join(" and "));
-        setting.variants = variants(group)?;
+        setting.variants = group_by_variant(group)?;
     }
     distinguish_titles(&mut settings);
     Ok(settings.into_iter().map(|(_, setting)| setting).collect())
@@ -222,7 +222,7 @@ fn list_fields(value: &Value) -> Vec<String> {
 }
 
 /// Groups the runs of one setting by pipeline, independent of names; a repeated seed is the same run.
-fn variants(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
+fn group_by_variant(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
     let mut variants: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
         let key = record.variant_key()?;

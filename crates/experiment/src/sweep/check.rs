@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// The first invalid run, by name; no files are written in that case.
 pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
-    let runs = unfinished(plan, runs)?;
+    let runs = unfinished_runs(plan, runs)?;
     try_unfinished(plan, &runs, &|_| false, observer)?;
     Ok(runs)
 }
@@ -47,7 +47,7 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
             .collect();
         (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
     };
-    let open = unfinished(plan, runs)?;
+    let open = unfinished_runs(plan, runs)?;
     let measured = try_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
@@ -64,7 +64,7 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
 }
 
 /// Returns the unfinished runs of `runs`, after the checks that need no data.
-fn unfinished(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
+fn unfinished_runs(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
     runs.iter().try_for_each(|&run| plan.runs[run].pipeline.to_ron().map(drop))?;
     // All runs, including those of other shards: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
@@ -218,6 +218,7 @@ impl SweepPlan {
         _ = std::fs::remove_dir(self.folder.join(FAILURES)); // succeeds after the last one
     }
 
+    /// Returns the path of the stored failure of a run.
     fn failure_file(&self, run: usize) -> PathBuf {
         self.folder.join(FAILURES).join(format!("{}.txt", self.runs[run].folder))
     }

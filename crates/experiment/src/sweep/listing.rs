@@ -146,6 +146,7 @@ impl Listing {
         self.runs.iter().find(|run| !others.contains(run))
     }
 
+    /// Formats the content of `sweep.json`.
     fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("plain data") + "\n"
     }

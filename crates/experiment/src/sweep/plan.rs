@@ -104,7 +104,7 @@ impl SweepPlan {
                 runs.push(source.run(k, combination, pipeline, seed)?);
             }
         }
-        let joined = experiment.join.then(|| align(&experiment.name, &mut runs)).transpose();
+        let joined = experiment.join.then(|| align_runs(&experiment.name, &mut runs)).transpose();
         Ok(Self {
             joined: joined.map_err(|why| Error::input(path, format!("join: {why}")))?,
             folder: out.map_or_else(|| Path::new("runs").join(&experiment.name), Path::to_path_buf),
@@ -199,7 +199,7 @@ impl ExperimentSource<'_> {
         let mut crossed = Vec::new();
         for combination in combinations {
             for (k, variant) in variants.iter().enumerate() {
-                let title = title(name, &variant.label);
+                let title = variant_title(name, &variant.label);
                 let tree = axis.as_ref().and_then(|axis| item(axis, "variants", k));
                 let set = variant.set.located(&title, tree.as_ref().and_then(|tree| tree.field("set")), self.text);
                 let mut draft = match &variant.base {
@@ -254,7 +254,7 @@ impl ExperimentSource<'_> {
                     join_labels(&combination.labels),
                     join_labels(&earlier.labels)
                 );
-                let title = combination.labels.last().map(|(axis, label)| title(axis, label) + ": ");
+                let title = combination.labels.last().map(|(axis, label)| variant_title(axis, label) + ": ");
                 return Err(Error::input(self.path, title.unwrap_or_default() + &why));
             }
         }
@@ -289,7 +289,7 @@ impl ExperimentSource<'_> {
 }
 
 /// Names a variant in messages.
-fn title(axis: &str, label: &str) -> String {
+fn variant_title(axis: &str, label: &str) -> String {
     format!("axis `{axis}`, variant `{label}`")
 }
 
@@ -312,7 +312,7 @@ impl PlannedRun {
 ///
 /// # Errors
 /// Runs whose models cannot be joined.
-fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
+fn align_runs(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     if !(2..=MOST_MEMBERS).contains(&runs.len()) {
         return Err(format!("there are {} runs; give variants and seeds that make 2 to {MOST_MEMBERS}", runs.len()));
     }

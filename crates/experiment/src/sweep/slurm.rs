@@ -28,7 +28,7 @@ pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(S
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
     write_atomically(&folder.join(RUNS), names.as_bytes())?;
     let path = folder.join(SCRIPT);
-    write_atomically(&path, script(plan, runs.len(), command, &folder)?.as_bytes())?;
+    write_atomically(&path, script_text(plan, runs.len(), command, &folder)?.as_bytes())?;
     let output = Command::new("sbatch").arg("--parsable").arg(&path).output().map_err(|e| {
         Error::Config(format!("cannot call sbatch ({e}); use a machine with Slurm, or omit --launcher"))
     })?;
@@ -51,7 +51,7 @@ pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(S
 /// # Errors
 /// Slurm does not respond: waiting runs would be submitted twice.
 pub fn queued(plan: &SweepPlan) -> Result<BTreeSet<String>> {
-    let jobs: Vec<(String, Vec<String>)> = submissions(plan)
+    let jobs: Vec<(String, Vec<String>)> = list_submissions(plan)
         .into_iter()
         .filter_map(|(_, folder)| {
             let read = |name: &str| files::read_string(folder.join(name)).ok();
@@ -61,13 +61,13 @@ pub fn queued(plan: &SweepPlan) -> Result<BTreeSet<String>> {
     let mut names = BTreeSet::new();
     // One call per job: squeue fails for all jobs if one is unknown to it.
     for (job, runs) in &jobs {
-        names.extend(tasks(job)?.into_iter().filter_map(|task: usize| runs.get(task.wrapping_sub(1)).cloned()));
+        names.extend(queued_tasks(job)?.into_iter().filter_map(|task: usize| runs.get(task.wrapping_sub(1)).cloned()));
     }
     Ok(names)
 }
 
 /// Lists the numbers, from 1, of the tasks of `job` that wait or run.
-fn tasks(job: &str) -> Result<Vec<usize>> {
+fn queued_tasks(job: &str) -> Result<Vec<usize>> {
     // Without completing tasks: these have ended, and Slurm only removes their processes.
     let states = "--states=PENDING,CONFIGURING,RUNNING,SUSPENDED";
     let output = Command::new("squeue")
@@ -85,7 +85,7 @@ fn tasks(job: &str) -> Result<Vec<usize>> {
 
 /// Creates a folder for one more submission; the lock of the sweep folder prevents collisions.
 fn new_submission(plan: &SweepPlan) -> Result<PathBuf> {
-    let number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
+    let number = list_submissions(plan).last().map_or(1, |(number, _)| number + 1);
     let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?;
     let submission = folder.join(FOLDER).join(number.to_string());
     std::fs::create_dir_all(&submission).map_err(|e| Error::write(&submission, e))?;
@@ -93,7 +93,7 @@ fn new_submission(plan: &SweepPlan) -> Result<PathBuf> {
 }
 
 /// Lists the earlier submissions with their folders, by number.
-fn submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
+fn list_submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
     let entries = std::fs::read_dir(plan.folder.join(FOLDER)).into_iter().flatten().flatten();
     let mut submissions: Vec<(u32, PathBuf)> =
         entries.filter_map(|e| Some((e.file_name().to_str()?.parse().ok()?, e.path()))).collect();
@@ -102,7 +102,7 @@ fn submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
 }
 
 /// Writes the script of a job array of `tasks` tasks, whose files are in `folder`.
-fn script(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
+fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
     let slurm = &plan.slurm;
     let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));
@@ -129,8 +129,8 @@ fn script(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> 
         }
         _ = writeln!(text, "#SBATCH \"{option}\"");
     }
-    let command = command.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ");
-    let runs = quoted(&folder.join(RUNS).display().to_string());
+    let command = command.iter().map(|word| quote(word)).collect::<Vec<_>>().join(" ");
+    let runs = quote(&folder.join(RUNS).display().to_string());
     _ = write!(
         text,
         "\n\
@@ -151,6 +151,6 @@ fn script(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> 
 }
 
 /// Quotes a word for a shell.
-fn quoted(word: &str) -> String {
+fn quote(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }

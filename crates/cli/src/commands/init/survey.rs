@@ -48,6 +48,7 @@ pub(crate) fn is_table(path: &Path) -> bool {
     path.is_file() && ["csv", "npy", "npz"].contains(&extension(path).as_str())
 }
 
+/// Returns the extension in lower case, or an empty text.
 fn extension(path: &Path) -> String {
     path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
 }

@@ -20,17 +20,17 @@ struct ObservationFile<'a> {
 pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
     let (file, task) = (ObservationFile { path, features, receivers }, features.task());
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
-        Some("npy") if task.is_scalar => file.powers(&read_real(path, &[receivers.len()], false)?),
-        Some("npy") if task.is_complex => file.images(&file.read_complex()?),
+        Some("npy") if task.is_scalar => file.check_powers(&read_real(path, &[receivers.len()], false)?),
+        Some("npy") if task.is_complex => file.image_features(&file.read_complex()?),
         Some("npy") => {
             let (width, height) = features.size();
-            file.images(&read_real(path, &[height, width], true)?)
+            file.image_features(&read_real(path, &[height, width], true)?)
         }
         Some("csv") if task.is_scalar => {
             let names: Vec<String> = receivers.iter().map(|receiver| receiver.name.clone()).collect();
-            file.powers(&read_powers(path, &names)?.concat())
+            file.check_powers(&read_powers(path, &names)?.concat())
         }
-        Some("png") if task.has_pixels => file.images(&file.read_picture()?),
+        Some("png") if task.has_pixels => file.image_features(&file.read_picture()?),
         _ => {
             let expected = match (task.has_pixels, task.is_scalar) {
                 (true, _) => "a PNG image, or an array [B, height, width] (.npy)",
@@ -50,7 +50,7 @@ fn read_real(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec<Real>
         return Err(Error::input(path, problem));
     };
     check_shape(path, &header, inner)?;
-    let bytes = numbers(path, &header, &bytes, header.bytes(number))?;
+    let bytes = array_numbers(path, &header, &bytes, header.bytes(number))?;
     let mut values = Vec::with_capacity(bytes.len() / number.bytes());
     number.each(bytes, |v| values.push((v / number.full_scale()) as Real));
     Ok(values)
@@ -63,7 +63,7 @@ fn read_array(path: &Path) -> Result<(Header, Vec<u8>)> {
 }
 
 /// Returns the numbers of an array file; an error if they are not as many bytes as `expected`.
-fn numbers<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
+fn array_numbers<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
     let numbers = bytes.get(header.offset as usize..).unwrap_or_default();
     if expected == Some(numbers.len() as u64) {
         return Ok(numbers);
@@ -100,7 +100,8 @@ impl ObservationFile<'_> {
                 return Err(self.refuse(problem));
             }
         };
-        let bytes = numbers(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
+        let bytes =
+            array_numbers(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
         let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
         number.each(bytes, |v| parts.push(v as Real));
         let gains = parts.as_chunks::<2>().0;
@@ -121,7 +122,7 @@ impl ObservationFile<'_> {
     }
 
     /// Computes the features of spectra or channels at one receiver.
-    fn images(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+    fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         if self.receivers.len() != 1 {
             return Err(self.refuse(format!(
                 "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
@@ -149,7 +150,7 @@ impl ObservationFile<'_> {
     }
 
     /// Checks rows of powers, dBm; NaN for receivers that are not known.
-    fn powers(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+    fn check_powers(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         let rows = values.chunks_exact(self.receivers.len().max(1));
         let rows: Vec<Vec<f32>> = rows.map(|row| row.iter().map(|v| *v as f32).collect()).collect();
         for (row, number) in rows.iter().zip(1..) {

@@ -40,7 +40,7 @@ pub(super) fn table(
 }
 
 /// Describes the errors of the validation samples, with a verdict; empty without any.
-pub(super) fn on_validation(locator: &Locator<'_>, data: &Dataset, fitting: FittingSet<'_>) -> String {
+pub(super) fn describe_validation(locator: &Locator<'_>, data: &Dataset, fitting: FittingSet<'_>) -> String {
     let samples = Samples::new(locator, data, evenly(&data.locations_of(fitting.validation), EXPECTED));
     if samples.transmitters.is_empty() {
         return String::new();
@@ -73,11 +73,13 @@ struct Entry {
 }
 
 impl Samples<'_> {
+    /// Collects the observations of `transmitters`.
     fn new<'a>(locator: &Locator<'_>, data: &'a Dataset, transmitters: Vec<usize>) -> Samples<'a> {
         let observations = locator.observations(data, &transmitters);
         Samples { data, transmitters, observations }
     }
 
+    /// Returns the true position of sample `k`, metres.
     fn truth(&self, k: usize) -> [f64; 3] {
         self.data.locations[self.transmitters[k]].position()
     }
@@ -96,6 +98,7 @@ impl Samples<'_> {
         Entry { name, share: Some(choice.share), errors, region }
     }
 
+    /// Creates the entry of a baseline that locates one observation at a time.
     fn baseline(&self, name: String, locate: impl Fn(&[f32]) -> [f64; 3] + Sync) -> Entry {
         let error = |(k, observation): (usize, &Vec<f32>)| distance(locate(observation), self.truth(k));
         let errors = self.observations.par_iter().enumerate().map(error).collect();
@@ -135,6 +138,7 @@ impl Samples<'_> {
 }
 
 impl Entry {
+    /// Formats the cells of the entry.
     fn line(&self) -> Vec<String> {
         let worst = quantile(&sorted(self.errors.iter().copied()), 0.9);
         let [mean, median] = mean_and_median(self.errors.clone());

@@ -69,6 +69,7 @@ struct Summary {
 }
 
 impl Summary {
+    /// Summarises an observation of `task`.
     fn of(task: Task, image: &Image) -> Self {
         let strongest = image.argmax();
         let count = image.pixels.len().max(1) as f64;

@@ -1,6 +1,6 @@
 //! Axis-parallel plane of a map, and the grid of positions on it.
 
-use crate::commands::options::numbers;
+use crate::commands::options::parse_numbers;
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Result, coordinate_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -75,7 +75,7 @@ impl PlaneBounds {
         let fits = |ends: &[f64; 4]| {
             ends.iter().all(|v| coordinate_fault(*v).is_none()) && ends[0] <= ends[1] && ends[2] <= ends[3]
         };
-        let [x0, x1, y0, y1] = numbers(text).filter(fits).ok_or_else(wrong)?;
+        let [x0, x1, y0, y1] = parse_numbers(text).filter(fits).ok_or_else(wrong)?;
         Ok(Self([[x0, x1], [y0, y1]]))
     }
 

@@ -23,7 +23,7 @@ pub(super) fn choose(arguments: &Place, source: &dyn DataSource, progress: &mut 
     if count > total {
         return Err(Error::Config(format!("--count {count}: the data have {total} receivers; lower --count")));
     }
-    let ([train, test], split) = split(&data, arguments.seed);
+    let ([train, test], split) = split_transmitters(&data, arguments.seed);
     if train.is_empty() || test.is_empty() {
         return Err(Error::input(path, "has fewer than two transmitters; name data with more"));
     }
@@ -117,7 +117,7 @@ impl MeasuredPowers<'_> {
 
 /// Splits transmitters into those of the choice and those of its score: the official split, otherwise a random fifth
 /// is held out.
-fn split(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
+fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
         let [train, test] = [train, test].map(|links| data.locations_of(links));
         let test: Vec<usize> = test.into_iter().filter(|t| train.binary_search(t).is_err()).collect();

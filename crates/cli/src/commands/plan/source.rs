@@ -157,6 +157,7 @@ fn floor(path: &Path, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     pwrfgs::planning::floor_grid(&pwrfgs::raytrace::SceneFile::read(path)?, step, height)
 }
 
+/// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 fn floor(_: &Path, _: f64, _: f64) -> Result<Vec<[f64; 3]>> {
     Err(Error::Config("--floor: this build has no scenes; build with the feature `raytrace`".into()))

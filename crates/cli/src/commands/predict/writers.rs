@@ -107,6 +107,7 @@ struct Spectra<'a> {
 }
 
 impl<'a> Spectra<'a> {
+    /// Creates the writer, with files of all predictions if they are stacked.
     fn begin(folder: &OutputFolder<'_>, model: &Prepared<'a>, count: usize, has_interval: bool) -> Result<Self> {
         let plane = model.plane();
         let size = [count, plane.height, plane.width];
@@ -205,6 +206,7 @@ struct Channels {
 }
 
 impl Channels {
+    /// Creates the writer, with files of all predictions if they are stacked.
     fn begin(folder: &OutputFolder<'_>, model: &Prepared<'_>, count: usize) -> Result<Self> {
         let size = [count, model.plane().height / 2, model.plane().width];
         let mut stacks = Vec::new();

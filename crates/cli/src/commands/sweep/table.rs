@@ -20,6 +20,7 @@ pub(super) struct SweepTable<'a> {
 }
 
 impl<'a> SweepTable<'a> {
+    /// Creates the table with a bar over `runs` runs.
     pub(super) fn new(plan: &'a SweepPlan, runs: usize, verbosity: Verbosity) -> Self {
         let style = ProgressStyle::with_template("{bar:24.green/dim} {pos}/{len} runs  {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar())
@@ -31,6 +32,7 @@ impl<'a> SweepTable<'a> {
         Self { plan, verbosity, bar, begun: Instant::now() }
     }
 
+    /// Removes the bar.
     pub(super) fn finish(&self) {
         self.bar.finish_and_clear();
     }
