@@ -28,12 +28,12 @@ pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline>
     draft.finish().map_err(EditFault::in_arguments)?.resolved()
 }
 
-/// Reads the pipeline in `path`, relative to `here`, or the shipped one of this name; unchanged, with absolute paths.
-pub(crate) fn read_base(here: &Path, path: &Path) -> Result<PipelineEdit> {
-    if let Some(file) = ShippedFile::find(ShippedFile::PIPELINES, here, path) {
+/// Reads the pipeline in `path`, relative to `folder`, or the shipped one of this name; unchanged, with absolute paths.
+pub(crate) fn read_base(folder: &Path, path: &Path) -> Result<PipelineEdit> {
+    if let Some(file) = ShippedFile::find(ShippedFile::PIPELINES, folder, path) {
         return parse_base(&file.text(), path);
     }
-    let path = here.join(path);
+    let path = folder.join(path);
     parse_base(&pipeline_text(&path)?, &path)
 }
 
@@ -44,13 +44,13 @@ fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
     Ok(draft)
 }
 
-/// Applies changes of a file in the folder `here`, to which their paths are relative.
+/// Applies changes of a file in `folder`, to which their paths are relative.
 ///
 /// # Errors
 /// An invalid change.
-pub(crate) fn apply_changes(draft: &mut PipelineEdit, changes: &[Change], here: &Path) -> Result<(), EditFault> {
+pub(crate) fn apply_changes(draft: &mut PipelineEdit, changes: &[Change], folder: &Path) -> Result<(), EditFault> {
     changes.iter().try_for_each(|change| draft.set(change))?;
-    draft.rebase(&|path| absolute(here, path))
+    draft.rebase(&|path| absolute(folder, path))
 }
 
 /// Applies `--set` arguments; their paths are relative to the current directory.

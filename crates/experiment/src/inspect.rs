@@ -200,8 +200,8 @@ fn describe_fixed_ends(data: &Dataset) -> (&'static str, String) {
         return ("transmitter", position.unwrap_or_else(|| "at an unknown position".into()));
     }
     let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
-    if let [first, second, rest @ ..] = &names[..] {
-        let more = if rest.is_empty() { "" } else { ", .." };
+    if let [first, second, others @ ..] = &names[..] {
+        let more = if others.is_empty() { "" } else { ", .." };
         return ("receiver", format!("{}: {first}, {second}{more}", names.len()));
     }
     let boresight = pose.world_from_receiver().z_axis.to_array().map(|v| (f64::from(v) * 1e3).round() / 1e3);

@@ -60,17 +60,17 @@ pub(crate) fn sentences(text: &str) -> String {
 /// Replaces `` [`crate::TopK`](..) `` by `` `TopK` ``.
 fn without_links(text: &str) -> String {
     let mut plain = String::new();
-    let mut rest = text;
-    while let Some((before, link)) = rest.split_once("[`") {
+    let mut remaining = text;
+    while let Some((before, link)) = remaining.split_once("[`") {
         let Some((name, after)) = link.split_once("`]") else { break };
         let name = name.rsplit("::").next().unwrap_or(name);
         _ = write!(plain, "{before}`{name}`");
-        rest = match after.strip_prefix('(').and_then(|a| a.split_once(')')) {
+        remaining = match after.strip_prefix('(').and_then(|a| a.split_once(')')) {
             Some((_, after)) => after,
             None => after,
         };
     }
-    plain + rest
+    plain + remaining
 }
 
 #[cfg(test)]

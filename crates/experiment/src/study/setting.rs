@@ -101,9 +101,9 @@ pub(super) type Labels = Vec<(String, String)>;
 
 /// Joins names by commas, without repetition, up to the limit of a title.
 pub(super) fn listed(names: Vec<String>) -> String {
-    let all = distinct(names);
-    let more = all.len().saturating_sub(TITLES);
-    if more > 1 { format!("{} and {more} more", all[..TITLES].join(", ")) } else { all.join(", ") }
+    let unique = distinct(names);
+    let more = unique.len().saturating_sub(TITLES);
+    if more > 1 { format!("{} and {more} more", unique[..TITLES].join(", ")) } else { unique.join(", ") }
 }
 
 /// Names the variants of separately given runs: the common start of the folders of all seeds.
@@ -118,8 +118,8 @@ pub(super) fn name_single_runs(runs: Vec<Record>) -> Result<Vec<(String, Record)
         if names.iter().any(|(other, _)| *other == key) {
             continue;
         }
-        let all: Vec<String> = keys.iter().zip(&runs).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
-        let mut name = if all.len() > 1 { common_start(&all) } else { all[0].clone() };
+        let folders: Vec<String> = keys.iter().zip(&runs).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
+        let mut name = if folders.len() > 1 { common_start(&folders) } else { folders[0].clone() };
         if name.is_empty() {
             name.clone_from(&first.pipeline.name);
         }
@@ -129,8 +129,8 @@ pub(super) fn name_single_runs(runs: Vec<Record>) -> Result<Vec<(String, Record)
         names.push((key, name));
     }
     let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
-    let all: Vec<String> = keys.iter().map(name).collect();
-    Ok(all.into_iter().zip(runs).collect())
+    let names: Vec<String> = keys.iter().map(name).collect();
+    Ok(names.into_iter().zip(runs).collect())
 }
 
 /// Returns the common start of all names, without the separator or `seed` before the difference: `init` of `init-0`
